@@ -1,0 +1,146 @@
+"""The stages of a skinned body: model -> shaped -> posed -> mesh."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.body.animated_body import AnimatedBody
+from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms, skin
+from pb4u.errors import InputError
+
+# Frames skinned at a time where the rest surface changes with the pose: some tens of megabytes.
+_CORRECTED_FRAMES = 32
+
+
+def complete_parameters(
+    body: str, ranges: Mapping[str, tuple[float, float, float]], given: Mapping[str, float]
+) -> dict[str, float]:
+    """`given` over the defaults of `ranges`, name -> (lowest, default, highest), in the order of `ranges`.
+
+    Raises InputError on an unknown name or a value out of range.
+    """
+    known = ", ".join(f"{key} ({low:g} to {high:g})" for key, (low, _, high) in list(ranges.items())[:12])
+    for key, value in given.items():
+        if key not in ranges:
+            offers = f"its shape parameters are {known}" if known else "it has no shape parameters"
+            raise InputError(f'The body "{body}" has no shape parameter "{key}": {offers}.')
+        low, _, high = ranges[key]
+        if not low <= value <= high:
+            raise InputError(f'Shape parameter "{key}" of body "{body}" is {value:g}; give {low:g} to {high:g}.')
+    return {key: float(given.get(key, default)) for key, (_, default, _) in ranges.items()}
+
+
+class BodyModel(ABC):
+    """A family of bodies; `shaped` picks one member."""
+
+    name: str
+
+    @property
+    @abstractmethod
+    def shape_parameters(self) -> Mapping[str, tuple[float, float, float]]:
+        """Name -> (lowest, default, highest) of each shape parameter."""
+
+    @abstractmethod
+    def shaped(self, **parameters: float) -> ShapedBody:
+        """The body with these shape parameters. Raises InputError on an unknown name or a value out of range."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShapedBody:
+    """One body at rest: A-pose, feet on y = 0, facing +Z.
+
+    Args:
+        name: what the user called it.
+        family: which bone names it has: "anny", "smpl", "smplh" or "smplx".
+        vertices: (vertices, 3) float64 rest positions [m].
+        faces: (faces, 3) int64.
+        skeleton: bones at rest.
+        weights: skinning weights of the vertices.
+        contact: (vertices,) bool, False for hands and skin inside other skin at rest.
+        shape: the shape parameters it was made with.
+        pose_offsets: optional (vertices, 3, pose features) correctives added before skinning, driven by the local
+            rotation matrices minus identity of all bones but the root (SMPL family).
+    """
+
+    name: str
+    family: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    skeleton: Skeleton
+    weights: SkinningWeights
+    contact: np.ndarray
+    shape: Mapping[str, float] = field(default_factory=dict)
+    pose_offsets: np.ndarray | None = None
+
+    def posed(self, poses: PoseSequence) -> PosedBody:
+        """The body moving through `poses`."""
+        return PosedBody(self, poses)
+
+    @property
+    def height(self) -> float:
+        """Height at rest [m]."""
+        return float(np.ptp(self.vertices[:, 1]))
+
+
+class PosedBody(AnimatedBody):
+    """A shaped body moving through a pose sequence; vertices are computed when asked for."""
+
+    def __init__(self, body: ShapedBody, poses: PoseSequence) -> None:
+        self.body = body
+        self.poses = poses
+        self.faces = body.faces
+        self.contact = body.contact
+        self.rest_vertices = body.vertices
+        self.fps = poses.fps
+        self.name = body.name
+        self._carried: tuple[np.ndarray, SkinningWeights, SkinnedSurface] | None = None
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.poses)
+
+    @cached_property
+    def transforms(self) -> Tensor:
+        """(frames, bones, 3, 4) float32 rest-to-world bone transforms."""
+        return bone_transforms(self.body.skeleton, self.poses)
+
+    def positions(self, start: int, stop: int) -> Tensor:
+        if self.body.pose_offsets is not None:
+            return self._corrected_positions(self.body.pose_offsets, start, stop)
+        return self._surface.positions(self.transforms[start:stop])
+
+    def skin(self, rest_vertices: np.ndarray, weights: SkinningWeights, start: int, stop: int) -> Tensor:
+        """Any surface (vertices, 3) carried by this body's bones: (stop - start, vertices, 3) float32 [m]."""
+        if self._carried is None or self._carried[0] is not rest_vertices or self._carried[1] is not weights:
+            surface = SkinnedSurface(rest_vertices, weights, self.body.skeleton.bone_count)
+            self._carried = (rest_vertices, weights, surface)
+        return self._carried[2].positions(self.transforms[start:stop])
+
+    @cached_property
+    def _surface(self) -> SkinnedSurface:
+        return SkinnedSurface(self.body.vertices, self.body.weights, self.body.skeleton.bone_count)
+
+    def _corrected_positions(self, pose_offsets: np.ndarray, start: int, stop: int) -> Tensor:
+        """Positions with pose-dependent corrections of the rest surface, some frames at a time to bound memory."""
+        rest = torch.from_numpy(self.body.vertices.astype(np.float32))
+        directions = torch.from_numpy(np.ascontiguousarray(pose_offsets.reshape(-1, pose_offsets.shape[-1]).T))
+        bones, weights = torch.from_numpy(self.body.weights.bones), torch.from_numpy(self.body.weights.weights)
+        result = torch.empty(stop - start, len(rest), 3)
+        for first in range(start, stop, _CORRECTED_FRAMES):
+            last = min(first + _CORRECTED_FRAMES, stop)
+            transforms = self.transforms[first:last]
+            rotations = transforms[..., :3]
+            parents = torch.from_numpy(self.body.skeleton.parents[1:])
+            local = rotations[:, parents].transpose(-1, -2) @ rotations[:, 1:]
+            features = (local - torch.eye(3)).flatten(1)
+            corrected = rest + (features @ directions.to(features.dtype)).view(last - first, -1, 3)
+            result[first - start : last - start] = skin(corrected, bones, weights, transforms)
+        return result

@@ -1,0 +1,121 @@
+"""Linear blend skinning with a few bones per vertex."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix
+from torch import Tensor
+
+from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.geometry.rotation import matrix_from_quaternion
+
+
+@dataclass(frozen=True, eq=False)
+class SkinningWeights:
+    """Bones that move each vertex.
+
+    Args:
+        bones: (vertices, influences) int64 bone indices.
+        weights: (vertices, influences) float32, rows sum to 1; unused places are 0.
+    """
+
+    bones: np.ndarray
+    weights: np.ndarray
+
+
+def strongest_influences(bones: np.ndarray, weights: np.ndarray, count: int) -> SkinningWeights:
+    """The `count` largest weights of each vertex, scaled to sum to 1.
+
+    Args:
+        bones: (vertices, influences) bone indices.
+        weights: (vertices, influences) weights, in any order.
+        count: influences to keep, at most as many as there are.
+    """
+    count = min(count, int((weights > 0).sum(axis=1).max()))
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :count]
+    kept = np.take_along_axis(weights, order, axis=1).astype(np.float64)
+    kept /= kept.sum(axis=1, keepdims=True)
+    chosen = np.where(kept > 0, np.take_along_axis(bones, order, axis=1), 0)
+    return SkinningWeights(chosen.astype(np.int64), kept.astype(np.float32))
+
+
+def joint_positions(skeleton: Skeleton, poses: PoseSequence) -> np.ndarray:
+    """World positions (frames, bones, 3) [m] of the joints, by forward kinematics."""
+    from pb4u.geometry.rotation import rotate
+
+    positions = np.empty((len(poses), skeleton.bone_count, 3))
+    positions[:, 0] = poses.root_positions
+    for bone, parent in enumerate(skeleton.parents.tolist()):
+        if parent >= 0:
+            offset = skeleton.joints[bone] - skeleton.joints[parent]
+            positions[:, bone] = positions[:, parent] + rotate(poses.rotations[:, parent], offset)
+    return positions
+
+
+def bone_transforms(skeleton: Skeleton, poses: PoseSequence, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Transforms (frames, bones, 3, 4) that carry rest positions to world positions: x -> A x + b."""
+    rotation = matrix_from_quaternion(torch.from_numpy(poses.rotations))
+    joints = torch.from_numpy(joint_positions(skeleton, poses))
+    rest = torch.from_numpy(np.ascontiguousarray(skeleton.joints, dtype=np.float64))
+    translation = joints - (rotation @ rest[..., None])[..., 0]
+    return torch.cat([rotation, translation[..., None]], dim=-1).to(dtype)
+
+
+def skin(rest_vertices: Tensor, bones: Tensor, weights: Tensor, transforms: Tensor) -> Tensor:
+    """Vertices (frames, vertices, 3) [m] of a surface moved by blended bone transforms; `SkinnedSurface` is faster.
+
+    Args:
+        rest_vertices: (vertices, 3) [m], or (frames, vertices, 3) where the rest surface changes with the pose.
+        bones: (vertices, influences) int64.
+        weights: (vertices, influences), rows sum to 1.
+        transforms: (frames, bones, 3, 4), see `bone_transforms`.
+    """
+    frames, vertices = transforms.shape[0], rest_vertices.shape[-2]
+    flat = transforms.reshape(frames, -1, 12)
+    blended = torch.zeros(frames, vertices, 12, dtype=transforms.dtype, device=transforms.device)
+    for k in range(bones.shape[1]):
+        blended.addcmul_(flat.index_select(1, bones[:, k]), weights[:, k, None].to(transforms.dtype))
+    blended = blended.view(frames, -1, 3, 4)
+    return (blended[..., :3] @ rest_vertices.to(transforms.dtype)[..., None])[..., 0] + blended[..., 3]
+
+
+class SkinnedSurface:
+    """A surface carried by bones: linear blend skinning as one sparse product.
+
+    sum_b w_b (A_b x + t_b) is linear in the bone transforms, so a matrix (vertices, 4 bones) with the entries
+    w_b (x, 1) maps the stacked transforms of any number of frames to positions, without a blended transform for
+    each vertex and frame in between.
+
+    Args:
+        rest_vertices: (vertices, 3) [m].
+        weights: bones of each vertex.
+        bone_count: bones of the skeleton.
+    """
+
+    # Frames at a time: bounds the intermediate copy to some tens of megabytes.
+    _CHUNK = 100
+
+    def __init__(self, rest_vertices: np.ndarray, weights: SkinningWeights, bone_count: int) -> None:
+        vertex, influence = np.nonzero(weights.weights)
+        homogeneous = np.append(rest_vertices[vertex], np.ones((len(vertex), 1)), axis=1)
+        values = weights.weights[vertex, influence, None] * homogeneous
+        columns = 4 * weights.bones[vertex, influence, None] + np.arange(4)
+        starts = 4 * np.searchsorted(vertex, np.arange(len(rest_vertices) + 1))
+        self._matrix = csr_matrix(
+            (values.astype(np.float32).reshape(-1), columns.reshape(-1), starts),
+            shape=(len(rest_vertices), 4 * bone_count),
+        )
+
+    def positions(self, transforms: Tensor) -> Tensor:
+        """Vertices (frames, vertices, 3) float32 [m] under `transforms` (frames, bones, 3, 4), see `bone_transforms`."""
+        frames = len(transforms)
+        stacked = transforms.to(torch.float32).numpy().transpose(1, 3, 0, 2)
+        result = np.empty((frames, self._matrix.shape[0], 3), dtype=np.float32)
+        for start in range(0, frames, self._CHUNK):
+            chunk = stacked[:, :, start : start + self._CHUNK]
+            moved = self._matrix @ chunk.reshape(self._matrix.shape[1], -1)
+            result[start : start + self._CHUNK] = moved.reshape(len(moved), -1, 3).transpose(1, 0, 2)
+        return torch.from_numpy(result)

@@ -1,0 +1,188 @@
+"""Off-screen rendering of a trajectory: stills, and the frames of animations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from pb4u.errors import Pb4uError
+from pb4u.geometry.triangle_mesh import vertex_normals
+from pb4u.scene.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import pyvista
+
+
+@dataclass(frozen=True)
+class View:
+    """How a trajectory is looked at.
+
+    Args:
+        width, height: pixels.
+        azimuth: degrees around the vertical; 0 looks the body in the face, positive walks towards its left.
+        elevation: degrees above the horizontal.
+        turntable: degrees the camera travels over the whole clip.
+        show_body: whether the body is drawn.
+        cloth: colour of the garment, RGB in [0, 1].
+    """
+
+    width: int = 640
+    height: int = 800
+    azimuth: float = 25.0
+    elevation: float = 8.0
+    turntable: float = 0.0
+    show_body: bool = True
+    cloth: tuple[float, float, float] = (0.16, 0.36, 0.62)
+
+
+_SKIN = (0.82, 0.78, 0.75)
+_GROUND = (0.90, 0.90, 0.91)
+_MARGIN = 1.12
+_FIELD_OF_VIEW = 24.0
+
+
+class Studio:
+    """A lit room with a garment and a body in it; positions are replaced frame by frame."""
+
+    def __init__(self, trajectory: Trajectory, view: View) -> None:
+        import pyvista
+
+        self._trajectory = trajectory
+        self._view = view
+        self._plotter = pyvista.Plotter(off_screen=True, window_size=(view.width, view.height), lighting="none")
+        self._cloth = self._add(trajectory.positions[0], trajectory.faces, view.cloth, specular=0.06)
+        self._body = None
+        if view.show_body:
+            self._body = self._add(trajectory.body_positions[0], trajectory.header.body_faces, _SKIN, specular=0.12)
+        self._light()
+        self._add_ground()
+        self._frame_size = self._extent()
+
+    def _add(self, points: np.ndarray, faces: np.ndarray, colour: Sequence[float], specular: float) -> pyvista.PolyData:
+        import pyvista
+
+        cells = np.column_stack([np.full(len(faces), 3), faces]).ravel()
+        mesh = pyvista.PolyData(np.array(points, dtype=np.float32), cells)
+        mesh.point_data["Normals"] = np.zeros_like(mesh.points)
+        mesh.point_data.active_normals_name = "Normals"
+        self._plotter.add_mesh(
+            mesh, color=colour, ambient=0.12, diffuse=0.88, specular=specular, specular_power=12, interpolation="Phong"
+        )
+        return mesh
+
+    def _light(self) -> None:
+        import pyvista
+
+        # A low key light from the side makes wrinkles cast shading; fill and rim keep the rest readable.
+        for position, intensity in (((4.0, 4.5, 5.0), 0.75), ((-5.0, 3.0, 3.0), 0.28), ((0.0, 5.0, -6.0), 0.35)):
+            light = pyvista.Light(
+                position=position, focal_point=(0, 1, 0), intensity=intensity, light_type="scene light"
+            )
+            self._plotter.add_light(light)
+        self._plotter.set_background("white", top=(0.86, 0.89, 0.93))
+
+    def _add_ground(self) -> None:
+        import pyvista
+
+        feet = self._trajectory.body_positions
+        low, high = feet[..., [0, 2]].min((0, 1)), feet[..., [0, 2]].max((0, 1))
+        centre, size = (low + high) / 2, float((high - low).max()) + 6.0
+        ground = pyvista.Plane(center=(centre[0], 0, centre[1]), direction=(0, 1, 0), i_size=size, j_size=size)
+        self._plotter.add_mesh(ground, color=_GROUND, ambient=0.35, diffuse=0.6, specular=0.0)
+
+    def _extent(self) -> float:
+        """Height of the picture [m] that holds body and garment in every frame."""
+        sample = np.linspace(0, self._trajectory.frame_count - 1, min(8, self._trajectory.frame_count)).astype(int)
+        size = 0.0
+        for t in sample:
+            points = self._visible(int(t))
+            points = points[np.isfinite(points).all(axis=1)]
+            if len(points):
+                span = np.ptp(points, axis=0)
+                size = max(
+                    size, float(span[1]), float(np.hypot(span[0], span[2])) * self._view.height / self._view.width
+                )
+        return min(size, 6.0) * _MARGIN
+
+    def _visible(self, t: int) -> np.ndarray:
+        return np.concatenate([self._trajectory.positions[t], self._trajectory.body_positions[t]])
+
+    def _heading(self) -> float:
+        """Angle about the vertical [rad] of the direction the body faces at the start; 0 is +Z."""
+        return float(self._trajectory.metadata.get("heading", 0.0))
+
+    def draw(self, t: int) -> np.ndarray:
+        """Frame t as (height, width, 3) uint8."""
+        trajectory = self._trajectory
+        _move(self._cloth, trajectory.positions[t], trajectory.faces)
+        if self._body is not None:
+            _move(self._body, trajectory.body_positions[t], trajectory.header.body_faces)
+        self._aim(t)
+        image = self._plotter.screenshot(return_img=True)
+        if image is None:
+            raise Pb4uError("The off-screen renderer returned no picture.")
+        return np.asarray(image)
+
+    def _aim(self, t: int) -> None:
+        body = self._trajectory.body_positions[t]
+        target = np.array([np.median(body[:, 0]), self._frame_size / (2 * _MARGIN), np.median(body[:, 2])])
+        turn = self._view.turntable * t / max(self._trajectory.frame_count - 1, 1)
+        azimuth = self._heading() + np.deg2rad(self._view.azimuth + turn)
+        elevation = np.deg2rad(self._view.elevation)
+        direction = np.array(
+            [np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)]
+        )
+        distance = self._frame_size / (2 * np.tan(np.deg2rad(_FIELD_OF_VIEW / 2)))
+        camera = self._plotter.camera
+        camera.focal_point = target
+        camera.position = target + distance * direction
+        camera.up = (0, 1, 0)
+        camera.view_angle = _FIELD_OF_VIEW
+        self._plotter.renderer.ResetCameraClippingRange()
+
+    def close(self) -> None:
+        """Free the window."""
+        self._plotter.close()
+
+
+def _move(mesh: pyvista.PolyData, points: np.ndarray, faces: np.ndarray) -> None:
+    finite = np.nan_to_num(np.array(points, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    mesh.points = finite
+    mesh.point_data["Normals"] = vertex_normals(torch.from_numpy(finite), torch.from_numpy(np.array(faces))).numpy()
+
+
+def render(trajectory: Trajectory, frames: Sequence[int], view: View | None = None) -> Iterator[np.ndarray]:
+    """Pictures (height, width, 3) uint8 of the given frames.
+
+    Raises Pb4uError when this machine has no off-screen OpenGL.
+    """
+    studio = _open_studio(trajectory, view or View())
+    try:
+        for t in frames:
+            yield studio.draw(t)
+    finally:
+        studio.close()
+
+
+def _open_studio(trajectory: Trajectory, view: View) -> Studio:
+    try:
+        return Studio(trajectory, view)
+    except (ImportError, RuntimeError, OSError) as error:
+        raise Pb4uError(
+            f"Pictures need off-screen OpenGL, which this machine lacks ({error}); on Debian or Ubuntu install libegl1 "
+            "and libgl1-mesa-dri. The trajectory itself does not need it."
+        ) from error
+
+
+def write_still(trajectory: Trajectory, path: Path, view: View | None = None, frames: int = 5) -> None:
+    """A PNG or JPEG strip of `frames` moments spread over the clip."""
+    from PIL import Image
+
+    moments = np.unique(np.linspace(0, trajectory.frame_count - 1, frames).round().astype(int)).tolist()
+    strip = np.concatenate(list(render(trajectory, moments, view)), axis=1)
+    Image.fromarray(strip).save(path)

@@ -1,0 +1,52 @@
+"""Parts of a trajectory: some of its frames, or its motion carried to the author's own mesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pb4u.errors import InputError
+from pb4u.scene.trajectory import Trajectory
+
+
+def select_frames(trajectory: Trajectory, span: tuple[float, float] | None, every: int) -> Trajectory:
+    """Frames span[0]..span[1]-1, every n-th of them. Raises InputError when none is left."""
+    first, last = (
+        (0, trajectory.frame_count) if span is None else (int(span[0]), int(min(span[1], trajectory.frame_count)))
+    )
+    kept = slice(first, last, every)
+    if first >= min(last, trajectory.frame_count):
+        raise InputError(
+            f"The trajectory has frames 0 to {trajectory.frame_count - 1}; none lies in the range asked for."
+        )
+    return Trajectory(
+        replace(trajectory.header, fps=trajectory.fps / every),
+        trajectory.positions[kept],
+        trajectory.velocities[kept],
+        trajectory.body_positions[kept],
+    )
+
+
+def on_source(trajectory: Trajectory) -> Trajectory:
+    """The same motion on the author's mesh; the trajectory itself where that is the simulated mesh."""
+    track = trajectory.header.source
+    if track is None:
+        return trajectory
+
+    def carry(values: np.ndarray) -> np.ndarray:
+        corners = values[..., trajectory.faces[track.triangle], :]
+        return np.einsum("sk,...skd->...sd", track.barycentric.astype(np.float32), corners)
+
+    owner = trajectory.header.vertex_garment[trajectory.faces[track.triangle, 0]]
+    header = replace(
+        trajectory.header,
+        faces=track.faces,
+        rest_positions=carry(trajectory.header.rest_positions),
+        pinned=trajectory.header.pinned[trajectory.faces[track.triangle]].all(axis=1),
+        vertex_garment=owner,
+        uvs=track.uvs,
+        uv_faces=track.uv_faces,
+        source=None,
+    )
+    return Trajectory(header, carry(trajectory.positions), carry(trajectory.velocities), trajectory.body_positions)

@@ -1,0 +1,120 @@
+"""A garment at rest: everything about it that never changes during a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from pb4u.garment.material import Material
+from pb4u.geometry.topology import Topology
+from pb4u.geometry.triangle_mesh import edge_lengths, face_areas
+
+
+@dataclass(frozen=True, eq=False)
+class SourceMesh:
+    """The mesh as its author made it: vertex order, polygons and UVs kept.
+
+    Args:
+        vertices: (vertices, 3) float64 [m], in the project's axes.
+        polygons: vertex indices of each polygon (triangles, quads, n-gons).
+        uvs: (uv points, 2) float64 or None.
+        polygon_uvs: UV indices of each polygon's corners, or None.
+    """
+
+    vertices: np.ndarray
+    polygons: tuple[np.ndarray, ...]
+    uvs: np.ndarray | None = None
+    polygon_uvs: tuple[np.ndarray, ...] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SourceMap:
+    """Where each source vertex lies on the simulated mesh: triangle and barycentric coordinates.
+
+    Args:
+        source: the author's mesh.
+        triangle: (source vertices,) int64 simulated face.
+        barycentric: (source vertices, 3) float64, rows sum to 1.
+    """
+
+    source: SourceMesh
+    triangle: np.ndarray
+    barycentric: np.ndarray
+
+    def carry(self, positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """Source vertices (..., source vertices, 3) [m] for simulated `positions` (..., vertices, 3) [m]."""
+        corners = positions[..., faces[self.triangle], :]
+        return np.einsum("sk,...skd->...sd", self.barycentric.astype(positions.dtype), corners)
+
+
+@dataclass(frozen=True, eq=False)
+class Garment:
+    """A single-layer triangle mesh in its rest shape, worn by a body in its rest pose.
+
+    Args:
+        name: what the user called it.
+        vertices: (vertices, 3) float64 rest positions [m], where they sit on the resting body.
+        faces: (faces, 3) int64, counter-clockwise from outside.
+        material: cloth material.
+        pinned: (vertices,) bool, vertices that follow the body.
+        uvs: (uv points, 2) float64 of the simulated mesh, or None.
+        uv_faces: (faces, 3) int64 into `uvs`, or None.
+        source: map to the author's mesh, or None where that is the simulated mesh itself.
+        loose: whether it hangs free of the nearest limb (dresses, skirts): skinning weights are then averaged widely.
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    material: Material
+    pinned: np.ndarray = field(default=None)  # type: ignore[assignment]
+    uvs: np.ndarray | None = None
+    uv_faces: np.ndarray | None = None
+    source: SourceMap | None = None
+    loose: bool = False
+
+    def __post_init__(self) -> None:
+        if self.pinned is None:
+            object.__setattr__(self, "pinned", np.zeros(len(self.vertices), dtype=bool))
+
+    @cached_property
+    def topology(self) -> Topology:
+        return Topology(self.faces, len(self.vertices))
+
+    @cached_property
+    def face_areas(self) -> np.ndarray:
+        """(faces,) rest areas [m^2]."""
+        return face_areas(self.vertices, self.faces)
+
+    @cached_property
+    def vertex_areas(self) -> np.ndarray:
+        """(vertices,) a third of the rest areas of the incident faces [m^2]."""
+        weights = np.repeat(self.face_areas / 3.0, 3)
+        return np.bincount(self.faces.reshape(-1), weights=weights, minlength=len(self.vertices))
+
+    @cached_property
+    def vertex_masses(self) -> np.ndarray:
+        """(vertices,) [kg]."""
+        return self.material.density * self.vertex_areas
+
+    @cached_property
+    def edge_lengths(self) -> np.ndarray:
+        """(edges,) rest lengths [m] of `topology.edges`."""
+        return edge_lengths(self.vertices, self.topology.edges)
+
+    @cached_property
+    def mean_edge_length(self) -> float:
+        """Mean rest edge length [m]: the garment's resolution."""
+        return float(self.edge_lengths.mean())
+
+    @property
+    def triangle_count(self) -> int:
+        return len(self.faces)
+
+    def with_material(self, material: Material) -> Garment:
+        return replace(self, material=material)
+
+    def with_pins(self, pinned: np.ndarray) -> Garment:
+        return replace(self, pinned=pinned)

@@ -1,0 +1,61 @@
+"""Everything a simulation needs, loaded, checked and placed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pb4u.body.animated_body import AnimatedBody
+from pb4u.garment.dressing import Placement
+from pb4u.garment.garment import Garment
+
+
+@dataclass(frozen=True, eq=False)
+class DressedGarment:
+    """A garment and how the body carries it."""
+
+    garment: Garment
+    placement: Placement
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Garments on moving bodies.
+
+    Frames run 0..lead_in + frames - 1: the first `lead_in` lead from the garment's rest pose into the motion and are
+    simulated but not written.
+
+    Args:
+        garments: the garments worn, length 1 today.
+        colliders: the moving surfaces, length 1 today; each covers all frames.
+        frames: number of frames to write.
+        lead_in: number of frames before the first written one.
+        fps: frames per second; one time step lasts 1 / fps.
+        gravity: (3,) [m/s^2].
+        ground_height: height of the ground plane [m]; None for no ground.
+        seed: seed of everything random in the simulation.
+        labels: names for the metadata: garment, body, motion.
+        notes: plain sentences about what was changed or ignored while the scene was made.
+    """
+
+    garments: tuple[DressedGarment, ...]
+    colliders: tuple[AnimatedBody, ...]
+    frames: int
+    lead_in: int = 0
+    fps: float = 30.0
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, -9.81, 0.0]))
+    ground_height: float | None = 0.0
+    seed: int = 0
+    labels: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def total_frames(self) -> int:
+        return self.lead_in + self.frames
+
+    @property
+    def dt(self) -> float:
+        """Time step [s]."""
+        return 1.0 / self.fps

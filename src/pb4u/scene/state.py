@@ -1,0 +1,22 @@
+"""All that evolves during a simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Positions and velocities of one garment (or of packed garments) at one frame.
+
+    Args:
+        positions: (vertices, 3) [m].
+        velocities: (vertices, 3) [m/s].
+        frame: index of the frame in its scene, lead-in included.
+    """
+
+    positions: Tensor
+    velocities: Tensor
+    frame: int

@@ -1,0 +1,320 @@
+"""The result of a simulation, and its file: an uncompressed .npz, mapped into memory and read without pickle."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from pb4u.errors import InputError
+
+FORMAT_VERSION = 1
+_REQUIRED = (
+    "format_version", "positions", "velocities", "faces", "rest_positions", "pinned", "vertex_garment",
+    "body_positions", "body_faces", "body_contact", "fps", "metadata",
+)  # fmt: skip
+_STREAMED = ("positions", "velocities", "body_positions")
+
+
+@dataclass(frozen=True, eq=False)
+class SourceTrack:
+    """How the author's own mesh rides on the simulated one.
+
+    Args:
+        faces: (source faces, 3) int64 triangulated source.
+        triangle: (source vertices,) int64 simulated face under each source vertex.
+        barycentric: (source vertices, 3) float64.
+        uvs: (uv points, 2) float64 or None. uv_faces: (source faces, 3) int64 or None.
+    """
+
+    faces: np.ndarray
+    triangle: np.ndarray
+    barycentric: np.ndarray
+    uvs: np.ndarray | None = None
+    uv_faces: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryHeader:
+    """All of a trajectory that does not change from frame to frame.
+
+    Args:
+        faces: (faces, 3) int64. rest_positions: (vertices, 3) float32 [m]. pinned: (vertices,) bool.
+        vertex_garment: (vertices,) int32 garment of each vertex.
+        body_faces: (body faces, 3) int64. body_contact: (body vertices,) bool.
+        fps: frames per second.
+        metadata: names, counts, material and versions, as JSON.
+        uvs: (uv points, 2) float64 or None. uv_faces: (faces, 3) int64 or None.
+        source: the author's mesh where it differs from the simulated one.
+    """
+
+    faces: np.ndarray
+    rest_positions: np.ndarray
+    pinned: np.ndarray
+    vertex_garment: np.ndarray
+    body_faces: np.ndarray
+    body_contact: np.ndarray
+    fps: float
+    metadata: dict[str, Any] = field(default_factory=dict)
+    uvs: np.ndarray | None = None
+    uv_faces: np.ndarray | None = None
+    source: SourceTrack | None = None
+
+    def with_metadata(self, **entries: Any) -> TrajectoryHeader:
+        """The same header with some metadata entries replaced."""
+        return replace(self, metadata={**self.metadata, **entries})
+
+    def _members(self) -> dict[str, np.ndarray]:
+        members = {
+            "format_version": np.array(FORMAT_VERSION, dtype=np.int64),
+            "faces": self.faces.astype(np.int64),
+            "rest_positions": self.rest_positions.astype(np.float32),
+            "pinned": self.pinned.astype(bool),
+            "vertex_garment": self.vertex_garment.astype(np.int32),
+            "body_faces": self.body_faces.astype(np.int64),
+            "body_contact": self.body_contact.astype(bool),
+            "fps": np.array(self.fps, dtype=np.float64),
+            "metadata": np.array(json.dumps(self.metadata)),
+        }
+        if self.uvs is not None and self.uv_faces is not None:
+            members |= {"uvs": self.uvs.astype(np.float64), "uv_faces": self.uv_faces.astype(np.int64)}
+        if self.source is not None:
+            members |= {
+                "source_faces": self.source.faces.astype(np.int64),
+                "source_triangle": self.source.triangle.astype(np.int64),
+                "source_barycentric": self.source.barycentric.astype(np.float64),
+            }
+            if self.source.uvs is not None and self.source.uv_faces is not None:
+                members |= {
+                    "source_uvs": self.source.uvs.astype(np.float64),
+                    "source_uv_faces": self.source.uv_faces.astype(np.int64),
+                }
+        return members
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One written frame: garment positions (vertices, 3) [m] and velocities [m/s], body positions [m]."""
+
+    positions: np.ndarray
+    velocities: np.ndarray
+    body_positions: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Garment and body over time.
+
+    Args:
+        header: what does not change.
+        positions: (frames, vertices, 3) float32 [m].
+        velocities: (frames, vertices, 3) float32 [m/s].
+        body_positions: (frames, body vertices, 3) float32 [m].
+    """
+
+    header: TrajectoryHeader
+    positions: np.ndarray
+    velocities: np.ndarray
+    body_positions: np.ndarray
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.positions)
+
+    @property
+    def faces(self) -> np.ndarray:
+        return self.header.faces
+
+    @property
+    def fps(self) -> float:
+        return self.header.fps
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        return self.header.metadata
+
+    @property
+    def frames(self) -> Iterable[Frame]:
+        """Every frame in turn."""
+        for p, v, b in zip(self.positions, self.velocities, self.body_positions, strict=True):
+            yield Frame(p, v, b)
+
+    @classmethod
+    def collect(cls, header: TrajectoryHeader, frames: Iterable[Frame]) -> Trajectory:
+        """Gather frames in memory."""
+        rows = list(frames)
+        if not rows:
+            raise InputError("A trajectory needs at least one frame.")
+        return cls(
+            header,
+            np.stack([f.positions for f in rows]).astype(np.float32),
+            np.stack([f.velocities for f in rows]).astype(np.float32),
+            np.stack([f.body_positions for f in rows]).astype(np.float32),
+        )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the .npz, beside and moved into place. Other formats: `pb4u.export`."""
+        with TrajectoryWriter(path, self.header) as writer:
+            for frame in self.frames:
+                writer.append(frame)
+        return Path(path)
+
+    @classmethod
+    def open(cls, path: str | Path) -> Trajectory:
+        """Map a trajectory file into memory; frames are read from disk as they are touched.
+
+        Raises InputError when the file is cut short, of a newer format or not a trajectory.
+        """
+        path = Path(path)
+        try:
+            members = _map_members(path)
+        except (OSError, zipfile.BadZipFile, ValueError, KeyError) as error:
+            if isinstance(error, FileNotFoundError):
+                raise InputError(f"There is no trajectory file {path}.") from error
+            raise InputError(
+                f"{path} cannot be read as a trajectory (cut short or another format): {error}."
+            ) from error
+        version = int(members["format_version"]) if "format_version" in members else None
+        if version is not None and version > FORMAT_VERSION:
+            raise InputError(
+                f"{path} has trajectory format {version}; this version reads up to {FORMAT_VERSION}: update pb4u."
+            )
+        missing = [name for name in _REQUIRED if name not in members]
+        if missing:
+            raise InputError(f"{path} is not a pb4u trajectory: it lacks {', '.join(missing)}.")
+        return cls(_header_from(members, path), *(members[name] for name in _STREAMED))
+
+
+def _header_from(members: dict[str, np.ndarray], path: Path) -> TrajectoryHeader:
+    t, v = members["positions"].shape[:2]
+    expected = {
+        "positions": (t, v, 3), "velocities": (t, v, 3), "rest_positions": (v, 3), "pinned": (v,), "vertex_garment": (v,),
+        "body_positions": (t, len(members["body_contact"]), 3),
+    }  # fmt: skip
+    for name, shape in expected.items():
+        if members[name].shape != shape:
+            raise InputError(f"{path} is inconsistent: {name} has shape {members[name].shape}, not {shape}.")
+    try:
+        metadata = json.loads(str(members["metadata"]))
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path} has metadata that is not JSON: {error}.") from error
+    source = None
+    if "source_triangle" in members:
+        source = SourceTrack(
+            members["source_faces"], members["source_triangle"], members["source_barycentric"],
+            members.get("source_uvs"), members.get("source_uv_faces"),
+        )  # fmt: skip
+    return TrajectoryHeader(
+        members["faces"], members["rest_positions"], members["pinned"], members["vertex_garment"],
+        members["body_faces"], members["body_contact"], float(members["fps"]), metadata,
+        members.get("uvs"), members.get("uv_faces"), source,
+    )  # fmt: skip
+
+
+def _map_members(path: Path) -> dict[str, np.ndarray]:
+    """Every member of an uncompressed .npz as an array mapped from the file; compressed members are read."""
+    members: dict[str, np.ndarray] = {}
+    with zipfile.ZipFile(path) as archive, path.open("rb") as raw:
+        for info in archive.infolist():
+            name = info.filename.removesuffix(".npy")
+            if info.compress_type != zipfile.ZIP_STORED or info.file_size == 0:
+                with archive.open(info) as member:
+                    members[name] = np.lib.format.read_array(member, allow_pickle=False)
+                continue
+            raw.seek(info.header_offset + 26)
+            name_length, extra_length = np.frombuffer(raw.read(4), dtype="<u2").tolist()
+            start = info.header_offset + 30 + name_length + extra_length
+            raw.seek(start)
+            version = np.lib.format.read_magic(raw)
+            read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+            shape, fortran, dtype = read_header[version](raw)
+            if dtype.hasobject:
+                raise ValueError(f"member {name} holds Python objects")
+            data = raw.tell()
+            if data + int(np.prod(shape)) * dtype.itemsize > start + info.file_size:
+                raise ValueError(f"member {name} is cut short")
+            if int(np.prod(shape)) * dtype.itemsize < 4096:
+                raw.seek(data)
+                values = np.frombuffer(raw.read(int(np.prod(shape)) * dtype.itemsize), dtype=dtype)
+                members[name] = values.reshape(shape, order="F" if fortran else "C")
+            else:
+                members[name] = np.memmap(path, dtype, "r", data, shape, "F" if fortran else "C")
+    return members
+
+
+class TrajectoryWriter:
+    """Streams frames to disk, so that length is not bounded by memory; the file appears when it is closed.
+
+    Closing after an error keeps the frames written so far when `keep_partial`, and leaves nothing otherwise.
+    """
+
+    def __init__(self, path: str | Path, header: TrajectoryHeader, keep_partial: bool = False) -> None:
+        self.path = Path(path)
+        self.header = header
+        self.keep_partial = keep_partial
+        self.frame_count = 0
+        if not self.path.parent.is_dir():
+            raise InputError(f"The folder {self.path.parent} does not exist; make it first.")
+        try:
+            self._folder = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
+        except OSError as error:
+            raise InputError(f"Cannot write in {self.path.parent}: {error.strerror}.") from error
+        self._raw: dict[str, BinaryIO] = {name: (self._folder / name).open("wb") for name in _STREAMED}
+        self._shapes: dict[str, tuple[int, ...]] = {}
+
+    def append(self, frame: Frame) -> None:
+        """Write one frame."""
+        for name in _STREAMED:
+            row = np.ascontiguousarray(getattr(frame, name), dtype="<f4")
+            self._shapes[name] = row.shape
+            self._raw[name].write(row.tobytes())
+        self.frame_count += 1
+
+    def close(self) -> None:
+        """Assemble the file and move it into place. Without a frame nothing is written."""
+        for raw in self._raw.values():
+            raw.close()
+        try:
+            if self.frame_count:
+                beside = self._folder / "trajectory.npz"
+                with zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+                    for name, array in self.header._members().items():
+                        with archive.open(f"{name}.npy", "w") as member:
+                            np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+                    for name in _STREAMED:
+                        self._copy_member(archive, name)
+                os.replace(beside, self.path)
+        finally:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _copy_member(self, archive: zipfile.ZipFile, name: str) -> None:
+        header = {"descr": "<f4", "fortran_order": False, "shape": (self.frame_count, *self._shapes[name])}
+        with archive.open(f"{name}.npy", "w", force_zip64=True) as member, (self._folder / name).open("rb") as raw:
+            np.lib.format.write_array_header_1_0(member, header)
+            shutil.copyfileobj(raw, member, 1 << 20)
+
+    def abandon(self) -> None:
+        """Leave nothing behind."""
+        for raw in self._raw.values():
+            raw.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def __enter__(self) -> TrajectoryWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None or self.keep_partial:
+            self.close()
+        else:
+            self.abandon()

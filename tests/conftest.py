@@ -1,0 +1,17 @@
+"""Fixtures shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def test_data() -> Path:
+    """Folder of recordings and garments made by others; they are not part of the repository."""
+    folder = Path(os.environ.get("PB4U_TEST_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip("the folder of recordings is absent; set PB4U_TEST_DATA to run this test")
+    return folder

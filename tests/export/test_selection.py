@@ -1,0 +1,61 @@
+"""Choosing frames, and carrying motion to the author's own mesh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pb4u.errors import InputError
+from pb4u.export.selection import on_source, select_frames
+from pb4u.scene.trajectory import Frame, SourceTrack, Trajectory, TrajectoryHeader
+
+
+@pytest.fixture
+def trajectory() -> Trajectory:
+    header = TrajectoryHeader(
+        faces=np.array([[0, 1, 2], [0, 2, 3]]),
+        rest_positions=np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float),
+        pinned=np.zeros(4, dtype=bool),
+        vertex_garment=np.zeros(4, dtype=np.int32),
+        body_faces=np.array([[0, 1, 2]]),
+        body_contact=np.ones(3, dtype=bool),
+        fps=30.0,
+    )
+    rest = header.rest_positions
+    return Trajectory.collect(header, (Frame(rest + t, 0 * rest, np.zeros((3, 3))) for t in range(10)))
+
+
+def test_frames_are_chosen_and_the_rate_follows(trajectory: Trajectory) -> None:
+    chosen = select_frames(trajectory, (2, 9), 3)
+    assert chosen.frame_count == 3
+    assert chosen.fps == 10.0
+    np.testing.assert_allclose(chosen.positions[1, 0], 5.0)
+
+
+@pytest.mark.parametrize("span", [(10, 12), (30, 40)])
+def test_an_empty_choice_is_refused(trajectory: Trajectory, span: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="frames 0 to 9"):
+        select_frames(trajectory, span, 1)
+
+
+def test_motion_is_carried_to_the_source_in_its_own_order_with_its_uvs(trajectory: Trajectory) -> None:
+    uvs = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 1.0]])
+    track = SourceTrack(
+        faces=np.array([[2, 1, 0]]),
+        triangle=np.array([1, 0, 0]),
+        barycentric=np.array([[0, 0, 1], [0, 1, 0], [1 / 3, 1 / 3, 1 / 3]]),
+        uvs=uvs,
+        uv_faces=np.array([[2, 1, 0]]),
+    )
+    carried = on_source(Trajectory(replace(trajectory.header, source=track), *_arrays(trajectory)))
+    expected = np.array([[0, 1, 0], [1, 0, 0], [2 / 3, 1 / 3, 0]])
+    np.testing.assert_allclose(carried.positions[4], expected + 4, atol=1e-6)
+    np.testing.assert_array_equal(carried.faces, track.faces)
+    np.testing.assert_array_equal(carried.header.uvs, uvs)
+    assert on_source(trajectory) is trajectory
+
+
+def _arrays(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return trajectory.positions, trajectory.velocities, trajectory.body_positions

@@ -1,0 +1,62 @@
+"""Connectivity derived from faces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pb4u.geometry.topology import Topology
+
+
+def tube(around: int = 8, rows: int = 4) -> Topology:
+    """An open tube: two border loops of `around` vertices."""
+    faces = []
+    for r in range(rows - 1):
+        for k in range(around):
+            a, b = r * around + k, r * around + (k + 1) % around
+            c, d = a + around, b + around
+            faces += [(a, b, d), (a, d, c)]
+    return Topology(np.array(faces), around * rows)
+
+
+def test_euler_characteristic_of_a_tube_is_zero() -> None:
+    mesh = tube()
+    assert mesh.vertex_count - len(mesh.edges) + len(mesh.faces) == 0
+
+
+def test_hinges_pair_every_inner_edge_with_its_two_opposite_vertices() -> None:
+    mesh = tube()
+    assert len(mesh.hinges) == (mesh.edge_face_counts == 2).sum()
+    for (v0, v1, v2, v3), (f, g) in zip(mesh.hinges, mesh.hinge_faces, strict=True):
+        assert set(mesh.faces[f]) == {v0, v1, v2}
+        assert set(mesh.faces[g]) == {v0, v1, v3}
+        corner = mesh.faces[f].tolist().index(v0)
+        assert mesh.faces[f][(corner + 1) % 3] == v1
+
+
+def test_border_loops_are_closed_and_follow_the_faces() -> None:
+    mesh = tube(around=8, rows=4)
+    assert [len(loop) for loop in mesh.boundary_loops] == [8, 8]
+    directed = {tuple(edge) for edge in mesh.boundary_edges.tolist()}
+    for loop in mesh.boundary_loops:
+        assert {(a, b) for a, b in zip(loop, np.roll(loop, -1), strict=True)} <= directed
+
+
+def test_faults_are_found() -> None:
+    fin = Topology(np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]), 6)
+    assert fin.non_manifold_edges.tolist() == [[0, 1]]
+    assert fin.isolated_vertices.tolist() == [5]
+    assert not fin.is_consistently_oriented
+    assert not fin.is_closed
+    assert tube().is_consistently_oriented
+
+
+def test_pieces_are_counted() -> None:
+    two = Topology(np.array([[0, 1, 2], [3, 4, 5]]), 6)
+    assert len(np.unique(two.piece_of_vertex)) == 2
+
+
+def test_tetrahedron_is_closed_and_has_no_border() -> None:
+    solid = Topology(np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]), 4)
+    assert solid.is_closed
+    assert solid.is_consistently_oriented
+    assert solid.boundary_loops == ()
