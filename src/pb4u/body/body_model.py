@@ -13,11 +13,8 @@ from torch import Tensor
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.skeleton import PoseSequence, Skeleton
-from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms, skin
+from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms
 from pb4u.errors import InputError
-
-# Frames skinned at a time where the rest surface changes with the pose: some tens of megabytes.
-_CORRECTED_FRAMES = 32
 
 
 def complete_parameters(
@@ -55,7 +52,9 @@ class BodyModel(ABC):
 
 @dataclass(frozen=True, eq=False)
 class ShapedBody:
-    """One body at rest: A-pose, feet on y = 0, facing +Z.
+    """One body at rest, in the pose that garments are fitted to: feet on y = 0, facing +Z.
+
+    That pose is the A-pose of Anny and the T-pose of the SMPL family.
 
     Args:
         name: what the user called it.
@@ -68,6 +67,7 @@ class ShapedBody:
         shape: the shape parameters it was made with.
         pose_offsets: optional (vertices, 3, pose features) correctives added before skinning, driven by the local
             rotation matrices minus identity of all bones but the root (SMPL family).
+        lift: height [m] by which the model's own origin was raised so that the feet stand on y = 0.
     """
 
     name: str
@@ -79,6 +79,7 @@ class ShapedBody:
     contact: np.ndarray
     shape: Mapping[str, float] = field(default_factory=dict)
     pose_offsets: np.ndarray | None = None
+    lift: float = 0.0
 
     def posed(self, poses: PoseSequence) -> PosedBody:
         """The body moving through `poses`."""
@@ -130,17 +131,15 @@ class PosedBody(AnimatedBody):
 
     def _corrected_positions(self, pose_offsets: np.ndarray, start: int, stop: int) -> Tensor:
         """Positions with pose-dependent corrections of the rest surface, some frames at a time to bound memory."""
-        rest = torch.from_numpy(self.body.vertices.astype(np.float32))
-        directions = torch.from_numpy(np.ascontiguousarray(pose_offsets.reshape(-1, pose_offsets.shape[-1]).T))
-        bones, weights = torch.from_numpy(self.body.weights.bones), torch.from_numpy(self.body.weights.weights)
-        result = torch.empty(stop - start, len(rest), 3)
-        for first in range(start, stop, _CORRECTED_FRAMES):
-            last = min(first + _CORRECTED_FRAMES, stop)
-            transforms = self.transforms[first:last]
+        flat = pose_offsets.reshape(-1, pose_offsets.shape[-1]).astype(np.float32, copy=False)
+        directions = torch.from_numpy(flat).T
+        parents = torch.from_numpy(self.body.skeleton.parents[1:])
+        result = self._surface.positions(self.transforms[start:stop])
+        for first in range(0, len(result), SkinnedSurface.CHUNK):
+            transforms = self.transforms[start:stop][first : first + SkinnedSurface.CHUNK]
             rotations = transforms[..., :3]
-            parents = torch.from_numpy(self.body.skeleton.parents[1:])
             local = rotations[:, parents].transpose(-1, -2) @ rotations[:, 1:]
             features = (local - torch.eye(3)).flatten(1)
-            corrected = rest + (features @ directions.to(features.dtype)).view(last - first, -1, 3)
-            result[first - start : last - start] = skin(corrected, bones, weights, transforms)
+            offsets = (features @ directions).view(len(transforms), -1, 3)
+            result[first : first + SkinnedSurface.CHUNK] += self._surface.carried(offsets, transforms)
         return result

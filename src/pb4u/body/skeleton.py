@@ -38,7 +38,7 @@ class PoseSequence:
     """Poses of one skeleton over time.
 
     Args:
-        rotations: (frames, bones, 4) float64 unit quaternions wxyz: world rotation of each bone from its rest orientation.
+        rotations: (frames, bones, 4) float64 unit quaternions wxyz: world rotation of each bone from rest.
         root_positions: (frames, 3) float64 world position of the root joint [m].
         fps: frames per second.
     """

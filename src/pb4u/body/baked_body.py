@@ -1,0 +1,103 @@
+"""The built-in bodies, read from a small file of the package that needs no Anny."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.body.body_model import BodyModel, ShapedBody, complete_parameters
+from pb4u.body.skeleton import Skeleton
+from pb4u.body.skinning import SkinningWeights
+from pb4u.errors import InputError
+
+FORMAT_VERSION = 1
+BUILT_IN = ("woman", "man")
+_MEMBERS = (
+    "parameter_names", "parameter_ranges", "term_basis", "term_vertices", "term_vertex_steps", "term_joints",
+    "faces", "bone_names", "bone_parents", "weight_bones", "weights", "contact",
+)  # fmt: skip
+
+
+def shape_basis(offsets: np.ndarray, term_basis: np.ndarray) -> np.ndarray:
+    """Coefficients (terms,) of the shape terms at `offsets` (parameters,) from the default shape.
+
+    Anny is linear in each parameter on either side of its default, so each parameter contributes a factor 1, d or
+    max(d, 0), and `term_basis` (terms, parameters) in {0, 1, 2} says which: products of these span its shapes exactly.
+    """
+    factors = np.stack([np.ones_like(offsets), offsets, np.maximum(offsets, 0.0)])
+    return np.prod(factors[term_basis, np.arange(len(offsets))], axis=1)
+
+
+class BakedBody(BodyModel):
+    """A body with a few shape parameters, read from a file that `baking.bake` wrote.
+
+    Raises InputError when the file is not such a file.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        path = Path(path)
+        self.name = path.stem
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                version = int(archive["format_version"])
+                members = {key: archive[key] for key in _MEMBERS}
+        except KeyError as error:
+            raise InputError(f"{path}: not a baked body, its member {error} is missing.") from error
+        except (OSError, ValueError, zipfile.BadZipFile) as error:
+            raise InputError(f"{path}: not a readable baked body ({error}).") from error
+        if version != FORMAT_VERSION:
+            raise InputError(f"{path}: a baked body of format {version}, not {FORMAT_VERSION}; bake it again.")
+        self._names = tuple(members["parameter_names"].tolist())
+        self._ranges = members["parameter_ranges"]
+        self._term_basis = members["term_basis"].astype(np.int64)
+        # Differences along the vertex order were stored: neighbours move alike, which compresses better.
+        self._term_vertices = np.cumsum(members["term_vertices"].astype(np.int32), axis=1)
+        self._term_vertex_steps = members["term_vertex_steps"]
+        self._term_joints = members["term_joints"]
+        self.faces = members["faces"].astype(np.int64)
+        self.bone_names = tuple(members["bone_names"].tolist())
+        self.bone_parents = members["bone_parents"].astype(np.int64)
+        weights = members["weights"].astype(np.float64)
+        self.weights = SkinningWeights(
+            members["weight_bones"].astype(np.int64),
+            (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32),
+        )
+        self.contact = members["contact"].astype(bool)
+
+    @staticmethod
+    @lru_cache(maxsize=len(BUILT_IN))
+    def built_in(name: str) -> BakedBody:
+        """The body of the package called `name`, one of `BUILT_IN`."""
+        with as_file(files("pb4u.body").joinpath("data", f"{name}.npz")) as path:
+            return BakedBody(path)
+
+    @property
+    def shape_parameters(self) -> Mapping[str, tuple[float, float, float]]:
+        return {name: tuple(row) for name, row in zip(self._names, self._ranges.tolist(), strict=True)}
+
+    def shaped(self, **parameters: float) -> ShapedBody:
+        """The body with these shape parameters. Raises InputError on an unknown name or a value out of range."""
+        complete = complete_parameters(self.name, self.shape_parameters, parameters)
+        offsets = np.array(list(complete.values())) - self._ranges[:, 1]
+        coefficients = shape_basis(offsets, self._term_basis)
+        used = np.flatnonzero(coefficients)
+        scale = (coefficients * self._term_vertex_steps)[used]
+        vertices = np.einsum("t,tvc->vc", scale, self._term_vertices[used])
+        joints = np.einsum("t,tbc->bc", coefficients, self._term_joints)
+        lift = np.array([0.0, -vertices[:, 1].min(), 0.0])
+        return ShapedBody(
+            name=self.name,
+            family="anny",
+            vertices=vertices + lift,
+            faces=self.faces,
+            skeleton=Skeleton(self.bone_names, self.bone_parents, joints + lift),
+            weights=self.weights,
+            contact=self.contact,
+            shape=complete,
+            lift=float(lift[1]),
+        )

@@ -1,0 +1,108 @@
+"""Bakes the built-in bodies from Anny into the small files that ship with the package."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.body.anny_body import AnnyBody
+from pb4u.body.baked_body import BUILT_IN, FORMAT_VERSION, shape_basis
+from pb4u.body.skinning import SkinningWeights
+from pb4u.errors import MissingExtraError
+
+GENDER = {"woman": 1.0, "man": 0.0}
+PARAMETERS = ("height", "weight", "muscle")
+# Anny interpolates height between two anchors and weight and muscle between three (0, 0.5, 1).
+_FACTORS = {"height": (0, 1), "weight": (0, 1, 2), "muscle": (0, 1, 2)}
+_VERTEX_STEP = 5e-6
+_HAND_BONES = ("wrist", "finger", "metacarpal")
+# For cloth to reach a vertex it must be free so far along its normal [m], and less than this share of its sky hidden.
+_CLEARANCE = 1e-3
+_HIDDEN = 0.95
+
+
+def bake(out_folder: str | Path | None = None) -> list[Path]:
+    """Write one file per built-in body into `out_folder` (default: the package) and return their paths.
+
+    The same version of Anny gives the same files, byte for byte. Raises MissingExtraError when the "anny" extra is not
+    installed.
+    """
+    folder = Path(__file__).parent / "data" if out_folder is None else Path(out_folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    anny = AnnyBody()
+    return [_bake_one(anny, name, folder / f"{name}.npz") for name in BUILT_IN]
+
+
+def _bake_one(anny: AnnyBody, name: str, path: Path) -> Path:
+    term_basis = np.array(list(itertools.product(*(_FACTORS[key] for key in PARAMETERS))), dtype=np.uint8)
+    vertices, joints = _shape_terms(anny, GENDER[name], term_basis.astype(np.int64))
+    steps = np.maximum(_VERTEX_STEP, np.abs(vertices).max(axis=(1, 2)) / 32000)
+    quantised = np.rint(vertices / steps[:, None, None]).astype(np.int64)
+    rest = anny.rest({"gender": GENDER[name], "age": 0.67})
+    weights = anny.weights
+    part = path.with_name(path.name + ".part")
+    with part.open("wb") as file:
+        np.savez_compressed(
+            file,
+            format_version=np.int64(FORMAT_VERSION),
+            parameter_names=np.array(PARAMETERS),
+            parameter_ranges=np.array([anny.shape_parameters[key] for key in PARAMETERS]),
+            term_basis=term_basis,
+            term_vertices=np.diff(quantised, axis=1, prepend=0).astype(np.int32),
+            term_vertex_steps=steps,
+            term_joints=joints,
+            faces=anny.faces.astype(np.uint16),
+            bone_names=np.array(anny.bone_names),
+            bone_parents=anny.bone_parents.astype(np.int16),
+            weight_bones=weights.bones.astype(np.uint8),
+            weights=np.rint(weights.weights * 65535.0).astype(np.uint16),
+            contact=reachable(rest.vertices, anny.faces) & ~hands(anny.bone_names, weights),
+        )
+    part.replace(path)
+    return path
+
+
+def _shape_terms(anny: AnnyBody, gender: float, term_basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (terms, vertices, 3) and joints (terms, bones, 3) of each shape term, from samples of Anny.
+
+    The samples lie where the parameters bend, at the ends and the middle of their ranges, as many as there are terms.
+    """
+    places = {0: 0.5, 1: 0.0, 2: 1.0}
+    samples = np.array([[places[factor] for factor in row] for row in term_basis.tolist()])
+    basis = np.stack([shape_basis(sample - 0.5, term_basis) for sample in samples])
+    inverse = np.linalg.inv(basis)
+    rests = [
+        anny.rest({"gender": gender, "age": 0.67, **dict(zip(PARAMETERS, sample.tolist(), strict=True))})
+        for sample in samples
+    ]
+    vertices = np.einsum("ts,svc->tvc", inverse, np.stack([rest.vertices for rest in rests]))
+    joints = np.einsum("ts,sbc->tbc", inverse, np.stack([rest.joints for rest in rests]))
+    return vertices, joints
+
+
+def hands(bone_names: tuple[str, ...], weights: SkinningWeights) -> np.ndarray:
+    """(vertices,) bool: moved mostly by the wrist or the fingers."""
+    of_hand = np.array([name.startswith(_HAND_BONES) for name in bone_names])
+    return np.where(of_hand[weights.bones], weights.weights, 0.0).sum(axis=1) > 0.5
+
+
+def reachable(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(vertices,) bool: not inside other skin and not in a cavity such as the mouth.
+
+    A vertex is inside where the winding number just outside of it is 1 or more, and in a cavity where other skin
+    hides nearly all of its sky.
+    """
+    try:
+        import igl
+    except ImportError as error:
+        raise MissingExtraError("anny", "Baking a body") from error
+    normals = igl.per_vertex_normals(vertices, faces)
+    inside = igl.fast_winding_number(vertices, faces, vertices + _CLEARANCE * normals) > 0.5
+    occlusion = igl.ambient_occlusion(vertices, faces, vertices + 1e-4 * normals, normals, 200)
+    return ~inside & (np.asarray(occlusion).reshape(-1) < _HIDDEN)
+
+
+if __name__ == "__main__":
+    bake()

@@ -1,0 +1,225 @@
+"""Reads pickled arrays without running anything that the file names."""
+
+from __future__ import annotations
+
+import pickle
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from pb4u.errors import InputError
+
+_SPARSE_FORMATS = ("csr", "csc", "coo")
+
+
+class _Refused(Exception):
+    """The file names something that is not plain data."""
+
+
+class _Shell:
+    """Stands for an object whose class is not run: keeps its state only."""
+
+    kind = ""
+
+    def __init__(self, *args: object) -> None:
+        self.state: dict[str, Any] = {}
+
+    def __setstate__(self, state: object) -> None:
+        # A state with slots comes as (dict, slots).
+        first = state[0] if isinstance(state, tuple) and state else state
+        if isinstance(first, Mapping):
+            self.state = {str(key): value for key, value in first.items()}
+
+
+class _ArrayShell(_Shell):
+    """Stands for a numpy array: numpy's own `__setstate__` trusts flags and sizes that a file can forge."""
+
+    def __setstate__(self, state: Any) -> None:
+        _, self.shape, self.dtype, self.fortran, self.content = state
+
+
+class _DtypeShell(_Shell):
+    """Stands for a numpy data type of numbers, text or objects."""
+
+    def __init__(self, specification: object, *flags: object) -> None:
+        if not isinstance(specification, str) or np.dtype(specification).kind not in "biufcmMSUO":
+            raise _Refused(f"it holds an array of data type {specification!r}")
+        self.dtype = np.dtype(specification)
+
+    def __setstate__(self, state: Any) -> None:
+        if state[1] in ("<", ">"):
+            self.dtype = self.dtype.newbyteorder(state[1])
+
+
+def load_pickle(path: str | Path) -> Any:
+    """What a pickle file holds, if it is made of numbers, strings, collections, numpy arrays and sparse matrices.
+
+    Chumpy objects become plain arrays; pickles of Python 2 are read as latin-1. The classes and functions that the file
+    names are never called: known ones are replaced by constructors of this module, all others are refused.
+
+    Raises InputError when the file cannot be read or names anything else.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            return _resolve(_DataUnpickler(file).load(), {})
+    except _Refused as refusal:
+        raise InputError(f"{path}: {refusal}; only files of plain arrays are read, nothing in it was run.") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except Exception as error:
+        # A damaged pickle can raise nearly anything; what it raises says little to a user.
+        raise InputError(f"{path}: not a complete pickle of plain arrays ({type(error).__name__}: {error}).") from error
+
+
+class _DataUnpickler(pickle.Unpickler):
+    """An unpickler whose only callables are those of `_constructors`, made anew for each file."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        super().__init__(file, encoding="latin1")
+        self._constructors = _constructors()
+
+    def find_class(self, module: str, name: str) -> Any:
+        constructor = self._constructors.get((module.replace("numpy._core", "numpy.core"), name))
+        if constructor is not None:
+            return constructor
+        if module.split(".")[0] == "chumpy" and name.isidentifier():
+            return type(name, (_Shell,), {"kind": "chumpy"})
+        if module.startswith("scipy.sparse"):
+            for sparse_format in _SPARSE_FORMATS:
+                if name in (f"{sparse_format}_matrix", f"{sparse_format}_array"):
+                    return type(name, (_Shell,), {"kind": sparse_format})
+        raise _Refused(f'it asks for "{module}.{name}"')
+
+    def persistent_load(self, pid: Any) -> Any:
+        raise _Refused("it refers to data outside of itself")
+
+
+def _constructors() -> dict[tuple[str, str], Any]:
+    """(module, name) -> what is called instead; closures, so that a file that alters them alters no other load."""
+
+    class NdarrayName:
+        """Stands for the class numpy.ndarray, which files name but need not call."""
+
+        def __new__(cls, *args: object) -> Any:
+            raise _Refused('it calls "numpy.ndarray"')
+
+    def reconstruct(subtype: object, shape: object, kind: object) -> _ArrayShell:
+        if subtype is not NdarrayName:
+            raise _Refused("it holds an array of an unknown class")
+        return _ArrayShell()
+
+    def scalar(kind: object, content: object = None) -> Any:
+        return _array(kind, (1,), content, fortran=False)[0]
+
+    def from_buffer(buffer: Any, kind: object, shape: Any, order: object, axis_order: Any = None) -> np.ndarray:
+        array = _array(kind, shape, buffer, fortran=order == "F")
+        return array if axis_order is None else array.transpose(axis_order)
+
+    def encode(text: object, encoding: object = "latin1") -> bytes:
+        if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
+            raise _Refused(f'it calls "_codecs.encode" with {encoding!r}')
+        return text.encode("latin1")
+
+    def new_object(cls: object, base: object = None, state: object = None) -> Any:
+        if not (isinstance(cls, type) and issubclass(cls, _Shell)):
+            raise _Refused("it builds an object of an unknown class")
+        return cls()
+
+    named: dict[tuple[str, str], Callable[..., Any]] = {
+        ("numpy", "ndarray"): NdarrayName,
+        ("numpy", "dtype"): _DtypeShell,
+        ("numpy.core.multiarray", "_reconstruct"): reconstruct,
+        ("numpy.core.multiarray", "scalar"): scalar,
+        ("numpy.core.numeric", "_frombuffer"): from_buffer,
+        ("_codecs", "encode"): encode,
+        ("collections", "OrderedDict"): OrderedDict,
+    }
+    for builtins in ("builtins", "__builtin__"):
+        named |= {(builtins, kind.__name__): kind for kind in (set, frozenset, list, dict, tuple, complex)}
+        named[builtins, "object"] = _Shell
+    for registry in ("copyreg", "copy_reg"):
+        named[registry, "_reconstructor"] = new_object
+    return named
+
+
+def _resolve(value: Any, done: dict[int, Any]) -> Any:
+    """`value` with every shell inside it turned into an array or a sparse matrix."""
+    if id(value) in done:
+        return done[id(value)]
+    if isinstance(value, dict):
+        result: Any = type(value)()
+        done[id(value)] = result
+        result.update((key, _resolve(item, done)) for key, item in value.items())
+    elif isinstance(value, list):
+        result = done[id(value)] = []
+        result.extend(_resolve(item, done) for item in value)
+    elif isinstance(value, tuple):
+        result = tuple(_resolve(item, done) for item in value)
+    elif isinstance(value, _ArrayShell):
+        done[id(value)] = None
+        content = value.content
+        if isinstance(content, list):
+            content = [_resolve(item, done) for item in content]
+        result = _array(value.dtype, value.shape, content, bool(value.fortran))
+    elif isinstance(value, _Shell):
+        result = _resolve_shell(value, done)
+    else:
+        result = value
+    done[id(value)] = result
+    return result
+
+
+def _array(kind: Any, shape: Any, content: Any, fortran: bool) -> np.ndarray:
+    """The array (shape) of data type `kind`, a `_DtypeShell`, with `content` as raw bytes or a list of objects."""
+    if not isinstance(kind, _DtypeShell):
+        raise _Refused("it holds an array of an unknown data type")
+    if isinstance(content, str):
+        content = content.encode("latin1")
+    order: Any = "F" if fortran else "C"
+    if kind.dtype.hasobject:
+        if not isinstance(content, list):
+            raise _Refused("it holds objects as raw memory")
+        objects = np.empty(len(content), dtype=object)
+        objects[:] = content
+        return objects.reshape(shape, order=order)
+    return np.frombuffer(content, dtype=kind.dtype).reshape(shape, order=order).copy()
+
+
+def _resolve_shell(shell: _Shell, done: dict[int, Any]) -> Any:
+    # Marked before its parts are visited: a shell that contains itself must not recurse for ever.
+    done[id(shell)] = None
+    state = {key: _resolve(item, done) for key, item in shell.state.items()}
+    name = type(shell).__name__
+    if shell.kind == "chumpy":
+        return _chumpy_value(name, state)
+    if shell.kind in _SPARSE_FORMATS:
+        return _sparse_matrix(shell.kind, state)
+    raise _Refused(f'it holds an object of class "{name}"')
+
+
+def _chumpy_value(name: str, state: Mapping[str, Any]) -> np.ndarray:
+    """The value of a chumpy leaf (`Ch`: its `x`) or of a selection of one (`Select`: flat `idxs` of its `a`)."""
+    if name == "Ch" and "x" in state:
+        return np.asarray(state["x"])
+    if name == "Select" and "a" in state and "idxs" in state:
+        chosen = np.asarray(state["a"]).reshape(-1)[np.asarray(state["idxs"], dtype=np.int64)]
+        shape = state.get("preferred_shape")
+        return chosen if shape is None else chosen.reshape([int(n) for n in shape])
+    raise _Refused(f'it holds the chumpy expression "{name}", which is not a plain array')
+
+
+def _sparse_matrix(sparse_format: str, state: Mapping[str, Any]) -> Any:
+    import scipy.sparse
+
+    shape = tuple(int(n) for n in state["_shape" if "_shape" in state else "shape"])
+    if sparse_format == "coo":
+        row, column = state["coords"] if "coords" in state else (state["row"], state["col"])
+        return scipy.sparse.coo_matrix((state["data"], (row, column)), shape=shape)
+    kind = scipy.sparse.csr_matrix if sparse_format == "csr" else scipy.sparse.csc_matrix
+    matrix = kind((state["data"], state["indices"], state["indptr"]), shape=shape)
+    matrix.check_format(full_check=True)
+    return matrix

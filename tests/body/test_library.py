@@ -1,0 +1,53 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.library import body_names, load_body
+from pb4u.body.vertex_sequence import write_vertex_sequence
+from pb4u.errors import InputError
+
+
+@pytest.mark.parametrize("name", body_names())
+def test_built_in_bodies_load_by_name(name: str) -> None:
+    body = load_body(name, {"weight": 0.7})
+    assert isinstance(body, ShapedBody)
+    assert (body.name, body.family, body.shape["weight"]) == (name, "anny", 0.7)
+
+
+def test_a_baked_file_is_a_body_too() -> None:
+    body = load_body(Path(__file__).parents[2] / "src/pb4u/body/data/man.npz")
+    assert isinstance(body, ShapedBody)
+    assert body.height == pytest.approx(1.908, abs=1e-3)
+
+
+@pytest.mark.parametrize(("name", "near"), [("womn", "did you mean woman"), ("Man", "man"), ("xyzzy", "woman, man")])
+def test_unknown_names_list_near_ones(name: str, near: str) -> None:
+    with pytest.raises(InputError, match=near):
+        load_body(name)
+
+
+def test_an_absent_file_is_named() -> None:
+    with pytest.raises(InputError, match=r'no body file "nowhere/body\.npz"'):
+        load_body("nowhere/body.npz")
+
+
+def test_unknown_kinds_of_file_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "body.fbx").write_bytes(b"Kaydara")
+    with pytest.raises(InputError, match="OBJ or PLY"):
+        load_body(tmp_path / "body.fbx")
+    (tmp_path / "body.npz").write_bytes(b"not a zip")
+    with pytest.raises(InputError, match="not a readable"):
+        load_body(tmp_path / "body.npz")
+
+
+def test_shape_parameters_are_validated(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no shape parameter \"tallness\".*height \(0 to 1\)"):
+        load_body("woman", {"tallness": 0.5})
+    with pytest.raises(InputError, match="give 0 to 1"):
+        load_body("woman", {"weight": -0.1})
+    vertices = np.random.default_rng(0).normal(size=(2, 8, 3))
+    write_vertex_sequence(tmp_path / "moving.npz", vertices, np.zeros((1, 3), dtype=np.int64), 30.0)
+    with pytest.raises(InputError, match="without shape parameters"):
+        load_body(tmp_path / "moving.npz", {"height": 0.5})
