@@ -31,7 +31,7 @@ class View:
         cloth: colour of the garment, RGB in [0, 1].
     """
 
-    width: int = 640
+    width: int = 560
     height: int = 800
     azimuth: float = 25.0
     elevation: float = 8.0
@@ -40,8 +40,8 @@ class View:
     cloth: tuple[float, float, float] = (0.16, 0.36, 0.62)
 
 
-_SKIN = (0.82, 0.78, 0.75)
-_GROUND = (0.90, 0.90, 0.91)
+_SKIN = (0.93, 0.87, 0.83)
+_GROUND = (0.93, 0.935, 0.94)
 _MARGIN = 1.12
 _FIELD_OF_VIEW = 24.0
 
@@ -71,7 +71,7 @@ class Studio:
         mesh.point_data["Normals"] = np.zeros_like(mesh.points)
         mesh.point_data.active_normals_name = "Normals"
         self._plotter.add_mesh(
-            mesh, color=colour, ambient=0.12, diffuse=0.88, specular=specular, specular_power=12, interpolation="Phong"
+            mesh, color=colour, ambient=0.16, diffuse=0.9, specular=specular, specular_power=12, interpolation="Phong"
         )
         return mesh
 
@@ -79,21 +79,24 @@ class Studio:
         import pyvista
 
         # A low key light from the side makes wrinkles cast shading; fill and rim keep the rest readable.
-        for position, intensity in (((4.0, 4.5, 5.0), 0.75), ((-5.0, 3.0, 3.0), 0.28), ((0.0, 5.0, -6.0), 0.35)):
+        for position, intensity in (((4.0, 4.5, 5.0), 0.72), ((-5.0, 3.0, 3.0), 0.34), ((0.0, 5.0, -6.0), 0.35)):
             light = pyvista.Light(
                 position=position, focal_point=(0, 1, 0), intensity=intensity, light_type="scene light"
             )
             self._plotter.add_light(light)
-        self._plotter.set_background("white", top=(0.86, 0.89, 0.93))
+        self._plotter.set_background(_GROUND, top="white")
 
     def _add_ground(self) -> None:
         import pyvista
 
-        feet = self._trajectory.body_positions
-        low, high = feet[..., [0, 2]].min((0, 1)), feet[..., [0, 2]].max((0, 1))
-        centre, size = (low + high) / 2, float((high - low).max()) + 6.0
-        ground = pyvista.Plane(center=(centre[0], 0, centre[1]), direction=(0, 1, 0), i_size=size, j_size=size)
-        self._plotter.add_mesh(ground, color=_GROUND, ambient=0.35, diffuse=0.6, specular=0.0)
+        ground = pyvista.Plane(center=(0, -2e-3, 0), direction=(0, 1, 0), i_size=400, j_size=400)
+        self._plotter.add_mesh(ground, color=_GROUND, lighting=False)
+        self._shadow = pyvista.Disc(center=(0, 0, 0), inner=0.0, outer=1.0, normal=(0, 1, 0), r_res=24, c_res=48)
+        radius = np.linalg.norm(self._shadow.points, axis=1)
+        self._shadow_shape = self._shadow.points.copy()
+        shade = 1.0 - 0.30 * np.clip(1.0 - radius, 0.0, 1.0) ** 1.5
+        colours = (255 * shade[:, None] * np.array(_GROUND)).astype(np.uint8)
+        self._plotter.add_mesh(self._shadow, scalars=colours, rgb=True, lighting=False)
 
     def _extent(self) -> float:
         """Height of the picture [m] that holds body and garment in every frame."""
@@ -122,11 +125,22 @@ class Studio:
         _move(self._cloth, trajectory.positions[t], trajectory.faces)
         if self._body is not None:
             _move(self._body, trajectory.body_positions[t], trajectory.header.body_faces)
+        self._cast_shadow(t)
         self._aim(t)
+        self._plotter.render()
         image = self._plotter.screenshot(return_img=True)
         if image is None:
             raise Pb4uError("The off-screen renderer returned no picture.")
         return np.asarray(image)
+
+    def _cast_shadow(self, t: int) -> None:
+        """A soft patch under the body, without which feet seem to float."""
+        body = self._trajectory.body_positions[t]
+        low = body[body[:, 1] < body[:, 1].min() + 0.12]
+        size = np.maximum(np.ptp(low[:, [0, 2]], axis=0), 0.25) * 0.9
+        centre = (low.max(axis=0) + low.min(axis=0)) / 2
+        scaled = self._shadow_shape * np.array([size[0], 0.0, size[1]])
+        self._shadow.points = scaled + np.array([centre[0], 0.0, centre[2]])
 
     def _aim(self, t: int) -> None:
         body = self._trajectory.body_positions[t]
@@ -171,6 +185,10 @@ def render(trajectory: Trajectory, frames: Sequence[int], view: View | None = No
 
 def _open_studio(trajectory: Trajectory, view: View) -> Studio:
     try:
+        from vtkmodules.vtkCommonCore import vtkLogger
+
+        # Without a display VTK tries X first and logs its failure before it falls back to off-screen drawing.
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
         return Studio(trajectory, view)
     except (ImportError, RuntimeError, OSError) as error:
         raise Pb4uError(

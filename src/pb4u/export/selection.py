@@ -10,11 +10,9 @@ from pb4u.errors import InputError
 from pb4u.scene.trajectory import Trajectory
 
 
-def select_frames(trajectory: Trajectory, span: tuple[float, float] | None, every: int) -> Trajectory:
+def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: int) -> Trajectory:
     """Frames span[0]..span[1]-1, every n-th of them. Raises InputError when none is left."""
-    first, last = (
-        (0, trajectory.frame_count) if span is None else (int(span[0]), int(min(span[1], trajectory.frame_count)))
-    )
+    first, last = (0, trajectory.frame_count) if span is None else (span[0], min(span[1], trajectory.frame_count))
     kept = slice(first, last, every)
     if first >= min(last, trajectory.frame_count):
         raise InputError(
@@ -50,3 +48,23 @@ def on_source(trajectory: Trajectory) -> Trajectory:
         source=None,
     )
     return Trajectory(header, carry(trajectory.positions), carry(trajectory.velocities), trajectory.body_positions)
+
+
+def resampled(trajectory: Trajectory, fps: float, frames: int | None = None) -> Trajectory:
+    """The same motion at another frame rate, interpolated in straight lines, and at most `frames` frames of it."""
+    seconds = (trajectory.frame_count - 1) / trajectory.fps
+    count = int(seconds * fps + 1e-6) + 1
+    at = np.arange(min(count, frames or count)) * (trajectory.fps / fps)
+    low = np.minimum(at.astype(int), trajectory.frame_count - 1)
+    high = np.minimum(low + 1, trajectory.frame_count - 1)
+    weight = (at - low).astype(np.float32)[:, None, None]
+
+    def between(values: np.ndarray) -> np.ndarray:
+        return (1 - weight) * values[low] + weight * values[high]
+
+    return Trajectory(
+        replace(trajectory.header, fps=fps),
+        between(trajectory.positions),
+        between(trajectory.velocities),
+        between(trajectory.body_positions),
+    )

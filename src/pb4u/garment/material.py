@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, fields
+from difflib import get_close_matches
+from pathlib import Path
 
 from pb4u.errors import InputError
 
@@ -31,3 +34,64 @@ class Material:
             if not (value > 0 if lowest_allowed is None else value >= lowest_allowed) or value == float("inf"):
                 limit = "positive" if lowest_allowed is None else "zero or positive"
                 raise InputError(f"Material {name} must be {limit} and finite, not {value}.")
+
+
+#: Built-in materials; `default` is the one that the family of methods is evaluated with (reference 1.7), the others lie
+#: within the range that it is trained on.
+MATERIALS: dict[str, Material] = {
+    "default": Material(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5),
+    "cotton": Material(density=0.15, lame_mu=30000.0, lame_lambda=40000.0, bending=2.0e-5),
+    "silk": Material(density=0.06, lame_mu=20000.0, lame_lambda=30000.0, bending=5.0e-7),
+    "denim": Material(density=0.40, lame_mu=50000.0, lame_lambda=70000.0, bending=2.5e-4),
+    "wool": Material(density=0.28, lame_mu=17000.0, lame_lambda=25000.0, bending=8.0e-5),
+    "leather": Material(density=0.65, lame_mu=60000.0, lame_lambda=90000.0, bending=1.0e-3),
+}
+
+
+def material_names() -> tuple[str, ...]:
+    """Names of the built-in materials."""
+    return tuple(MATERIALS)
+
+
+def load_material(name_or_path: str | Path) -> Material:
+    """A built-in material by name, or one from a JSON file with the fields of `Material`.
+
+    Raises:
+        InputError: no such name or file, or the file does not describe a material.
+    """
+    name = str(name_or_path)
+    if name in MATERIALS:
+        return MATERIALS[name]
+    path = Path(name_or_path)
+    if path.suffix.lower() != ".json":
+        near = get_close_matches(name.lower(), MATERIALS, n=3, cutoff=0.5) or list(MATERIALS)
+        raise InputError(
+            f'There is no material "{name}"; did you mean {", ".join(near)}? A material of your own is a .json file.'
+        )
+    return _read_material(path)
+
+
+def _read_material(path: Path) -> Material:
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"There is no material file {path}.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"The material file {path} cannot be read: {error}.") from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"The material file {path} is not JSON: {error.msg} in line {error.lineno}.") from None
+    known = [entry.name for entry in fields(Material)]
+    if not isinstance(record, dict):
+        raise InputError(f"The material file {path} must hold one object with the numbers {', '.join(known)}.")
+    unknown, missing = set(record) - set(known), set(known) - {"thickness"} - set(record)
+    if unknown:
+        raise InputError(f"The material file {path} has unknown entries {sorted(unknown)}: use {', '.join(known)}.")
+    if missing:
+        raise InputError(f"The material file {path} lacks {', '.join(sorted(missing))}.")
+    for key, value in record.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(f'In the material file {path}, "{key}" must be a number, not {value!r}.')
+    try:
+        return Material(**{key: float(value) for key, value in record.items()})
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None

@@ -10,11 +10,12 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputWarning
+from pb4u.garment.diagnosis import require_worn
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
 from pb4u.garment.garment import Garment
+from pb4u.garment.garment_file import read_garment
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
-from pb4u.garment.garment_file import read_garment
 from pb4u.garment.pins import resolve_pins
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
@@ -38,7 +39,7 @@ def make_scene(
     body_shape: Mapping[str, float] | None = None,
     frames: int | None = None,
     lead_in: int = DEFAULT_LEAD_IN,
-    crop: tuple[float, float] | None = None,
+    crop: tuple[int, int] | None = None,
     fps: float = 30.0,
     arms_away: float = 0.0,
     seed: int = 0,
@@ -55,7 +56,7 @@ def make_scene(
         body_shape: shape parameters of the body, see `pb4u assets`.
         frames: frames to write; default the whole recording, or 60 of a motion without end.
         lead_in: frames simulated before the first written one, from the rest pose into the motion.
-        crop: first and last second of a recording to use.
+        crop: (first, stop) frames of a recording, counted at its own rate.
         fps: frames per second of the simulation.
         arms_away: degrees by which hanging arms are held away from the torso.
         seed: seed of procedural motion and of everything random.
@@ -105,7 +106,7 @@ def _animate(
     motion: str | Path,
     frames: int | None,
     lead_in: int,
-    crop: tuple[float, float] | None,
+    crop: tuple[int, int] | None,
     fps: float,
     arms_away: float,
     seed: int,
@@ -116,9 +117,7 @@ def _animate(
     if frames is None:
         frames = available or DEFAULT_FRAMES
     elif available is not None and frames > available:
-        _say(
-            f"{motion} ends after {available} frames at {fps:g} fps; {frames} were asked for, {available} are written."
-        )
+        _say(f"{motion} ends after {available} frames at {fps:g} fps; {frames} were asked for, {available} are there.")
         frames = available
     poses = clip.poses(body, fps, frames)
     for note in clip.notes:
@@ -136,7 +135,7 @@ def _use_sequence(body: AnimatedBody, frames: int | None, lead_in: int, fps: flo
     available = held.frame_count - lead_in
     if frames is not None and frames > available:
         _say(
-            f"{body.name} ends after {available} frames at {fps:g} fps; {frames} were asked for, {available} are written."
+            f"{body.name} ends after {available} frames at {fps:g} fps; {frames} were asked for, {available} are there."
         )
     return held, min(frames or available, available)
 
@@ -147,7 +146,9 @@ def _load_garment(
     if isinstance(garment, Garment):
         return garment
     if Path(garment).suffix:
-        return read_garment(Path(garment), material, triangles=triangles)
+        loaded = read_garment(Path(garment), material, triangles=triangles)
+        require_worn(loaded, body)
+        return loaded
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())
         raise InputError(

@@ -28,7 +28,8 @@ class PackedGarments:
         face_areas: (faces,) rest areas [m^2].
         lame_mu: (faces,) [Pa]. lame_lambda: (faces,) [Pa]. thickness: (faces,) [m].
         edges: (edges, 2) int64. edge_lengths: (edges,) rest lengths [m].
-        hinges: (hinges, 4) int64 edge v0 v1, opposite v2, opposite v3. hinge_areas: (hinges,) both rest areas summed [m^2].
+        hinges: (hinges, 4) int64 edge v0 v1, opposite v2, opposite v3.
+        hinge_areas: (hinges,) both rest areas summed [m^2].
         bending: (hinges,) coefficient [J].
         vertex_masses: (vertices,) [kg]. vertex_areas: (vertices,) [m^2]. pinned: (vertices,) bool.
         vertex_garment, face_garment, hinge_garment, edge_garment: garment index of each row, int64, ascending.

@@ -197,8 +197,8 @@ class Trajectory:
 def _header_from(members: dict[str, np.ndarray], path: Path) -> TrajectoryHeader:
     t, v = members["positions"].shape[:2]
     expected = {
-        "positions": (t, v, 3), "velocities": (t, v, 3), "rest_positions": (v, 3), "pinned": (v,), "vertex_garment": (v,),
-        "body_positions": (t, len(members["body_contact"]), 3),
+        "positions": (t, v, 3), "velocities": (t, v, 3), "rest_positions": (v, 3), "pinned": (v,),
+        "vertex_garment": (v,), "body_positions": (t, len(members["body_contact"]), 3),
     }  # fmt: skip
     for name, shape in expected.items():
         if members[name].shape != shape:

@@ -1,0 +1,162 @@
+"""`pb4u assets`: what is built in, and any of it as a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pb4u.cli.console import parse_shape, write_json
+from pb4u.errors import InputError
+
+if TYPE_CHECKING:
+    from pb4u.garment.material import Material
+
+group = typer.Typer(
+    help="List the built-in bodies, motions, garments, materials and models; write any of them to a file."
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.add_typer(group, name="assets")
+
+
+@group.callback(invoke_without_command=True)
+def assets(
+    context: typer.Context,
+    json: Annotated[
+        str | None, typer.Option(help="Write the list as JSON to a file, or to standard output for '-'.")
+    ] = None,
+) -> None:
+    """List the built-in bodies, motions, garments, materials and models; write any of them to a file."""
+    if context.invoked_subcommand:
+        return
+    found = catalogue()
+    if json:
+        write_json(found, json)
+        if json == "-":
+            return
+    from rich.console import Console
+    from rich.table import Table
+
+    for kind, rows in found.items():
+        table = Table(
+            title=kind, title_justify="left", title_style="bold", show_header=False, box=None, padding=(0, 2, 0, 2)
+        )
+        for row in rows:
+            table.add_row(row["name"], row.get("description", ""))
+        Console().print(table)
+
+
+def catalogue() -> dict[str, list[dict[str, Any]]]:
+    """Everything built in, by kind."""
+    from dataclasses import asdict
+
+    from pb4u.body.library import body_names, load_body
+    from pb4u.garment.library import LEVELS, garment_names
+    from pb4u.garment.material import MATERIALS
+    from pb4u.motion.library import motion_names
+    from pb4u.simulation.models import model_descriptions
+
+    bodies = []
+    for name in body_names():
+        body = load_body(name)
+        shape = body.shape if hasattr(body, "shape") else {}
+        bodies.append(
+            {
+                "name": name,
+                "description": f"height {_height(body):.2f} m; shape: {', '.join(shape)}",
+                "shape": dict(shape),
+            }
+        )
+    return {
+        "bodies": bodies,
+        "motions": [{"name": name} for name in motion_names()],
+        "garments": [{"name": name, "levels": dict(LEVELS)} for name in garment_names()],
+        "materials": [
+            {"name": name, "description": _material_line(material), **asdict(material)}
+            for name, material in MATERIALS.items()
+        ],
+        "models": [{"name": name, "description": text} for name, text in model_descriptions().items()],
+    }
+
+
+def _material_line(material: Material) -> str:
+    return f"{material.density:g} kg/m^2, mu {material.lame_mu:g} Pa, bending {material.bending:.2g} J"
+
+
+def _height(body: Any) -> float:
+    return float(body.rest_vertices[:, 1].max() if hasattr(body, "rest_vertices") else body.height)
+
+
+@group.command("write")
+def write(
+    name: Annotated[
+        str, typer.Argument(help="Name of a built-in garment, body, motion or material.", show_default=False)
+    ],
+    out: Annotated[
+        Path,
+        typer.Argument(
+            help="OBJ for garments and bodies, NPZ (a vertex sequence) for motions, JSON for materials.",
+            show_default=False,
+        ),
+    ],
+    body: Annotated[str, typer.Option(help="Body that a garment is cut for, or that performs a motion.")] = "woman",
+    body_shape: Annotated[str | None, typer.Option(help="Shape of that body, KEY=VALUE,.. .")] = None,
+    triangles: Annotated[int | None, typer.Option(help="Triangles of a garment.")] = None,
+    frames: Annotated[int, typer.Option(min=1, help="Frames of a motion.")] = 60,
+    fps: Annotated[float, typer.Option(help="Frames per second of a motion.")] = 30.0,
+) -> None:
+    """Write one built-in asset to a file."""
+    from pb4u.body.body_model import ShapedBody
+    from pb4u.body.library import body_names, load_body
+    from pb4u.garment.library import build_garment, garment_names
+    from pb4u.garment.material import MATERIALS
+    from pb4u.motion.library import load_motion, motion_names
+
+    expected = {**dict.fromkeys(garment_names(), ".obj"), **dict.fromkeys(body_names(), ".obj")}
+    expected |= {**dict.fromkeys(motion_names(), ".npz"), **dict.fromkeys(MATERIALS, ".json")}
+    if name not in expected:
+        raise InputError(f"There is no built-in asset {name!r}; `pb4u assets` lists them.")
+    if out.suffix.lower() != expected[name]:
+        raise InputError(f"{name} is written as {expected[name]}; {out} ends otherwise.")
+    if not out.parent.is_dir():
+        raise InputError(f"The folder {out.parent} does not exist; make it first.")
+    if name in MATERIALS:
+        from dataclasses import asdict
+
+        write_json(asdict(MATERIALS[name]), str(out))
+        return
+    figure = load_body(name if name in body_names() else body, parse_shape(body_shape))
+    if not isinstance(figure, ShapedBody):
+        raise InputError(f"{body} is a sequence of vertices; built-in garments and motions need a body with bones.")
+    if name in motion_names():
+        from pb4u.body.vertex_sequence import write_vertex_sequence
+
+        moving = figure.posed(load_motion(name).poses(figure, fps, frames))
+        write_vertex_sequence(out, moving.positions(0, frames).numpy(), figure.faces, fps)
+        return
+    from pb4u.garment.garment import SourceMesh
+    from pb4u.garment.obj_file import write_obj
+
+    if name in garment_names():
+        garment = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
+        uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
+        write_obj(out, SourceMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces))
+    else:
+        write_obj(out, SourceMesh(figure.vertices, tuple(figure.faces)))
+
+
+@group.command("bake")
+def bake(
+    folder: Annotated[
+        Path | None, typer.Option(help="Folder to write to; default the package's own data folder.")
+    ] = None,
+) -> None:
+    """Rebuild the built-in bodies from Anny (needs the "anny" extra; takes minutes)."""
+    from pb4u.body.baking import bake as build
+
+    for path in build(folder):
+        print(path)

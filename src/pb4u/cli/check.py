@@ -1,0 +1,138 @@
+"""`pb4u check`: what is wrong with a garment, body or motion before it is simulated, and the mend."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pb4u.cli.console import parse_crop, parse_shape, write_json
+from pb4u.errors import InputError, Pb4uError
+
+if TYPE_CHECKING:
+    from pb4u.garment.diagnosis import Diagnosis
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("check")(check)
+
+
+def check(
+    file: Annotated[
+        str | None, typer.Argument(metavar="[GARMENT]", help="The garment, as for --garment.", show_default=False)
+    ] = None,
+    garment: Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Built-in garment or mesh file.")] = None,
+    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = "woman",
+    body_shape: Annotated[
+        str | None, typer.Option(metavar="KEY=VALUE,..", help="Shape of the body, such as height=0.7,weight=0.4.")
+    ] = None,
+    motion: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="Motion to read and retarget as well.", show_default=False)
+    ] = None,
+    crop: Annotated[
+        str | None, typer.Option(metavar="A:B", help="Frames A to B-1 of that recording, at its own rate.")
+    ] = None,
+    triangles: Annotated[int | None, typer.Option(help="Triangles of a built-in garment.")] = None,
+    fix: Annotated[
+        Path | None,
+        typer.Option(metavar="OUT.obj", help="Write the garment with all mended that is safe to mend."),
+    ] = None,
+    json: Annotated[
+        str | None, typer.Option(metavar="FILE|-", help="Write the findings as JSON; '-' is standard output.")
+    ] = None,
+) -> None:
+    """Diagnose a garment (and a body and a motion) before simulating; each fault with its fix.
+
+    Ends with exit code 1 when simulation would refuse what was given and --fix was not asked for.
+    """
+    from pb4u.body.library import load_body
+
+    given = garment or file
+    if given is None and motion is None:
+        raise InputError("Nothing to check: give a garment file or name, or --motion.")
+    if fix is not None and (fix.suffix.lower() != ".obj" or not fix.parent.is_dir()):
+        raise InputError(f"--fix writes an .obj into a folder that exists; {fix} is none.")
+    figure = load_body(body, parse_shape(body_shape))
+    report: dict[str, Any] = {}
+    refused = False
+    if given is not None:
+        diagnosis, mended = _check_garment(given, figure, triangles, fix)
+        report["garment"] = {"name": given, **diagnosis.to_json(), "mended": mended}
+        refused = diagnosis.is_refused and fix is None
+    if motion is not None:
+        report["motion"] = _check_motion(motion, figure, parse_crop(crop))
+    if json:
+        write_json(report, json)
+    if json != "-":
+        _print(report, fix)
+    if refused:
+        raise Pb4uError(f"{given} would be refused; the findings above say how to mend it.")
+
+
+def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | None) -> tuple[Diagnosis, list[str]]:
+    from pb4u.garment.diagnosis import diagnose
+    from pb4u.garment.garment_file import read_source
+    from pb4u.garment.library import build_garment, garment_names
+    from pb4u.garment.obj_file import write_obj
+    from pb4u.garment.repair import repair
+
+    if name in garment_names():
+        built = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
+        return diagnose(built, figure), []
+    if not Path(name).suffix:
+        raise InputError(f"No built-in garment is called {name!r}, and it is not a file; `pb4u assets` lists them.")
+    source = read_source(Path(name))
+    diagnosis = diagnose(source, figure)
+    if fix is None:
+        return diagnosis, []
+    mended, said = repair(source, figure)
+    write_obj(fix, mended)
+    return diagnosis, list(said)
+
+
+def _check_motion(name: str, figure: Any, crop: tuple[int, int] | None) -> dict[str, Any]:
+    from pb4u.body.body_model import ShapedBody
+    from pb4u.motion.library import load_motion
+
+    clip = load_motion(name, crop)
+    summary: dict[str, Any] = {"name": name, "seconds": clip.duration, "notes": list(clip.notes)}
+    if isinstance(figure, ShapedBody):
+        frames = clip.available_frames(30.0) or 60
+        positions = figure.posed(clip.poses(figure, 30.0, frames)).positions(0, frames)
+        speed = (positions[1:] - positions[:-1]).norm(dim=-1).amax() * 30.0 if frames > 1 else 0.0
+        summary |= {
+            "frames_at_30_fps": frames,
+            "lowest_point": float(positions[..., 1].min()),
+            "fastest_point": float(speed),
+        }
+    return summary
+
+
+def _print(report: dict[str, Any], fix: Path | None) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False, soft_wrap=True)
+    if "garment" in report:
+        garment = report["garment"]
+        if not garment["findings"]:
+            console.print(f"{garment['name']}: nothing to mend.", markup=False)
+        for finding in garment["findings"]:
+            console.print(f"{finding['severity']}: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
+        for sentence in garment["mended"]:
+            console.print(f"mended: {sentence}", markup=False)
+        if fix is not None:
+            console.print(f"written: {fix}", markup=False)
+    if "motion" in report:
+        motion = report["motion"]
+        length = "without end" if motion["seconds"] is None else f"{motion['seconds']:.2f} s"
+        console.print(f"{motion['name']}: {length}", markup=False)
+        if "lowest_point" in motion:
+            console.print(
+                f"lowest point {1000 * motion['lowest_point']:.0f} mm above the ground, fastest point "
+                f"{motion['fastest_point']:.1f} m/s",
+                markup=False,
+            )
+        for note in motion["notes"]:
+            console.print(f"note: {note}", markup=False)

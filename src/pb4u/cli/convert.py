@@ -1,0 +1,55 @@
+"""`pb4u convert`: a trajectory file into another format."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pb4u.cli.console import parse_crop, progress_bar, write_json
+
+
+class Surface(str, Enum):
+    """Which mesh is written."""
+
+    simulated = "simulated"
+    source = "source"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("convert")(convert)
+
+
+def convert(
+    trajectory: Annotated[Path, typer.Argument(help="Trajectory .npz written by `pb4u simulate`.", show_default=False)],
+    out: Annotated[Path, typer.Argument(help="File to write; the suffix chooses the format.", show_default=False)],
+    every: Annotated[int, typer.Option(min=1, help="Keep every N-th frame; the frame rate is divided by N.")] = 1,
+    range_: Annotated[
+        str | None,
+        typer.Option("--range", metavar="A:B", help="First frame and the frame after the last, counted from 0."),
+    ] = None,
+    on: Annotated[
+        Surface, typer.Option(help="The simulated mesh, or the author's own with its vertex order and UVs.")
+    ] = Surface.simulated,
+    json: Annotated[
+        str | None, typer.Option(help="Write a summary as JSON to a file, or to standard output for '-'.")
+    ] = None,
+) -> None:
+    """Write a trajectory in another format."""
+    from pb4u.export.registry import check_target, export
+    from pb4u.export.selection import on_source, select_frames
+    from pb4u.scene.trajectory import Trajectory
+
+    check_target(out)
+    opened = Trajectory.open(trajectory)
+    chosen = select_frames(opened, parse_crop(range_), every)
+    if on is Surface.source:
+        chosen = on_source(chosen)
+    with progress_bar(f"writing {out.name}") as report:
+        export(chosen, out, report)
+    summary = {"out": str(out), "frames": chosen.frame_count, "vertices": chosen.positions.shape[1], "fps": chosen.fps}
+    if json:
+        write_json(summary, json)

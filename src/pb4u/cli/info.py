@@ -1,0 +1,74 @@
+"""`pb4u info`: versions, device, threads, optional parts."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from typing import Annotated, Any
+
+import typer
+
+from pb4u.cli.console import write_json
+
+_EXTRAS = {
+    "anny": "anny",
+    "render": "cv2",
+    "usd": "pxr",
+    "studio": "viser",
+    "newton": "newton",
+    "smpl": "smplx",
+    "ray": "ray",
+}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("info")(info)
+
+
+def info(
+    json: Annotated[
+        str | None, typer.Option(help="Write this as JSON to a file, or to standard output for '-'.")
+    ] = None,
+) -> None:
+    """Show versions, the device, threads and which optional parts are installed."""
+    found = gather()
+    if json:
+        write_json(found, json)
+        if json == "-":
+            return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for key, value in found.items():
+        if isinstance(value, dict):
+            value = ", ".join(
+                f"{name} {'yes' if present is True else 'no' if present is False else present}"
+                for name, present in value.items()
+            )
+        table.add_row(key.replace("_", " "), str(value))
+    Console().print(table)
+
+
+def gather() -> dict[str, Any]:
+    """What `pb4u info` shows."""
+    import torch
+
+    return {
+        "pb4u": _version("pb4u"),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "packages": {name: _version(name) for name in ("torch", "numpy", "scipy", "trimesh", "pyvista", "safetensors")},
+        "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
+        "threads": torch.get_num_threads(),
+        "extras": {extra: find_spec(module) is not None for extra, module in _EXTRAS.items()},
+    }
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,54 @@
+"""The command line: `pb4u VERB`."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+import warnings
+
+import typer
+
+from pb4u.cli import assets, check, convert, info, simulate
+from pb4u.errors import InputWarning, Pb4uError
+
+app = typer.Typer(
+    name="pb4u",
+    help="Garment simulation on moving bodies: any body, any garment, any triangle count.",
+    epilog="Add --debug to any command to see where an error came from. Lengths are metres, times seconds.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+for verb in (simulate, check, convert, assets, info):
+    verb.register(app)
+
+
+def _one_line_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+    if issubclass(category, InputWarning):
+        print(f"pb4u: warning: {message}", file=sys.stderr)
+
+
+def main() -> None:
+    """Entry point. Exit code 0; 1 failed or refused, with one plain sentence; 2 a flag was not understood."""
+    debug = "--debug" in sys.argv
+    sys.argv = [argument for argument in sys.argv if argument != "--debug"]
+    if not debug:
+        warnings.simplefilter("ignore")
+        warnings.showwarning = _one_line_warning  # type: ignore[assignment]
+    warnings.simplefilter("always", InputWarning)
+    try:
+        app()
+    except Pb4uError as error:
+        _fail(str(error), debug)
+    except MemoryError:
+        _fail("There is not enough memory for this; ask for fewer triangles or frames.", debug)
+    except OSError as error:
+        where = f" ({error.filename})" if error.filename else ""
+        _fail(f"{error.strerror or error}{where}.", debug)
+
+
+def _fail(sentence: str, debug: bool) -> None:
+    if debug:
+        traceback.print_exc()
+    print(f"pb4u: {' '.join(sentence.split())}", file=sys.stderr)
+    sys.exit(1)

@@ -1,0 +1,218 @@
+"""`pb4u simulate`: a garment on a moving body, to files."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pb4u.cli.console import parse_crop, parse_shape, progress_bar, write_json
+from pb4u.errors import InputWarning, Pb4uError
+
+if TYPE_CHECKING:
+    from pb4u.scene.scene import Scene
+    from pb4u.scene.trajectory import Trajectory
+    from pb4u.simulation.simulator import RunRecord, Simulator
+
+
+class Switch(str, Enum):
+    """On or off."""
+
+    on = "on"
+    off = "off"
+
+
+class Device(str, Enum):
+    """Where networks and energies are computed."""
+
+    auto = "auto"
+    cpu = "cpu"
+    cuda = "cuda"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("simulate")(simulate)
+
+
+def simulate(
+    garment: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|FILE", help="Built-in garment, or a mesh file in metres that fits the body at rest."
+        ),
+    ] = "tshirt",
+    body: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Built-in body, SMPL-family model file, or a sequence of vertices.")
+    ] = "woman",
+    body_shape: Annotated[
+        str | None, typer.Option(metavar="KEY=VALUE,..", help="Shape of the body, such as height=0.7,weight=0.4.")
+    ] = None,
+    motion: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl.")
+    ] = "walk",
+    fps: Annotated[float, typer.Option(help="Frames per second.")] = 30.0,
+    lead_in: Annotated[
+        int, typer.Option(help="Frames from the rest pose into the motion, simulated but not written.")
+    ] = 30,
+    crop: Annotated[
+        str | None, typer.Option(metavar="A:B", help="Frames A to B-1 of a recording, at its own rate.")
+    ] = None,
+    arms_away: Annotated[float, typer.Option(help="Hold hanging arms this many degrees away from the torso.")] = 0.0,
+    pins: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Vertices that follow the body: none, waist, loop:N or a file of indices. Default: the garment's own.",
+        ),
+    ] = None,
+    triangles: Annotated[
+        int | None, typer.Option(help="Triangles to simulate; default the file's own, or 2,500 of a built-in garment.")
+    ] = None,
+    material: Annotated[
+        str, typer.Option(metavar="NAME|FILE", help="Built-in material or a JSON file in SI units.")
+    ] = "default",
+    frames: Annotated[
+        int | None, typer.Option(help="Frames to write; default the whole recording, or 60 of a built-in motion.")
+    ] = None,
+    model: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="A network (name or checkpoint), solver, skinning or newton. Default: the best network, else solver.",
+        ),
+    ] = "auto",
+    propagation_steps: Annotated[
+        int | None, typer.Option(metavar="K", help="Override the number of propagation steps of a network.")
+    ] = None,
+    refine: Annotated[int, typer.Option(metavar="N", help="Solver iterations after each step of a network.")] = 5,
+    contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = Switch.on,
+    device: Annotated[Device, typer.Option(help="Where to compute.")] = Device.auto,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+    out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="File to write, repeatable; the suffix chooses the format. Default: GARMENT_MOTION.npz, .gif, ... here.",
+        ),
+    ] = None,
+    json: Annotated[
+        str | None,
+        typer.Option(metavar="FILE|-", help="Write counts, timing and metrics as JSON; '-' is standard output."),
+    ] = None,
+) -> None:
+    """Simulate a garment on a moving body. Without options: the T-shirt on a walk, animated, in this folder."""
+    from pb4u.export.registry import check_target
+    from pb4u.scene.assembly import make_scene
+    from pb4u.simulation.models import load_simulator
+    from pb4u.simulation.simulator import RunRecord
+
+    targets = list(out) if out else _default_targets(garment, motion, quiet=json == "-")
+    for target in targets:
+        check_target(target)
+    simulator = load_simulator(
+        model, contact=contact is Switch.on, refine=refine, propagation_steps=propagation_steps, device=device.value
+    )
+    asked_frames, simulated_fps = frames, simulator.fps or fps
+    if not math.isclose(simulated_fps, fps):
+        warnings.warn(
+            f"{simulator.name} runs at {simulated_fps:g} frames per second; the result is resampled to {fps:g}.",
+            InputWarning,
+            stacklevel=1,
+        )
+        frames = None if frames is None else math.ceil((frames - 1) * simulated_fps / fps) + 1
+        lead_in = round(lead_in * simulated_fps / fps)
+    scene = make_scene(
+        garment, body, motion, triangles=triangles, material=material, pins=pins, body_shape=parse_shape(body_shape),
+        frames=frames, lead_in=lead_in, crop=parse_crop(crop), fps=simulated_fps, arms_away=arms_away, seed=seed,
+    )  # fmt: skip
+    record = RunRecord()
+    trajectory = _run(simulator, scene, targets, record, fps, asked_frames)
+    _export(trajectory, targets)
+    if json:
+        write_json(_report(trajectory, simulator, scene, record), json)
+    if record.failed_at is not None:
+        raise Pb4uError(
+            f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
+            "before it were written. Try --model solver, or --refine 10."
+        )
+
+
+def _default_targets(garment: str, motion: str, quiet: bool) -> list[Path]:
+    from importlib.util import find_spec
+
+    stem = f"{Path(garment).stem}_{Path(motion).stem}"
+    suffixes = [".npz", ".gif", ".png"] + ([".mp4"] if find_spec("cv2") else [])
+    targets = [Path(stem + suffix) for suffix in suffixes]
+    if not quiet:
+        print(f"Writing {', '.join(str(t) for t in targets)}")
+    return targets
+
+
+def _run(
+    simulator: Simulator, scene: Scene, targets: list[Path], record: RunRecord, fps: float, frames: int | None
+) -> Trajectory:
+    """Stream into the first .npz asked for; into memory without one, or where frames have to be resampled."""
+    from pb4u.export.selection import resampled
+    from pb4u.scene.trajectory import Trajectory
+
+    streamed = next((t for t in targets if t.suffix.lower() == ".npz"), None)
+    label = f"{scene.garments[0].garment.triangle_count:,} triangles, {simulator.name}"
+    with progress_bar(label) as progress:
+        if not math.isclose(scene.fps, fps):
+            simulated = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record, progress))
+            return resampled(simulated, fps, frames)
+        if streamed is not None:
+            targets.remove(streamed)
+            return simulator.simulate_to(scene, streamed, record, progress)
+        return Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record, progress))
+
+
+def _export(trajectory: Trajectory, targets: list[Path]) -> None:
+    from pb4u.export.registry import export
+
+    for target in targets:
+        with progress_bar(f"writing {target.name}") as progress:
+            export(trajectory, target, progress)
+
+
+def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
+    """The --json payload of the contract."""
+    from pb4u.evaluation.metrics import measure
+
+    with progress_bar("measuring") as progress:
+        measured = measure(trajectory, skinned=_skinned_centres(scene), progress=progress)
+    return {
+        "garment": trajectory.metadata["garment"],
+        "body": trajectory.metadata["body"],
+        "motion": trajectory.metadata["motion"],
+        "model": trajectory.metadata["model"],
+        "triangles": len(trajectory.faces),
+        "vertices": trajectory.positions.shape[1],
+        "mean_edge_length": trajectory.metadata["mean_edge_length"],
+        "propagation_steps": simulator.propagation_steps(scene),
+        "frames": trajectory.frame_count,
+        "fps": trajectory.fps,
+        "device": simulator.settings().get("device", "cpu"),
+        "ms_per_step": record.ms_per_step,
+        "left_inside": max(record.left_inside, default=0),
+        "notes": list(scene.notes),
+        **measured,
+    }
+
+
+def _skinned_centres(scene: Scene) -> Any:
+    """(frames, 3) centre of mass [m] of the garment where skinning alone would put it."""
+    import numpy as np
+
+    dressed = scene.garments[0]
+    masses = dressed.garment.vertex_masses / dressed.garment.vertex_masses.sum()
+    centres = []
+    for start in range(scene.lead_in, scene.total_frames, 64):
+        block = dressed.placement.positions(start, min(start + 64, scene.total_frames)).numpy()
+        centres.append(np.einsum("v,tvd->td", masses, block))
+    return np.concatenate(centres)

@@ -1,0 +1,148 @@
+"""What is measured of a trajectory, frame by frame: the six energies, strain, penetration, divergence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.garment.garment import Garment
+from pb4u.garment.material import Material
+from pb4u.geometry.nearest_surface import TriangleSurface
+from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
+from pb4u.geometry.topology import Topology
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
+from pb4u.scene.state import State
+from pb4u.scene.trajectory import Trajectory
+
+ENERGIES = ("stretch", "bending", "collision", "gravity", "friction", "inertia", "total")
+GEOMETRY = ("strain_p95", "strain_max", "penetration_percent", "penetration_depth_max")
+
+PENETRATION_TOLERANCE = 1e-3
+"""Depth [m] beyond which a vertex counts as inside the body."""
+
+DIVERGED_STRAIN = 0.6
+"""`strain_p95` beyond which a run counts as diverged."""
+
+DIVERGED_DISTANCE = 0.5
+"""Distance [m] between the garment's centre of mass and where skinning puts it beyond which it fell off."""
+
+Progress = Callable[[int, int], None]
+
+
+def measure(
+    trajectory: Trajectory, skinned: np.ndarray | None = None, progress: Progress | None = None
+) -> dict[str, Any]:
+    """`metrics`, `metrics_paper` and `diverged` of the command line's JSON contract.
+
+    Args:
+        trajectory: frames as written; the energies of a frame are those of the step that led to it. The first frame
+            counts as reached in free flight, so its inertia is 0.
+        skinned: (frames, 3) centre of mass [m] where skinning alone would put the garment; without it falling off
+            is not judged.
+        progress: called with (frames done, frames in all).
+    """
+    ruler = _Ruler(trajectory)
+    rows, paper_rows = [], []
+    for t in range(trajectory.frame_count):
+        row, paper_row = ruler.frame(t)
+        rows.append(row)
+        paper_rows.append(paper_row)
+        if progress:
+            progress(t + 1, trajectory.frame_count)
+    return {
+        "metrics": _summary(rows, (*ENERGIES, *GEOMETRY)),
+        "metrics_paper": _summary(paper_rows, ENERGIES),
+        "diverged": _diverged(trajectory, rows, skinned),
+    }
+
+
+def _summary(rows: list[dict[str, float]], names: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    columns = {name: [row.get(name, float("nan")) for row in rows] for name in names}
+    return {
+        name: {"per_frame": values, "mean": float(np.mean(values)), "max": float(np.max(values))}
+        for name, values in columns.items()
+        if not np.isnan(values).all() or name in ENERGIES
+    }
+
+
+def _diverged(trajectory: Trajectory, rows: list[dict[str, float]], skinned: np.ndarray | None) -> bool:
+    strain = np.array([row["strain_p95"] for row in rows])
+    if not np.isfinite(strain).all() or (strain > DIVERGED_STRAIN).any():
+        return True
+    if skinned is None:
+        return False
+    masses = garment_of(trajectory).vertex_masses
+    centres = np.einsum("v,tvd->td", masses / masses.sum(), trajectory.positions)
+    count = min(len(centres), len(skinned))
+    return bool((np.linalg.norm(centres[:count] - skinned[:count], axis=1) > DIVERGED_DISTANCE).any())
+
+
+def garment_of(trajectory: Trajectory) -> Garment:
+    """The garment of a trajectory, from its own record."""
+    header = trajectory.header
+    material = Material(**{key: float(value) for key, value in header.metadata["material"].items()})
+    rest = np.asarray(header.rest_positions, dtype=np.float64)
+    return Garment(str(header.metadata.get("garment", "garment")), rest, header.faces, material, header.pinned)
+
+
+class _Ruler:
+    """Everything about a trajectory that measuring needs once."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        header = trajectory.header
+        self.trajectory = trajectory
+        self.garments: PackedGarments = pack([garment_of(trajectory)])
+        self.potentials = IncrementalPotential(), IncrementalPotential.paper_release()
+        self.dt = 1.0 / trajectory.fps
+        self.gravity = torch.tensor(header.metadata.get("gravity", [0.0, -9.81, 0.0]), dtype=torch.float64)
+        self.ground = header.metadata.get("ground_height", 0.0)
+        self.body_faces = torch.from_numpy(np.array(header.body_faces))
+        self.body_contact = torch.from_numpy(np.array(header.body_contact))
+        self.body_owner = torch.zeros(len(header.body_contact), dtype=torch.int64)
+        closed = Topology(np.array(header.body_faces), len(header.body_contact)).is_closed
+        touchable = closed and bool(header.body_contact[header.body_faces].all(axis=1).any())
+        self.surface = (
+            TriangleSurface(header.body_faces, len(header.body_contact), np.array(header.body_contact))
+            if touchable
+            else None
+        )
+
+    def frame(self, t: int) -> tuple[dict[str, float], dict[str, float]]:
+        """Metrics of frame t, and the energies by the released convention."""
+        x = self._garment(t)
+        if not bool(torch.isfinite(x).all()):
+            lost = dict.fromkeys((*ENERGIES, *GEOMETRY), float("nan"))
+            return lost, dict.fromkeys(ENERGIES, float("nan"))
+        state, collider = self._before(t, x)
+        ours, paper = (
+            potential.prepare(self.garments, state, collider, self.dt, self.gravity).energies(x).floats()
+            for potential in self.potentials
+        )
+        strains = face_strains(x, self.garments.faces, self.garments.inverse_rest_shape)
+        ours["strain_p95"] = float(weighted_percentile(strains, self.garments.face_areas, 95.0))
+        ours["strain_max"] = float(strains.max())
+        if self.surface is not None:
+            distance = self.surface.at(self._body(t)).nearest(x).signed_distance
+            ours["penetration_percent"] = 100.0 * float((distance < -PENETRATION_TOLERANCE).double().mean())
+            ours["penetration_depth_max"] = max(0.0, -float(distance.min()))
+        return ours, paper
+
+    def _before(self, t: int, x: Tensor) -> tuple[State, ColliderFrame]:
+        """The state and bodies that the step to frame t started from."""
+        velocity = torch.from_numpy(np.array(self.trajectory.velocities[max(t - 1, 0)], dtype=np.float64))
+        velocity = torch.nan_to_num(velocity)
+        before = self._garment(t - 1) if t else x - self.dt * velocity
+        bodies = [self._body(max(s, 0)) for s in (t - 2, t - 1, t)]
+        collider = ColliderFrame(*bodies, self.body_faces, self.body_contact, self.body_owner, self.ground)
+        return State(torch.nan_to_num(before), velocity, t - 1), collider
+
+    def _garment(self, t: int) -> Tensor:
+        return torch.from_numpy(np.array(self.trajectory.positions[t], dtype=np.float64))
+
+    def _body(self, t: int) -> Tensor:
+        return torch.from_numpy(np.array(self.trajectory.body_positions[t], dtype=np.float64))

@@ -1,0 +1,269 @@
+"""A tailor's measures of a resting body: joints, limbs, cross sections, all taken from its surface and skeleton."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.errors import InputError
+
+#: Bones at whose heads the measures start, in the names of each skeleton family.
+_BONE_NAMES: dict[str, dict[str, str]] = {
+    "anny": {
+        "neck": "neck01", "head": "neck02",
+        "shoulder": "upperarm01.{}", "elbow": "lowerarm01.{}", "wrist": "wrist.{}",
+        "hip": "upperleg01.{}", "knee": "lowerleg01.{}", "ankle": "foot.{}",
+    },
+    "smpl": {
+        "neck": "neck", "head": "head",
+        "shoulder": "{}_shoulder", "elbow": "{}_elbow", "wrist": "{}_wrist",
+        "hip": "{}_hip", "knee": "{}_knee", "ankle": "{}_ankle",
+    },
+}  # fmt: skip
+_SIDES = {"anny": ("L", "R"), "smpl": ("left", "right")}
+
+#: Angle between neighbouring support directions around a limb or the torso.
+DIRECTIONS = 72
+_STEP = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """A chain of three joints on one side, +1 for the body's left (+X), and the bones that hang on it.
+
+    Args:
+        side: +1 or -1.
+        joints: (3, 3) shoulder, elbow, wrist or hip, knee, ankle [m].
+        belongs: (vertices,) bool, skin moved mostly by this limb, hand or foot included.
+        tip: (vertices,) bool, skin of the hand or foot.
+    """
+
+    side: int
+    joints: np.ndarray
+    belongs: np.ndarray
+    tip: np.ndarray
+
+    def along(self, fraction: float) -> np.ndarray:
+        """Point (3,) at a fraction of the way: 0 first joint, 1 second, 2 third."""
+        first = int(np.clip(np.floor(fraction), 0, 1))
+        return self.joints[first] + (fraction - first) * (self.joints[first + 1] - self.joints[first])
+
+    def direction(self, fraction: float) -> np.ndarray:
+        """Unit direction (3,) towards the hand or foot."""
+        first = int(np.clip(np.floor(fraction), 0, 1))
+        way = self.joints[first + 1] - self.joints[first]
+        return way / np.linalg.norm(way)
+
+
+@dataclass(frozen=True, eq=False)
+class Sections:
+    """Convex hulls of horizontal slices of some skin, as support functions.
+
+    Args:
+        heights: (levels,) increasing [m].
+        centres: (levels, 2) x and z that the support is measured from [m].
+        support: (levels, directions) reach of the hull from the centre [m]; NaN where there is no skin.
+    """
+
+    heights: np.ndarray
+    centres: np.ndarray
+    support: np.ndarray
+
+    def level(self, y: float) -> int:
+        """Index of the level nearest to height y [m]."""
+        return int(np.clip(round((y - self.heights[0]) / _STEP), 0, len(self.heights) - 1))
+
+
+def directions() -> np.ndarray:
+    """(directions, 2) unit vectors in the x-z plane, from +Z towards +X."""
+    angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    return np.column_stack([np.sin(angle), np.cos(angle)])
+
+
+class BodyForm:
+    """Measures of one resting body.
+
+    Raises InputError when the skeleton lacks the joints of shoulders, arms, hips or legs.
+    """
+
+    def __init__(self, body: ShapedBody) -> None:
+        self.body = body
+        names = _bone_names(body)
+        skeleton = body.skeleton
+        self._moves = _weight_below(body)
+        self.neck = skeleton.joints[skeleton.index(names["neck"])]
+        self.head = self._moves(names["head"]) > 0.5
+        self.arms = tuple(self._limb(names, ("shoulder", "elbow", "wrist"), k) for k in (0, 1))
+        self.legs = tuple(self._limb(names, ("hip", "knee", "ankle"), k) for k in (0, 1))
+        #: Lengths that are not measured elsewhere scale with this, 1 for an adult of 1.75 m.
+        self.scale = body.height / 1.75
+
+    def _limb(self, names: dict[str, str], chain: tuple[str, str, str], k: int) -> Limb:
+        sides = _SIDES["anny" if "{}.".format("") in names["hip"] or names["hip"].endswith(".{}") else "smpl"]
+        bones = [names[joint].format(sides[k]) for joint in chain]
+        skeleton = self.body.skeleton
+        joints = np.array([skeleton.joints[skeleton.index(bone)] for bone in bones])
+        side = 1 if joints[:, 0].sum() > 0 else -1
+        return Limb(side, joints, self._moves(bones[0]) > 0.5, self._moves(bones[2]) > 0.5)
+
+    @cached_property
+    def samples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points spread over the skin (n, 3), their outward normals (n, 3) and the body vertex that each belongs to."""
+        vertices, faces = self.body.vertices, self.body.faces
+        a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+        cross = np.cross(b - a, c - a)
+        normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+        longest = np.linalg.norm(np.stack([b - a, c - b, a - c]), axis=2).max(axis=0)
+        points, owner, normal = [], [], []
+        for parts in range(1, 7):
+            chosen = (np.clip(np.ceil(longest / 0.008), 1, 6) == parts).nonzero()[0]
+            if not len(chosen):
+                continue
+            grid = np.array([(i, j) for i in range(parts) for j in range(parts - i)])
+            weights = (3 * grid + 1) / (3 * parts)
+            weights = np.column_stack([1 - weights.sum(axis=1), weights])
+            points.append(np.einsum("sk,fkd->fsd", weights, vertices[faces[chosen]]).reshape(-1, 3))
+            owner.append(faces[chosen][:, np.argmax(weights, axis=1)].reshape(-1))
+            normal.append(np.repeat(normals[chosen], len(weights), axis=0))
+        vertex_normal = np.zeros_like(vertices)
+        for k in range(3):
+            np.add.at(vertex_normal, faces[:, k], cross)
+        vertex_normal /= np.maximum(np.linalg.norm(vertex_normal, axis=1, keepdims=True), 1e-300)
+        points.append(vertices)
+        owner.append(np.arange(len(vertices)))
+        normal.append(vertex_normal)
+        return np.concatenate(points), np.concatenate(normal), np.concatenate(owner)
+
+    def sections(self, skin: np.ndarray, centre_x: float | None = 0.0) -> Sections:
+        """Hulls of the horizontal slices of `skin` (vertices,) bool; a level covers the slices next to it too."""
+        points, _, owner = self.samples
+        points = points[skin[owner]]
+        top = int(np.ceil(self.body.vertices[:, 1].max() / _STEP)) + 1
+        heights = _STEP * np.arange(top + 1)
+        level = np.clip(np.rint(points[:, 1] / _STEP).astype(int), 0, top)
+        units = directions()
+        reach = np.full((top + 1, DIRECTIONS), -np.inf)
+        for k, (ux, uz) in enumerate(units):
+            np.maximum.at(reach[:, k], level, points[:, 0] * ux + points[:, 2] * uz)
+        below, above = reach.copy(), reach.copy()
+        below[:-1], above[1:] = reach[1:], reach[:-1]
+        reach = np.maximum(reach, np.maximum(below, above))
+        empty = ~np.isfinite(reach[:, 0])
+        reach[empty] = np.nan
+        quarter = DIRECTIONS // 4
+        front, back, left, right = (reach[:, k] for k in (0, 2 * quarter, quarter, 3 * quarter))
+        centre_z = _smooth_filled(0.5 * (front - back), 8.0)
+        middle_x = _smooth_filled(0.5 * (left - right), 4.0) if centre_x is None else np.full(top + 1, centre_x)
+        centres = np.column_stack([middle_x, centre_z])
+        return Sections(heights, centres, reach - centres @ units.T)
+
+    @cached_property
+    def torso(self) -> Sections:
+        """Sections of everything but head, arms and hands: both legs within one hull."""
+        return self.sections(~(self.head | self.arms[0].belongs | self.arms[1].belongs))
+
+    @cached_property
+    def crotch(self) -> float:
+        """Height [m] where the legs part."""
+        points, _, owner = self.samples
+        knee = max(limb.joints[1, 1] for limb in self.legs)
+        hip = max(limb.joints[0, 1] for limb in self.legs)
+        hand = (self.arms[0].belongs | self.arms[1].belongs)[owner]
+        middle = (np.abs(points[:, 0]) < 0.012 * self.scale) & (points[:, 1] > knee) & ~hand
+        return float(min(points[middle, 1].min(), hip)) if middle.any() else 0.9 * float(hip)
+
+    @cached_property
+    def armpit(self) -> float:
+        """Height [m] of the underarm fold, the lower of the two sides."""
+        points, _, owner = self.samples
+        blend = self._arm_weight[owner]
+        fold = (blend > 0.35) & (blend < 0.65)
+        return float(points[fold, 1].min()) if fold.any() else float(self.shoulder_height - 0.1 * self.scale)
+
+    @cached_property
+    def _arm_weight(self) -> np.ndarray:
+        names = _bone_names(self.body)
+        sides = _SIDES["anny" if names["hip"].endswith(".{}") else "smpl"]
+        return sum((self._moves(names["shoulder"].format(side)) for side in sides), np.zeros(len(self.body.vertices)))
+
+    @property
+    def shoulder_height(self) -> float:
+        """Mean height [m] of the shoulder joints."""
+        return float(np.mean([limb.joints[0, 1] for limb in self.arms]))
+
+    @property
+    def hip_height(self) -> float:
+        """Mean height [m] of the hip joints."""
+        return float(np.mean([limb.joints[0, 1] for limb in self.legs]))
+
+    @property
+    def knee_height(self) -> float:
+        """Mean height [m] of the knees."""
+        return float(np.mean([limb.joints[1, 1] for limb in self.legs]))
+
+    @property
+    def ankle_height(self) -> float:
+        """Mean height [m] of the ankles."""
+        return float(np.mean([limb.joints[2, 1] for limb in self.legs]))
+
+    @property
+    def waist(self) -> float:
+        """Height [m] of the natural waist."""
+        return self.hip_height + 0.38 * (self.shoulder_height - self.hip_height)
+
+    @cached_property
+    def neck_half_width(self) -> float:
+        """Half the width [m] of the neck at its base."""
+        points, _, owner = self.samples
+        near = (np.abs(points[:, 1] - self.neck[1] - 0.03 * self.scale) < 0.012) & (
+            np.abs(points[:, 0]) < 0.12 * self.scale
+        )
+        near &= ~(self.arms[0].belongs | self.arms[1].belongs)[owner]
+        return float(np.abs(points[near, 0]).max()) if near.any() else 0.06 * self.scale
+
+    def midline(self, y: float, front: bool) -> np.ndarray:
+        """The skin point (3,) in the symmetry plane at height y, on the chest side or on the back."""
+        points, _, owner = self.samples
+        arm = (self.arms[0].belongs | self.arms[1].belongs)[owner]
+        near = (np.abs(points[:, 0]) < 0.02 * self.scale) & (np.abs(points[:, 1] - y) < 0.008) & ~arm
+        if not near.any():
+            return np.array([0.0, y, self.neck[2]])
+        z = points[near, 2]
+        return np.array([0.0, y, float(z.max() if front else z.min())])
+
+
+def _smooth_filled(values: np.ndarray, sigma: float) -> np.ndarray:
+    """Fills NaN from the nearest values and smooths along the levels."""
+    from scipy.ndimage import gaussian_filter1d
+
+    known = np.isfinite(values)
+    filled = np.interp(np.arange(len(values)), np.flatnonzero(known), values[known]) if known.any() else 0.0 * values
+    return gaussian_filter1d(np.nan_to_num(filled), sigma, mode="nearest")
+
+
+def _bone_names(body: ShapedBody) -> dict[str, str]:
+    for family, names in _BONE_NAMES.items():
+        wanted = {name.format(side) for name in names.values() for side in _SIDES[family]}
+        if wanted <= set(body.skeleton.names):
+            return names
+    raise InputError(
+        f'The built-in garments cannot be fitted to body "{body.name}" (family "{body.family}"): its skeleton lacks the '
+        f"named shoulder, elbow, wrist, hip, knee, ankle and neck joints; give a garment file instead."
+    )
+
+
+def _weight_below(body: ShapedBody):  # type: ignore[no-untyped-def]
+    """Function from a bone name to the (vertices,) share of each vertex's skinning held by that bone and its children."""
+    skeleton = body.skeleton
+
+    def weight(name: str) -> np.ndarray:
+        below = np.zeros(skeleton.bone_count, dtype=bool)
+        below[skeleton.index(name)] = True
+        for bone, parent in enumerate(skeleton.parents.tolist()):
+            below[bone] |= parent >= 0 and below[parent]
+        return (body.weights.weights * below[body.weights.bones]).sum(axis=1)
+
+    return weight

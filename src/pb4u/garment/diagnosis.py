@@ -1,0 +1,295 @@
+"""What is wrong with a garment before it is simulated, each fault in one plain sentence with its cure."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import asdict, dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from pb4u.body.animated_body import AnimatedBody
+from pb4u.body.body_model import ShapedBody
+from pb4u.errors import InputError, InputWarning
+from pb4u.garment.fit import UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit
+from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.garment_file import FIX, MOST_SIMULATED, likely_unit
+from pb4u.garment.layers import double_layered
+from pb4u.garment.source_surface import SourceSurface
+from pb4u.geometry.triangle_mesh import edge_lengths
+
+WORST_MISFIT = 0.08
+"""Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn."""
+FAR = 0.05
+"""A garment whose nearest point is farther from the body than this [m] does not touch it."""
+GRADED = 0.35
+DOUBLE = 0.2
+
+
+class Severity(str, Enum):
+    """What a fault does to a simulation."""
+
+    REFUSED = "refused"
+    WARNING = "warning"
+    NOTE = "note"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fault.
+
+    Args:
+        code: short fixed name.
+        severity: whether simulation refuses it, warns, or only has a note for it.
+        sentence: what and where.
+        fix: how to mend it.
+        mendable: whether `repair` does that.
+        where: indices of the first vertices, faces or edges concerned, as the sentence says.
+    """
+
+    code: str
+    severity: Severity
+    sentence: str
+    fix: str
+    mendable: bool
+    where: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """All faults of a garment on a body, and what was measured.
+
+    Args:
+        findings: worst first.
+        fit: how the garment has to move to be worn; None without a body.
+        measures: name -> number, SI units.
+    """
+
+    findings: tuple[Finding, ...]
+    fit: Fit | None
+    measures: dict[str, float]
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether simulation refuses the garment as it is."""
+        return any(f.severity is Severity.REFUSED for f in self.findings)
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Codes of all findings."""
+        return tuple(f.code for f in self.findings)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary for a JSON report."""
+        findings = [{**asdict(f), "severity": f.severity.value, "where": list(f.where)} for f in self.findings]
+        return {"refused": self.is_refused, "findings": findings, "measures": self.measures}
+
+
+def diagnose(garment: SourceMesh | Garment, body: ShapedBody | AnimatedBody | None = None) -> Diagnosis:
+    """Everything that is wrong with a garment, on its own and on the resting `body`.
+
+    First-frame penetration is measured where the garment belongs, after the move that units and axes call for.
+    """
+    if isinstance(garment, Garment):
+        garment = SourceMesh(garment.vertices, tuple(garment.faces))
+    surface = SourceSurface.of(garment)
+    findings = _surface_findings(surface)
+    vertices = garment.vertices[np.unique(surface.faces)]
+    lengths = edge_lengths(garment.vertices, surface.topology.edges)
+    measures = {
+        "vertices": float(len(garment.vertices)),
+        "triangles": float(len(surface.faces)),
+        "pieces": float(surface.piece_count),
+        "boundary_loops": float(len(surface.topology.boundary_loops)),
+        "mean_edge_length": float(lengths.mean()) if len(lengths) else 0.0,
+        "edge_length_variation": float(lengths.std() / lengths.mean()) if len(lengths) and lengths.any() else 0.0,
+    }
+    fit = None
+    if body is not None and len(vertices):
+        rest = RestBody.of(body)
+        fit = find_fit(vertices, rest)
+        findings += _placement_findings(vertices, fit, rest)
+        findings += _contact_findings(surface, fit, rest, measures)
+    elif len(vertices) and (unit := likely_unit(vertices)):
+        findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres", False))
+    order = list(Severity)
+    return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures)
+
+
+def require_worn(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
+    """Refuse a garment that the resting body does not wear; warn when it starts inside the body or seems turned.
+
+    Raises InputError when it is far from the body, wholly inside it, or in other units or axes.
+    """
+    rest = RestBody.of(body)
+    misfit = float(rest.misfit(garment.vertices))
+    found = []
+    if misfit > 0.6 * WORST_MISFIT:  # well under it there is nothing to look for
+        found = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest)
+    found += _penetration_findings(rest.signed_distances(garment.vertices), rest)
+    for finding in found:
+        if finding.severity is Severity.REFUSED:
+            raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
+    for finding in found:
+        warnings.warn(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.", InputWarning, stacklevel=3)
+
+
+def _surface_findings(surface: SourceSurface) -> list[Finding]:
+    """Faults of the mesh alone."""
+    found: list[Finding] = []
+
+    def add(code: str, severity: Severity, sentence: str, fix: str, mendable: bool, where: np.ndarray) -> None:
+        found.append(
+            Finding(code, severity, sentence, fix, mendable, tuple(np.asarray(where).reshape(-1)[:20].tolist()))
+        )
+
+    topology = surface.topology
+    if len(surface.faces) > MOST_SIMULATED:
+        sentence = f"The garment has {len(surface.faces):,} triangles, {MOST_SIMULATED:,} can be simulated."
+        add("too-many", Severity.REFUSED, sentence, "simulate it with `--triangles N`", False, np.zeros(0))
+    if len(edges := topology.non_manifold_edges):
+        extra = surface.extra_faces
+        sentence = f"{len(edges)} edge(s) are shared by three or more faces, first {_first(edges)} (pairs of vertices)."
+        add("non-manifold", Severity.REFUSED, sentence, f"delete the faces {_first(extra)}", False, extra)
+    if len(collapsed := np.flatnonzero(surface.collapsed & ~surface.repeated)):
+        sentence = f"{len(collapsed)} triangle(s) have no area, first {_first(surface.polygon[collapsed])}."
+        add("degenerate", Severity.WARNING, sentence, "drop them", True, surface.polygon[collapsed])
+    if len(repeated := np.flatnonzero(surface.repeated)):
+        sentence = f"{len(repeated)} face(s) are there twice, first {_first(surface.polygon[repeated])}."
+        add("duplicate", Severity.WARNING, sentence, "drop them", True, surface.polygon[repeated])
+    if len(isolated := topology.isolated_vertices):
+        sentence = f"{len(isolated)} vertices belong to no face, first {_first(isolated)}."
+        add("isolated", Severity.WARNING, sentence, "drop them", True, isolated)
+    if len(unwelded := surface.unwelded):
+        sentence = (
+            f"{len(unwelded)} border vertices lie on top of others, first {_first(unwelded)}: a seam that will open."
+        )
+        add("unwelded", Severity.WARNING, sentence, "weld them", True, unwelded)
+    if surface.piece_count > 1:
+        sentence = f"The garment is in {surface.piece_count} pieces that nothing holds together."
+        fix = (
+            "weld the seams between them" if len(unwelded) else "join them where they were made, or delete all but one"
+        )
+        add("pieces", Severity.WARNING, sentence, fix, bool(len(unwelded)), np.zeros(0))
+    flip, orientable = surface.flipped
+    if flip.any():
+        polygons = surface.polygon[surface.kept[flip]]
+        sentence = f"{len(polygons)} face(s) are turned over against their neighbours, first {_first(polygons)}."
+        add("orientation", Severity.WARNING, sentence, "turn them", True, polygons)
+    if not orientable:
+        sentence = "The cloth has only one side, like a Moebius strip."
+        add("one-sided", Severity.WARNING, sentence, "cut it open where it is twisted", False, np.zeros(0))
+    if len(topology.edges) and len(surface.faces):
+        double = double_layered(surface.source.vertices, surface.faces)
+        if double.mean() > DOUBLE:
+            polygons = surface.polygon[surface.kept[double]]
+            sentence = (
+                f"{100 * double.mean():.0f}% of the cloth lies double, back to back, first faces {_first(polygons)}."
+            )
+            add("double-layer", Severity.WARNING, sentence, "keep the outer layer only", False, polygons)
+        lengths = edge_lengths(surface.source.vertices, topology.edges)
+        if lengths.std() > GRADED * lengths.mean():
+            sentence = f"Edge lengths vary by {lengths.std() / lengths.mean():.2f} of their mean, more than {GRADED}."
+            fix = f"simulate it evenly meshed with `--triangles {len(surface.faces)}`"
+            add("graded", Severity.WARNING, sentence, fix, False, np.zeros(0))
+    if surface.many_sided:
+        sentence = f"{surface.many_sided} faces have four corners or more."
+        add(
+            "polygons",
+            Severity.NOTE,
+            sentence,
+            "nothing: they are cut to simulate and kept in exports",
+            False,
+            np.zeros(0),
+        )
+    return found
+
+
+def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody) -> list[Finding]:
+    """Units, axes and place of (vertices, 3)."""
+    if fit.is_identity:
+        return _far_finding(vertices, body)
+    found = []
+    if fit.unit != "metres":
+        sentence = f"The garment is in {fit.unit}: it spans {np.ptp(vertices, axis=0).max():.4g} of them."
+        found.append(Finding("units", Severity.REFUSED, sentence, f"scale it by {UNITS[fit.unit]:g} with {FIX}", True))
+    if fit.axes != UPRIGHT:
+        sentence = f"The garment is made {fit.axes}; the world is Y up and the body faces +Z."
+        found.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {FIX}", True))
+    if fit.shift.any():
+        why = "where it fits best" if fit.searched else "it was made around the body model's own origin"
+        sentence = f"The garment has to move {fit.shift[1]:+.3f} m in height to be worn: {why}."
+        found.append(Finding("height", Severity.WARNING, sentence, f"move it with {FIX}", True))
+    if float(body.misfit(vertices)) > WORST_MISFIT:
+        away = 100 * float(np.median(np.abs(body.signed_distances(vertices))))
+        why = "made at another height" if fit.axes == UPRIGHT else fit.axes
+        sentence = (
+            f'The garment is not on the body "{body.name}" as it stands, half of it is {away:.0f} cm away or more: it '
+            f"seems to be {why if fit.unit == 'metres' else fit.unit}."
+        )
+        found.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {FIX}", True))
+    return found + _far_finding(fit.apply(vertices), body)
+
+
+def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
+    distance = float(np.abs(body.signed_distances(vertices)).min())
+    if distance <= FAR:
+        return []
+    sentence = f'The garment is far from the body "{body.name}": its nearest point is {distance:.2f} m away.'
+    return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made", False)]
+
+
+def _contact_findings(surface: SourceSurface, fit: Fit, body: RestBody, measures: dict[str, float]) -> list[Finding]:
+    """First-frame penetration, a garment inside out, a body that is not closed."""
+    used = np.unique(surface.faces)
+    moved = fit.apply(surface.source.vertices)
+    distances = body.signed_distances(moved[used])
+    found = _penetration_findings(distances, body, used)
+    if body.is_closed:
+        measures["penetration_percent"] = 100.0 * float((distances < 0.0).mean())
+        measures["penetration_depth_max"] = max(0.0, -float(distances.min()))
+    if not surface.flipped[0].any() and is_inside_out(moved, surface.faces, body):
+        sentence = "All faces look inwards, at the body."
+        found.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {FIX}", True))
+    return found
+
+
+def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
+    """Whether most of the cloth's area has its normal towards the body."""
+    corners = vertices[faces]
+    centres = corners.mean(axis=1)
+    near = body.surface.nearest(centres)
+    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(np.einsum("ij,ij->i", area_normals, near.normals.numpy()).sum()) < 0.0
+
+
+def _penetration_findings(distances: np.ndarray, body: RestBody, ids: np.ndarray | None = None) -> list[Finding]:
+    if not body.is_closed:
+        sentence = f'The body "{body.name}" is not a closed surface, so penetration is not reported.'
+        return [Finding("open-body", Severity.WARNING, sentence, "close its holes", False)]
+    inside = distances < 0.0
+    if not inside.any():
+        return []
+    deepest = int(distances.argmin())
+    names = np.arange(len(distances)) if ids is None else ids
+    where = tuple(names[np.argsort(distances)[: min(20, int(inside.sum()))]].tolist())
+    if inside.mean() > WHOLLY_INSIDE:
+        sentence = (
+            f'The garment lies wholly inside the body "{body.name}" ({100 * inside.mean():.0f}% of its vertices).'
+        )
+        return [
+            Finding(
+                "inside", Severity.REFUSED, sentence, "make it larger, or take the body it was made for", False, where
+            )
+        ]
+    sentence = (
+        f"{100 * inside.mean():.1f}% of the vertices start inside the body, the deepest "
+        f"{-1000 * distances[deepest]:.1f} mm (vertex {names[deepest]})."
+    )
+    return [Finding("penetration", Severity.WARNING, sentence, f"push them out with {FIX}", True, where)]
+
+
+def _first(ids: np.ndarray) -> str:
+    rows = np.asarray(ids)[:5].tolist()
+    return ", ".join("-".join(map(str, row)) if isinstance(row, list) else str(row) for row in rows)

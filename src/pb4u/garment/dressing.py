@@ -1,0 +1,93 @@
+"""How a garment rides on a body: the start pose, the pins, and where skinning alone would put every vertex."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.body.animated_body import AnimatedBody
+from pb4u.body.body_model import PosedBody
+from pb4u.body.skinning import SkinningWeights
+from pb4u.garment.garment import Garment
+from pb4u.garment.weight_cache import garment_weights
+from pb4u.geometry.nearest_surface import TriangleSurface
+from pb4u.geometry.triangle_mesh import vertex_normals
+
+FRAME_CHUNK = 32
+
+
+class Placement(ABC):
+    """Carries a garment's rest vertices along with a moving body."""
+
+    @abstractmethod
+    def positions(self, start: int, stop: int) -> Tensor:
+        """Garment vertices (stop - start, vertices, 3) float32 [m] as the body alone would carry them."""
+
+
+class SkinnedPlacement(Placement):
+    """Linear blend skinning with weights borrowed from a body that has a skeleton.
+
+    Args:
+        garment: worn by the body in its rest pose.
+        body: the posed body.
+        weights: skinning weights of the garment's vertices; borrowed from the body when None.
+    """
+
+    def __init__(self, garment: Garment, body: PosedBody, weights: SkinningWeights | None = None) -> None:
+        self.garment = garment
+        self.body = body
+        self.weights = garment_weights(garment, body.body) if weights is None else weights
+
+    def positions(self, start: int, stop: int) -> Tensor:
+        """Skinned vertices (stop - start, vertices, 3) float32 [m]."""
+        chunks = [
+            self.body.skin(self.garment.vertices, self.weights, first, min(first + FRAME_CHUNK, stop))
+            for first in range(start, stop, FRAME_CHUNK)
+        ]
+        return torch.cat(chunks) if chunks else torch.zeros(0, len(self.garment.vertices), 3)
+
+
+class AttachedPlacement(Placement):
+    """A garment held to the surface of a body that has no skeleton.
+
+    Every vertex keeps its barycentric place on the body triangle nearest to it in frame 0, and its offset from there,
+    which turns with the surface. Frame 0 is exactly where the user put the garment.
+
+    Args:
+        garment: placed on the body of frame 0.
+        body: any moving surface.
+    """
+
+    def __init__(self, garment: Garment, body: AnimatedBody) -> None:
+        self.garment = garment
+        self.body = body
+        start = body.positions(0, 1)[0]
+        self._faces = torch.from_numpy(body.faces)
+        rest = torch.from_numpy(np.ascontiguousarray(garment.vertices, dtype=np.float32))
+        hit = TriangleSurface(body.faces, len(start), body.contact).at(start).nearest(rest)
+        self._corners = self._faces[hit.triangle]
+        self._barycentric = hit.barycentric.float()
+        frames, anchors = self._surface_frames(start[None])
+        self._offsets = ((rest - anchors[0])[:, None, :] @ frames[0])[:, 0]
+
+    def positions(self, start: int, stop: int) -> Tensor:
+        """Skinned vertices (stop - start, vertices, 3) float32 [m]."""
+        chunks = []
+        for first in range(start, stop, FRAME_CHUNK):
+            frames, anchors = self._surface_frames(self.body.positions(first, min(first + FRAME_CHUNK, stop)))
+            chunks.append(anchors + (frames @ self._offsets[:, :, None])[..., 0])
+        return torch.cat(chunks) if chunks else torch.zeros(0, len(self.garment.vertices), 3)
+
+    def _surface_frames(self, vertices: Tensor) -> tuple[Tensor, Tensor]:
+        """Orthonormal frames (frames, garment vertices, 3, 3), columns are axes, and anchor points of all vertices."""
+        corners = vertices[:, self._corners]
+        anchors = (self._barycentric[:, :, None] * corners).sum(dim=2)
+        # Interpolated normals turn smoothly from one triangle to the next; face normals would crease the cloth.
+        normals = (self._barycentric[:, :, None] * vertex_normals(vertices, self._faces)[:, self._corners]).sum(dim=2)
+        normal = torch.nn.functional.normalize(normals, dim=-1)
+        edge = corners[:, :, 1] - corners[:, :, 0]
+        tangent = torch.nn.functional.normalize(edge - (edge * normal).sum(-1, keepdim=True) * normal, dim=-1)
+        return torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], dim=-1), anchors

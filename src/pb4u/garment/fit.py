@@ -1,0 +1,175 @@
+"""Where a garment sits on the resting body, and how to move a file there that was made in other units or axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pb4u.body.animated_body import AnimatedBody
+from pb4u.body.body_model import ShapedBody
+from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
+from pb4u.geometry.topology import Topology
+
+SAMPLES = 400
+COARSE = 4
+SHIFT_STEP = 0.03
+FARTHEST = 0.3
+WHOLLY_INSIDE = 0.95
+"""Share of vertices inside the body from which a garment counts as inside it."""
+UP = np.array([0.0, 1.0, 0.0])
+
+UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
+UPRIGHT = "Y up, facing +Z"
+AXES = {
+    UPRIGHT: np.eye(3),
+    "Z up, facing -Y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    "Z up, facing +Y": np.array([[-1.0, 0, 0], [0, 0, 1], [0, 1, 0]]),
+    "Y up, facing -Z": np.diag([-1.0, 1.0, -1.0]),
+}
+"""Name of a file's axes -> rotation (3, 3) that takes them to the world's."""
+
+
+@dataclass(frozen=True, eq=False)
+class RestBody:
+    """The surface that a garment is fitted to.
+
+    Args:
+        name: what the user called the body.
+        vertices: (vertices, 3) float64 [m].
+        faces: (faces, 3) int64.
+        contact: (vertices,) bool.
+        lift: height of the body model's own origin above the ground [m].
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    contact: np.ndarray
+    lift: float = 0.0
+
+    @classmethod
+    def of(cls, body: ShapedBody | AnimatedBody) -> RestBody:
+        """A shaped body at rest, or frame 0 of a body without a skeleton."""
+        if isinstance(body, ShapedBody):
+            return cls(body.name, body.vertices, body.faces, body.contact, body.lift)
+        return cls(body.name, body.positions(0, 1)[0].numpy().astype(np.float64), body.faces, body.contact)
+
+    @cached_property
+    def surface(self) -> PosedSurface:
+        """The part of the surface that contact is answered on."""
+        return TriangleSurface(self.faces, len(self.vertices), self.contact).at(self.vertices)
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether inside has a meaning."""
+        return Topology(self.faces, len(self.vertices)).is_closed
+
+    def signed_distances(self, points: np.ndarray) -> np.ndarray:
+        """(points,) distance [m] to the surface, negative inside; without a sign when the body is not closed."""
+        found: np.ndarray = self.surface.nearest(points).signed_distance.numpy()
+        return found if self.is_closed else np.abs(found)
+
+    @cached_property
+    def _tree(self) -> tuple[cKDTree, np.ndarray]:
+        kept = np.flatnonzero(self.contact)
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+        columns = [np.bincount(self.faces.reshape(-1), cross[:, k], len(self.vertices)) for k in range(3)]
+        normals = np.stack(columns, axis=1)[kept]
+        return cKDTree(self.vertices[kept]), normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+
+    def misfit(self, points: np.ndarray) -> np.ndarray:
+        """Mean distance (...) [m] of `points` (..., points, 3) to the body, depth inside it counted five times.
+
+        Roughly, by the nearest body vertex: for comparing hundreds of placements.
+        """
+        tree, normals = self._tree
+        distance, nearest = tree.query(points)
+        offset = points - tree.data[nearest]
+        inside = np.einsum("...d,...d->...", offset, normals[nearest]) < 0.0
+        cost: np.ndarray = (np.minimum(distance, FARTHEST) * np.where(inside, 5.0, 1.0)).mean(axis=-1)
+        return cost
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A similarity transform that puts a garment on the body: x -> scale R x + shift.
+
+    Args:
+        unit: name of the file's unit, a key of `UNITS`.
+        axes: name of the file's axes, a key of `AXES`.
+        shift: (3,) [m].
+        misfit: of the moved garment, see `RestBody.misfit` [m].
+        searched: whether the height was searched for, with nothing in the body model to say it.
+    """
+
+    unit: str
+    axes: str
+    shift: np.ndarray
+    misfit: float
+    searched: bool = False
+
+    @classmethod
+    def identity(cls, misfit: float | np.ndarray) -> Fit:
+        """No change."""
+        return cls("metres", UPRIGHT, np.zeros(3), float(misfit))
+
+    def apply(self, vertices: np.ndarray) -> np.ndarray:
+        """Vertices (n, 3) of the file where the body expects them [m]."""
+        moved: np.ndarray = UNITS[self.unit] * vertices @ AXES[self.axes].T + self.shift
+        return moved
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether nothing moves."""
+        return self.unit == "metres" and self.axes == UPRIGHT and not self.shift.any()
+
+
+def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
+    """The transform under which a garment (vertices, 3), in whatever unit and axes, fits the body best.
+
+    What needs less change wins among those that fit about as well: first as it is, then by the body model's own origin
+    or none, then any height. A garment that lies wholly inside the body is not looked for elsewhere.
+    """
+    picked = np.linspace(0, len(vertices) - 1, min(SAMPLES, len(vertices))).astype(np.int64)
+    sample = vertices[picked]
+    if (body.signed_distances(sample) < 0.0).mean() > WHOLLY_INSIDE:
+        return Fit.identity(body.misfit(sample))
+    height = float(np.ptp(body.vertices[:, 1]))
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    fits: list[Fit] = []
+    for unit, scale in UNITS.items():
+        if not 0.08 * height < scale * float((high - low).max()) < 1.5 * height:
+            continue
+        for axes, rotation in AXES.items():
+            fits += _fits_at(unit, axes, scale * sample @ rotation.T, body)
+    if not fits:
+        return Fit.identity(body.misfit(sample))
+    best = 1.25 * min(fit.misfit for fit in fits) + 0.003
+    return min((fit for fit in fits if fit.misfit <= best), key=_change)
+
+
+def _fits_at(unit: str, axes: str, points: np.ndarray, body: RestBody) -> list[Fit]:
+    """Fits of turned and scaled `points` (points, 3): unmoved, by the model's origin, and at the best height."""
+    top = float(body.vertices[:, 1].max())
+    heights = np.arange(-float(points[:, 1].min()), top - float(points[:, 1].max()) + SHIFT_STEP, SHIFT_STEP)
+    tried = [0.0, body.lift]
+    if len(heights):
+        coarse = [float(body.misfit(points[::COARSE] + h * UP)) for h in heights]
+        around = heights[int(np.argmin(coarse))] + np.linspace(-SHIFT_STEP, SHIFT_STEP, 13)
+        fine = [float(body.misfit(points + h * UP)) for h in around]
+        tried.append(float(around[int(np.argmin(fine))]))
+    fits = []
+    for place, height in enumerate(tried):
+        shift = height * UP
+        fits.append(Fit(unit, axes, shift, float(body.misfit(points + shift)), searched=place == 2))
+    return fits
+
+
+def _change(fit: Fit) -> tuple[int, int, bool, bool, float]:
+    """Order of preference among fits that are about as good."""
+    unmoved = fit.axes == UPRIGHT and not fit.shift.any()
+    return list(UNITS).index(fit.unit), list(AXES).index(fit.axes), not unmoved, fit.searched, fit.misfit

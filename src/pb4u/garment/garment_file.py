@@ -1,0 +1,206 @@
+"""Garments from the user's own mesh files."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.errors import InputError, InputWarning
+from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.material import Material
+from pb4u.garment.obj_file import read_obj
+from pb4u.garment.pins import resolve_pins
+from pb4u.garment.source_map import map_to_nearest, map_to_same
+from pb4u.garment.source_surface import SourceSurface
+
+SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", ".off")
+MOST_SIMULATED = 1_000_000
+"""Triangles that a garment may have as it is simulated."""
+MOST_READ = 4_000_000
+"""Triangles that a file may have to be read at all, with `triangles` asked for."""
+SMALLEST, LARGEST = 0.05, 5.0
+"""Extent [m] between which a garment's file may be in metres."""
+FIX = "`pb4u check --fix OUT.obj`"
+
+
+def read_garment(
+    path: str | Path, material: Material, triangles: int | None = None, pins: str | Path | Sequence[int] | None = None
+) -> Garment:
+    """The garment in a mesh file, as its author made it or remeshed to about `triangles` triangles.
+
+    Vertex order, polygons and UVs stay in `Garment.source`. Units and axes are never changed. `pins` are as for
+    `resolve_pins`. Raises InputError when the file cannot be used as it is, saying how to mend it; warns of what is
+    left out or looks odd.
+    """
+    path = Path(path)
+    if triangles is not None and triangles < 1:
+        raise InputError(f"The number of triangles must be 1 or more, not {triangles}.")
+    source = read_source(path, MOST_SIMULATED if triangles is None else MOST_READ)
+    surface = SourceSurface.of(source)
+    _refuse_unusable(path, surface)
+    _warn_of_oddities(path, surface)
+    flip, _ = surface.flipped
+    faces = np.where(flip[:, None], surface.faces[:, ::-1], surface.faces)
+    corners = surface.corners[surface.kept]
+    corners = np.where(flip[:, None], corners[:, ::-1], corners)
+    kept = np.unique(faces)
+    vertices = source.vertices[kept]
+    faces = np.searchsorted(kept, faces)
+    if triangles is None:
+        uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
+        garment = Garment(path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces)
+        garment = replace(garment, source=map_to_same(source, kept, vertices, faces))
+    else:
+        from pb4u.geometry.remeshing import remesh
+
+        vertices, faces = remesh(vertices, faces, triangles)
+        garment = Garment(path.stem, vertices, faces, material, source=map_to_nearest(source, vertices, faces))
+    return garment if pins is None else garment.with_pins(resolve_pins(pins, garment))
+
+
+def read_source(path: Path, most_triangles: int = MOST_READ) -> SourceMesh:
+    """The mesh in a file, polygons and UVs kept where the format has them (OBJ).
+
+    Raises InputError when the file is missing, of another kind, damaged, empty of faces or over `most_triangles`.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path.name} is no garment file that can be read; the kinds are {', '.join(SUFFIXES)}.")
+    if not path.is_file():
+        raise InputError(f"There is no garment file {path}.")
+    # Counted before anything is parsed: a huge file is refused in the time it takes to read it.
+    _refuse_too_many(path, _count_faces(path), most_triangles)
+    source = read_obj(path) if suffix == ".obj" else _read_with_trimesh(path)
+    _refuse_too_many(path, sum(len(p) - 2 for p in source.polygons), most_triangles)
+    return source
+
+
+def _count_faces(path: Path) -> int:
+    """Faces that the file says it has, 0 where that takes reading it whole."""
+    suffix = path.suffix.lower()
+    with path.open("rb") as stream:
+        if suffix == ".obj":
+            count, last = 0, b"\n"
+            while block := stream.read(1 << 24):
+                # The byte before the block: a line may start exactly where the block does.
+                count += (last + block[:1]).count(b"\nf") + block.count(b"\nf ")
+                last = block[-1:]
+            return count
+        head = stream.read(1 << 12)
+    if suffix == ".ply" and (declared := re.search(rb"element face (\d+)", head)):
+        return int(declared.group(1))
+    if suffix == ".stl" and not head.lstrip().startswith(b"solid"):
+        return (path.stat().st_size - 84) // 50
+    return 0
+
+
+def _refuse_too_many(path: Path, count: int, most: int) -> None:
+    if count <= most:
+        return
+    if count <= MOST_READ:
+        raise InputError(
+            f"{path} has {count:,} triangles, and {most:,} are the most that can be simulated; "
+            "ask for fewer with `--triangles N`."
+        )
+    raise InputError(
+        f"{path} has {count:,} triangles or more, and {MOST_READ:,} are the most that can be read; "
+        "decimate it in the program it comes from."
+    )
+
+
+def _read_with_trimesh(path: Path) -> SourceMesh:
+    import trimesh
+
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:  # each format's reader raises its own kinds
+        raise InputError(f"{path} cannot be read as a mesh: {str(error) or type(error).__name__}.") from None
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise InputError(f"{path} has no faces: export the garment as a polygon mesh.")
+    if path.suffix.lower() == ".stl":
+        # An STL lists three corners per triangle and no connectivity; equal corners are one vertex by the format.
+        mesh.merge_vertices()
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(bad):
+        raise InputError(
+            f"{path}: {len(bad)} vertices are NaN or infinite, first {bad[:5].tolist()}; delete or mend them and "
+            "export again."
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"{path}: a face names a vertex out of range, the file has {len(vertices)}; export it again.")
+    uvs = getattr(mesh.visual, "uv", None)
+    if uvs is not None and len(uvs) == len(vertices):
+        return SourceMesh(vertices, tuple(faces), np.asarray(uvs, dtype=np.float64), tuple(faces))
+    return SourceMesh(vertices, tuple(faces))
+
+
+def _refuse_unusable(path: Path, surface: SourceSurface) -> None:
+    if not len(surface.faces):
+        raise InputError(f"{path}: none of its {len(surface.all_faces)} faces has an area; export the garment again.")
+    if unit := likely_unit(surface.source.vertices[np.unique(surface.faces)]):
+        raise InputError(f"{path} {unit}; scale it to metres with {FIX}.")
+    edges = surface.topology.non_manifold_edges
+    if len(edges):
+        raise InputError(
+            f"{path}: {len(edges)} edge(s) are shared by three or more faces, first {_edges(edges)} (vertex pairs, "
+            f"counted from 0); see which faces to delete with {FIX}."
+        )
+
+
+def likely_unit(vertices: np.ndarray) -> str | None:
+    """What a file is written in, as a verb phrase, when its extent cannot be that of a garment in metres."""
+    extent = float(np.ptp(vertices, axis=0).max())
+    if SMALLEST <= extent <= LARGEST:
+        return None
+    if extent > LARGEST:
+        unit = "centimetres" if extent <= 250.0 else "millimetres"
+        return f"spans {extent:.0f} m as it is, it seems to be in {unit}"
+    return f"spans {1000 * extent:.3g} mm as it is, too small for a garment in metres"
+
+
+def _warn_of_oddities(path: Path, surface: SourceSurface) -> None:
+    source = surface.source
+    if surface.many_sided:
+        _warn(
+            f"{path.name}: {surface.many_sided} quads or n-gons are cut into triangles to simulate; exports keep them."
+        )
+    if repeated := int(surface.repeated.sum()):
+        _warn(f"{path.name}: {repeated} duplicate face(s) left out, first {surface.repeated.argmax()}.")
+    if collapsed := int((surface.collapsed & ~surface.repeated).sum()):
+        _warn(f"{path.name}: {collapsed} face(s) without area left out, first {surface.collapsed.argmax()}.")
+    isolated = surface.topology.isolated_vertices
+    if len(isolated):
+        _warn(
+            f"{path.name}: {len(isolated)} isolated vertices are not simulated, first {isolated[:5].tolist()}; "
+            "in exports they follow the nearest cloth."
+        )
+    if surface.piece_count > 1:
+        _warn(f"{path.name}: the garment is in {surface.piece_count} pieces that nothing holds together.")
+    if len(surface.unwelded):
+        _warn(
+            f"{path.name}: {len(surface.unwelded)} border vertices lie on others, first "
+            f"{surface.unwelded[:5].tolist()}: a seam that will open; weld it with {FIX}."
+        )
+    flip, orientable = surface.flipped
+    if flip.any():
+        _warn(
+            f"{path.name}: {int(flip.sum())} face(s) are turned over against their neighbours, and are simulated turned."
+        )
+    if not orientable:
+        _warn(f"{path.name}: the cloth has only one side, like a Moebius strip.")
+    if source.uvs is not None and not np.isfinite(source.uvs).all():
+        _warn(f"{path.name}: some texture coordinates are not finite.")
+
+
+def _edges(edges: np.ndarray) -> str:
+    return ", ".join(f"{a}-{b}" for a, b in edges[:5].tolist())
+
+
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, InputWarning, stacklevel=4)

@@ -1,0 +1,74 @@
+"""The built-in garments: by name, for any body with arms and legs, at any triangle count."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.errors import InputError
+from pb4u.garment.body_form import BodyForm
+from pb4u.garment.clearance import clear_of_body
+from pb4u.garment.garment import Garment
+from pb4u.garment.material import MATERIALS
+from pb4u.garment.patterns import PATTERNS
+from pb4u.garment.tailoring import tailor
+from pb4u.geometry.implicit_surface import ImplicitSurface
+from pb4u.geometry.remeshing import remesh
+
+#: Triangle counts of the named levels of detail.
+LEVELS: dict[str, int] = {"base": 2500, "11K": 11000, "18K": 18000, "25K": 25000, "38K": 38000}
+
+FEWEST_TRIANGLES, MOST_TRIANGLES = 200, 200_000
+
+_forms: WeakKeyDictionary[ShapedBody, BodyForm] = WeakKeyDictionary()
+_surfaces: WeakKeyDictionary[ShapedBody, dict[str, ImplicitSurface]] = WeakKeyDictionary()
+
+
+def garment_names() -> tuple[str, ...]:
+    """Names of the built-in garments."""
+    return tuple(PATTERNS)
+
+
+def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) -> Garment:
+    """A built-in garment fitted to the resting `body`, with about `triangles` triangles of even size.
+
+    Every count approximates the same smooth surface. The smooth surface is kept as long as the body lives.
+
+    Args:
+        name: one of `garment_names()`.
+        body: any body whose skeleton has shoulders, elbows, wrists, hips, knees and ankles.
+        triangles: wanted number of triangles, from 200 to 200,000; met within 5 %.
+
+    Raises:
+        InputError: an unknown name, a count out of range, or a body without those joints.
+    """
+    if name not in PATTERNS:
+        near = get_close_matches(name.lower(), PATTERNS, n=3, cutoff=0.5) or list(PATTERNS)
+        raise InputError(f'There is no garment "{name}"; did you mean {", ".join(near)}?')
+    if not FEWEST_TRIANGLES <= triangles <= MOST_TRIANGLES:
+        raise InputError(
+            f"A built-in garment has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles, not {triangles}."
+        )
+    pattern = PATTERNS[name]
+    surface = _surface(name, body)
+    vertices, faces = remesh(*surface.mesh, triangles, surface)
+    vertices = clear_of_body(vertices, faces, body)
+    garment = Garment(name, vertices, faces, MATERIALS["default"], loose=pattern.loose)
+    if pattern.top != "waist":
+        return garment
+    waist = max(garment.topology.boundary_loops, key=lambda loop: float(vertices[loop, 1].mean()))
+    pinned = np.zeros(len(vertices), dtype=bool)
+    pinned[waist] = True
+    return garment.with_pins(pinned)
+
+
+def _surface(name: str, body: ShapedBody) -> ImplicitSurface:
+    surfaces = _surfaces.setdefault(body, {})
+    if name not in surfaces:
+        if body not in _forms:
+            _forms[body] = BodyForm(body)
+        surfaces[name] = tailor(PATTERNS[name], _forms[body])
+    return surfaces[name]

@@ -1,0 +1,96 @@
+"""The cut of each built-in garment: where it hangs, how wide it is, and where it ends.
+
+Lengths are in metres for an adult of 1.75 m and grow with the body; places along limbs are fractions (0 shoulder or hip,
+1 elbow or knee, 2 wrist or ankle).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Neckline:
+    """A neck hole.
+
+    Args:
+        front: how far below the base of the neck it dips in front.
+        back: the same at the back.
+        spread: half its width at the shoulders, beyond half the neck.
+    """
+
+    front: float
+    back: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """One garment.
+
+    Args:
+        top: "shoulder" (it hangs from the shoulders) or "waist" (its upper loop is pinned there).
+        hem: "hip", "crotch", "thigh", "knee", "calf" or "ankle".
+        hem_offset: how far above that height it ends.
+        ease: slack of the torso part at chest (or waist), waist, hip and hem.
+        taper: how much it may draw in per metre going down, above and below the waist; negative where it must flare.
+        neckline: of a garment that hangs from the shoulders.
+        sleeve: where the sleeve ends along the arm; 0 for none.
+        sleeve_ease: slack at the shoulder and at the cuff.
+        armhole_depth: how far below the armpit an armhole of a sleeveless garment reaches.
+        strap: width of the part that lies on the shoulder of a sleeveless garment.
+        front_gap: width of the opening in front; 0 for none.
+        legs: whether each leg has a tube of its own.
+        loose: whether it hangs far from the nearest limb.
+    """
+
+    top: str
+    hem: str
+    hem_offset: float
+    ease: tuple[float, float, float, float]
+    taper: tuple[float, float]
+    neckline: Neckline = Neckline(0.0, 0.0, 0.0)
+    sleeve: float = 0.0
+    sleeve_ease: tuple[float, float] = (0.0, 0.0)
+    armhole_depth: float = 0.0
+    strap: float = 0.0
+    front_gap: float = 0.0
+    legs: bool = False
+    loose: bool = False
+
+
+CREW = Neckline(front=0.055, back=0.0, spread=0.028)
+SCOOP = Neckline(front=0.115, back=0.05, spread=0.038)
+
+PATTERNS: dict[str, Pattern] = {
+    "tshirt": Pattern(
+        "shoulder", "crotch", 0.03, (0.025, 0.030, 0.032, 0.034), taper=(0.08, 0.08),
+        neckline=CREW, sleeve=0.62, sleeve_ease=(0.008, 0.026),
+    ),
+    "tanktop": Pattern(
+        "shoulder", "crotch", 0.05, (0.014, 0.026, 0.030, 0.033), taper=(0.14, 0.14),
+        neckline=SCOOP, armhole_depth=0.035, strap=0.045,
+    ),
+    "longsleeve": Pattern(
+        "shoulder", "crotch", 0.03, (0.022, 0.028, 0.031, 0.034), taper=(0.10, 0.10),
+        neckline=CREW, sleeve=1.93, sleeve_ease=(0.008, 0.016),
+    ),
+    "dress": Pattern(
+        "shoulder", "calf", 0.0, (0.014, 0.020, 0.035, 0.035), taper=(0.30, -0.20),
+        neckline=SCOOP, armhole_depth=0.03, strap=0.055, loose=True,
+    ),
+    "fitted_dress": Pattern(
+        "shoulder", "knee", 0.08, (0.010, 0.012, 0.016, 0.034), taper=(0.90, 0.08),
+        neckline=Neckline(0.085, 0.02, 0.034), sleeve=0.40, sleeve_ease=(0.007, 0.014),
+    ),
+    "cardigan": Pattern(
+        "shoulder", "crotch", 0.02, (0.032, 0.036, 0.038, 0.040), taper=(0.06, 0.06),
+        neckline=Neckline(0.075, 0.0, 0.030), sleeve=1.93, sleeve_ease=(0.011, 0.022), front_gap=0.08,
+    ),
+    "trousers": Pattern(
+        "waist", "ankle", 0.025, (0.007, 0.007, 0.016, 0.030), taper=(0.10, 0.10), legs=True,
+    ),
+    "skirt": Pattern(
+        "waist", "knee", 0.0, (0.007, 0.007, 0.020, 0.035), taper=(0.0, -0.26), loose=True,
+    ),
+}  # fmt: skip

@@ -1,0 +1,101 @@
+"""Which vertices of a garment follow the body."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from pb4u.errors import InputError
+from pb4u.garment.garment import Garment
+
+NAMES = ("none", "waist", "hem")
+
+
+def resolve_pins(spec: str | Path | Sequence[int] | np.ndarray, garment: Garment) -> np.ndarray:
+    """(vertices,) bool mask of the pinned vertices of the simulated mesh.
+
+    Args:
+        spec: "none"; "waist" or "hem", the highest or lowest border; "loop:K", the border with the K-th most vertices
+            from 0; a file with vertex indices (JSON list, or separated by blanks, commas or lines); or the indices.
+            Indices count from 0 in the author's mesh where there is one.
+        garment: garment to pin.
+
+    Raises InputError when the name, the border or a vertex does not exist, or the file cannot be read.
+    """
+    if not isinstance(spec, str | Path):
+        return _from_indices(np.asarray(spec), garment, "The list of pins")
+    text = str(spec)
+    if text in NAMES or text.startswith("loop:"):
+        return _from_name(text, garment)
+    path = Path(text)
+    if path.is_file():
+        return _from_indices(_read_indices(path), garment, str(path))
+    raise InputError(
+        f'There are no pins "{text}" and no such file; choose {_choices(garment)}, or give a file of indices.'
+    )
+
+
+def _from_name(name: str, garment: Garment) -> np.ndarray:
+    pinned = np.zeros(len(garment.vertices), dtype=bool)
+    if name == "none":
+        return pinned
+    loops = garment.topology.boundary_loops
+    if not loops:
+        raise InputError(f'{garment.name} has no border, so "{name}" cannot be pinned; give a file of vertex indices.')
+    heights = [float(garment.vertices[loop, 1].mean()) for loop in loops]
+    if name == "waist":
+        loop = int(np.argmax(heights))
+    elif name == "hem":
+        loop = int(np.argmin(heights))
+    else:
+        number = name.removeprefix("loop:")
+        if not number.isdecimal() or int(number) >= len(loops):
+            raise InputError(f'{garment.name} has no border "{name}"; choose {_choices(garment)}.')
+        loop = int(number)
+    pinned[loops[loop]] = True
+    return pinned
+
+
+def _choices(garment: Garment) -> str:
+    heights = [f"loop:{k} (at {garment.vertices[loop, 1].mean():.2f} m)" for k, loop in enumerate(_loops(garment))]
+    return ", ".join([*NAMES, *heights])
+
+
+def _loops(garment: Garment) -> tuple[np.ndarray, ...]:
+    return garment.topology.boundary_loops[:8]
+
+
+def _read_indices(path: Path) -> np.ndarray:
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = json.loads(text) if text.lstrip().startswith("[") else [int(t) for t in text.replace(",", " ").split()]
+        indices = np.array(values)
+    except (OSError, ValueError, RecursionError):
+        raise InputError(
+            f"{path} is no list of vertex indices; write one index a line, or a JSON list of whole numbers."
+        ) from None
+    return indices
+
+
+def _from_indices(indices: np.ndarray, garment: Garment, where: str) -> np.ndarray:
+    count = len(garment.vertices) if garment.source is None else len(garment.source.source.vertices)
+    if indices.ndim != 1 or (indices.size and indices.dtype.kind not in "iu"):
+        raise InputError(f"{where} is no list of vertex indices; whole numbers from 0 to {count - 1} are needed.")
+    indices = indices.astype(np.int64)
+    bad = indices[(indices < 0) | (indices >= count)]
+    if len(bad):
+        raise InputError(f"{where} names vertices out of range, first {bad[:5].tolist()}; {garment.name} has {count}.")
+    listed = np.zeros(count, dtype=bool)
+    listed[indices] = True
+    if garment.source is None or not len(indices):
+        return listed if garment.source is None else np.zeros(len(garment.vertices), dtype=bool)
+    # A simulated vertex is pinned when the author's vertex nearest to it is; and every listed vertex pins at least the
+    # simulated vertex nearest to it, however coarse the mesh.
+    source = garment.source.source.vertices
+    pinned: np.ndarray = listed[cKDTree(source).query(garment.vertices)[1]]
+    pinned[cKDTree(garment.vertices).query(source[listed])[1]] = True
+    return pinned

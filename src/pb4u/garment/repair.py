@@ -1,0 +1,131 @@
+"""Mends of a garment's mesh that are safe to make without its author."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pb4u.body.animated_body import AnimatedBody
+from pb4u.body.body_model import ShapedBody
+from pb4u.garment.diagnosis import is_inside_out
+from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit
+from pb4u.garment.garment import SourceMesh
+from pb4u.garment.push_out import CLEARANCE, push_out
+from pb4u.garment.source_surface import SourceSurface
+from pb4u.geometry.topology import Topology
+
+DEEPEST_SHARE = 0.6
+"""A garment with more of its vertices inside the body than this is of another size, not in want of a push."""
+
+
+def repair(source: SourceMesh, body: ShapedBody | AnimatedBody | None = None) -> tuple[SourceMesh, tuple[str, ...]]:
+    """The garment with every mendable fault mended, and a plain sentence for each change.
+
+    Polygons and UVs are kept; vertex order too, unless vertices had to be welded or dropped. Without a body only the
+    mesh itself is mended.
+    """
+    said: list[str] = []
+    rest = None if body is None else RestBody.of(body)
+    if rest is not None:
+        source = _moved(source, rest, said)
+    source = _welded(source, said)
+    source = _without_waste(source, said)
+    source = _oriented(source, rest, said)
+    if rest is not None and rest.is_closed:
+        source = _pushed_out(source, rest, said)
+    return source, tuple(said)
+
+
+def _moved(source: SourceMesh, body: RestBody, said: list[str]) -> SourceMesh:
+    used = np.unique(np.concatenate(source.polygons))
+    fit = find_fit(source.vertices[used], body)
+    if fit.is_identity:
+        return source
+    if fit.unit != "metres":
+        said.append(f"Scaled by {UNITS[fit.unit]:g}, from {fit.unit} to metres.")
+    if fit.axes != UPRIGHT:
+        said.append(f"Turned from {fit.axes} to {UPRIGHT}.")
+    if fit.shift.any():
+        said.append(f"Moved by {fit.shift[1]:+.4f} m in height on to the body.")
+    return replace(source, vertices=fit.apply(source.vertices))
+
+
+def _welded(source: SourceMesh, said: list[str]) -> SourceMesh:
+    surface = SourceSurface.of(source)
+    target = surface.weld_target
+    joined = Topology(target[surface.faces], len(target))
+    if not len(surface.unwelded):
+        return source
+    if len(joined.non_manifold_edges) > len(surface.topology.non_manifold_edges):
+        said.append("Seams were left open: welded, more than two faces would share an edge.")
+        return source
+    said.append(f"Welded {len(surface.unwelded)} border vertices.")
+    return replace(source, polygons=tuple(target[p] for p in source.polygons))
+
+
+def _without_waste(source: SourceMesh, said: list[str]) -> SourceMesh:
+    """Drops faces without area, faces there twice and vertices of no face."""
+    surface = SourceSurface.of(source)
+    keep = np.unique(surface.polygon[surface.kept])
+    dropped = len(source.polygons) - len(keep)
+    polygons = [source.polygons[k] for k in keep.tolist()]
+    uvs = None if source.polygon_uvs is None else [source.polygon_uvs[k] for k in keep.tolist()]
+    for k, polygon in enumerate(polygons):
+        # A corner that repeats the one before it makes a polygon that is otherwise sound.
+        distinct = polygon != np.roll(polygon, 1)
+        if not distinct.all():
+            polygons[k] = polygon[distinct]
+            if uvs is not None:
+                uvs[k] = uvs[k][distinct]
+    if dropped:
+        said.append(f"Dropped {dropped} face(s) without area or there twice.")
+    used = np.unique(np.concatenate(polygons)) if polygons else np.zeros(0, dtype=np.int64)
+    if len(used) < len(source.vertices):
+        said.append(f"Dropped {len(source.vertices) - len(used)} vertices that no face uses.")
+    return SourceMesh(
+        source.vertices[used],
+        tuple(np.searchsorted(used, p) for p in polygons),
+        source.uvs,
+        None if uvs is None else tuple(uvs),
+    )
+
+
+def _oriented(source: SourceMesh, body: RestBody | None, said: list[str]) -> SourceMesh:
+    surface = SourceSurface.of(source)
+    flip = surface.flipped[0]
+    turn = np.zeros(len(source.polygons), dtype=bool)
+    turn[surface.polygon[surface.kept[flip]]] = True
+    if turn.any():
+        said.append(f"Turned {int(turn.sum())} face(s) over to agree with their neighbours.")
+    faces = np.where(flip[:, None], surface.faces[:, ::-1], surface.faces)
+    if body is not None and len(faces) and is_inside_out(source.vertices, faces, body):
+        turn = ~turn
+        said.append("Turned the garment right side out.")
+    if not turn.any():
+        return source
+
+    def turned(polygons: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        return tuple(p[::-1] if t else p for p, t in zip(polygons, turn.tolist(), strict=True))
+
+    uvs = None if source.polygon_uvs is None else turned(source.polygon_uvs)
+    return replace(source, polygons=turned(source.polygons), polygon_uvs=uvs)
+
+
+def _pushed_out(source: SourceMesh, body: RestBody, said: list[str]) -> SourceMesh:
+    before = body.signed_distances(source.vertices)
+    inside = before < 0.0
+    if not inside.any():
+        return source
+    if inside.mean() > DEEPEST_SHARE:
+        said.append(f"Left {int(inside.sum())} vertices inside the body: the garment is too small for it.")
+        return source
+    topology = SourceSurface.of(source).topology
+    vertices = push_out(source.vertices, topology, body)
+    farthest = float(np.linalg.norm(vertices - source.vertices, axis=1).max())
+    left = int((body.signed_distances(vertices) < 0.0).sum())
+    said.append(
+        f"Pushed {int(inside.sum())} vertices out of the body to {1000 * CLEARANCE:.0f} mm of clearance, "
+        f"by at most {1000 * farthest:.1f} mm" + (f"; {left} are still inside." if left else ".")
+    )
+    return replace(source, vertices=vertices)

@@ -1,0 +1,268 @@
+"""Makes the smooth surface of a garment for one body: pieces of drape joined, then cut open at neck, cuffs and hem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pb4u.garment.body_form import BodyForm, Limb
+from pb4u.garment.drape import (
+    hanging,
+    skin_field,
+    sleeve_field,
+    smooth_intersection,
+    smooth_union,
+    tube_field,
+)
+from pb4u.garment.patterns import Pattern
+from pb4u.geometry.implicit_surface import ImplicitSurface, Lattice
+
+#: Distance [m] between cloth and skin where a garment rests on the body.
+REST_CLEARANCE = 0.007
+_MARGIN = 0.05
+
+
+def tailor(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
+    """The garment surface for a body, ready to be meshed at any resolution."""
+    if pattern.legs:
+        return _trousers(pattern, form)
+    if pattern.top == "waist":
+        return _skirt(pattern, form)
+    return _top(pattern, form)
+
+
+def hem_height(pattern: Pattern, form: BodyForm) -> float:
+    """Height [m] of the hem."""
+    base = {
+        "crotch": form.crotch,
+        "knee": form.knee_height,
+        "calf": 0.45 * form.knee_height + 0.55 * form.ankle_height,
+        "ankle": form.ankle_height,
+    }[pattern.hem]
+    return base + pattern.hem_offset * form.scale
+
+
+def _ease(pattern: Pattern, form: BodyForm, hem: float) -> Callable[[np.ndarray], np.ndarray]:
+    chest, waist, hip, end = (value * form.scale for value in pattern.ease)
+    if pattern.top == "waist":
+        places = [(hem, end), (form.hip_height, hip), (form.waist, waist)]
+    else:
+        top = form.shoulder_height
+        places = [
+            (hem, end), (form.hip_height, hip), (form.waist, waist), (form.armpit, chest),
+            (form.armpit + 0.6 * (top - form.armpit), REST_CLEARANCE), (top, REST_CLEARANCE),
+        ]  # fmt: skip
+    places.sort(key=lambda place: place[0])
+    heights, values = np.array(places).T
+    return lambda y: np.interp(y, heights, values)
+
+
+def _taper(pattern: Pattern, form: BodyForm) -> Callable[[np.ndarray], np.ndarray]:
+    above, below = pattern.taper
+
+    def taper(y: np.ndarray) -> np.ndarray:
+        blend = np.clip((y - form.waist) / (0.06 * form.scale) + 0.5, 0.0, 1.0)
+        return blend * above + (1.0 - blend) * below
+
+    return taper
+
+
+def _spacing(form: BodyForm) -> float:
+    return 0.012 * float(np.clip(form.scale, 0.5, 1.3))
+
+
+def _top(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
+    from scipy.ndimage import gaussian_filter
+
+    hem = hem_height(pattern, form)
+    chest_top = form.shoulder_height - 0.025 * form.scale
+    sections = hanging(form.torso, _ease(pattern, form, hem), _taper(pattern, form), chest_top, hem)
+    lattice = _lattice(form, sections_reach(sections, hem, chest_top), hem, pattern)
+    y = lattice.axes[1]
+
+    tube = tube_field(lattice, sections)
+    capped = smooth_intersection(tube, y - chest_top, 0.03 * form.scale)
+    sleeved = pattern.sleeve > 0.0
+    arms = form.arms[0].belongs | form.arms[1].belongs
+    tips = form.arms[0].tip | form.arms[1].tip
+    left_out = form.head | (tips if sleeved else arms)
+    skin = skin_field(lattice, form, left_out)
+    shape = smooth_union(capped, skin - REST_CLEARANCE, 0.02 * form.scale)
+    sleeves = np.full(lattice.shape, 0.1)
+    if sleeved:
+        start, end = (value * form.scale for value in pattern.sleeve_ease)
+
+        def slack(place: np.ndarray) -> np.ndarray:
+            return np.interp(place, [0.15, min(0.6, pattern.sleeve)], [start, end])
+
+        for arm in form.arms:
+            sleeves = np.minimum(sleeves, sleeve_field(lattice, form, arm, slack, pattern.sleeve))
+        shape = smooth_union(shape, sleeves, 0.045 * form.scale)
+    shape = gaussian_filter(shape, 1.2, mode="nearest")
+    shape = smooth_union(shape, skin - REST_CLEARANCE, 0.006)
+
+    arm_side = tube - _arm_distance(lattice, form)
+    cuts = [_neck_cut(pattern, form, lattice)]
+    if sleeved:
+        cuts.append(np.minimum(hem - y, -arm_side))
+        cuts += [_cuff_cut(lattice, arm, pattern.sleeve, arm_side, form) for arm in form.arms]
+    else:
+        cuts.append(np.broadcast_to(hem - y, lattice.shape))
+        cuts += [_armhole_cut(pattern, form, lattice, arm) for arm in form.arms]
+        # The arm itself always comes out through the hole.
+        arm_skin = _distance_to(lattice, form, arms & ~_shoulder_skin(form))
+        cuts.append(0.014 * form.scale - arm_skin)
+    if pattern.front_gap > 0.0:
+        cuts.append(_front_cut(pattern, form, lattice))
+    cut = cuts[0]
+    for other in cuts[1:]:
+        cut = smooth_intersection(cut, other, 0.02 * form.scale)
+    return ImplicitSurface(lattice, shape, gaussian_filter(cut, 0.8, mode="nearest"))
+
+
+def sections_reach(sections, hem: float, top: float) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """Half extents in x and z (2,) of the part of a tube between two heights."""
+    part = slice(sections.level(hem - 0.05), sections.level(top) + 1)
+    reach = np.nanmax(sections.support[part])
+    return np.array([reach, reach + np.abs(sections.centres[part, 1]).max()])
+
+
+def _lattice(form: BodyForm, reach: np.ndarray, hem: float, pattern: Pattern) -> Lattice:
+    low = np.array([-reach[0], hem, -reach[1]])
+    high = np.array([reach[0], form.neck[1] + 0.05 * form.scale, reach[1]])
+    if pattern.sleeve > 0.0:
+        for arm in form.arms:
+            for place in (0.0, min(1.0, pattern.sleeve), pattern.sleeve):
+                point = arm.along(place)
+                low = np.minimum(low, point - 0.1 * form.scale)
+                high = np.maximum(high, point + 0.1 * form.scale)
+    return Lattice.around(low - _MARGIN, high + _MARGIN, _spacing(form))
+
+
+def _arm_distance(lattice: Lattice, form: BodyForm) -> np.ndarray:
+    """Distance to the nearer arm's bones less a typical arm radius: small on arms, large on the torso."""
+    from pb4u.garment.drape import _cone_chain
+
+    field = np.full(lattice.shape, 1.0)
+    for arm in form.arms:
+        places = np.array([arm.along(s) for s in np.linspace(0.15, 2.0, 12)])
+        places = np.concatenate([places, places[-1:] + 0.25 * form.scale * arm.direction(1.9)])
+        field = np.minimum(field, _cone_chain(lattice, places, np.full(len(places), 0.05 * form.scale)))
+    return field
+
+
+def _neck_cut(pattern: Pattern, form: BodyForm, lattice: Lattice) -> np.ndarray:
+    x, y, z = lattice.axes
+    line = pattern.neckline
+    front = form.midline(float(form.neck[1]) - line.front * form.scale, front=True)
+    back = form.midline(float(form.neck[1]) - line.back * form.scale, front=False)
+    way = (front - back)[1:] / np.linalg.norm((front - back)[1:])
+    above = (y - back[1]) * way[1] - (z - back[2]) * way[0]
+    width = form.neck_half_width + line.spread * form.scale
+    return smooth_union(above, width - np.abs(x), 0.05 * form.scale)
+
+
+def _cuff_cut(lattice: Lattice, arm: Limb, end: float, arm_side: np.ndarray, form: BodyForm) -> np.ndarray:
+    x, y, z = lattice.axes
+    place, axis = arm.along(end), arm.direction(end)
+    beyond = (x - place[0]) * axis[0] + (y - place[1]) * axis[1] + (z - place[2]) * axis[2]
+    return np.minimum(np.minimum(beyond, arm_side), arm.side * x)
+
+
+def _armhole_cut(pattern: Pattern, form: BodyForm, lattice: Lattice, arm: Limb) -> np.ndarray:
+    x, y, _ = lattice.axes
+    strap = form.neck_half_width + (pattern.neckline.spread + pattern.strap) * form.scale
+    low = form.armpit - pattern.armhole_depth * form.scale
+    chest = form.torso.support[form.torso.level(form.armpit - 0.02), form.torso.support.shape[1] // 4]
+    inset = min(strap, abs(arm.joints[0, 0]) - 0.01)
+    bottom = max(float(chest) - 0.02 * form.scale, inset)
+    top = float(arm.joints[0, 1]) + 0.03 * form.scale
+    edge = inset + (bottom - inset) * np.clip((top - y) / (top - low), 0.0, 1.5) ** 2
+    outward = arm.side * x - edge
+    return smooth_union(outward, np.broadcast_to(y - low, outward.shape), 0.06 * form.scale)
+
+
+def _shoulder_skin(form: BodyForm) -> np.ndarray:
+    """(vertices,) bool: the cap of the shoulder, over which straps may lie."""
+    y = form.body.vertices[:, 1]
+    return y > form.shoulder_height
+
+
+def _distance_to(lattice: Lattice, form: BodyForm, skin: np.ndarray) -> np.ndarray:
+    from scipy.spatial import cKDTree
+
+    points, _, owner = form.samples
+    tree = cKDTree(points[skin[owner]], balanced_tree=False, compact_nodes=False)
+    distance, _ = tree.query(lattice.points, distance_upper_bound=0.05)
+    return np.minimum(distance, 0.05).reshape(lattice.shape)
+
+
+def _front_cut(pattern: Pattern, form: BodyForm, lattice: Lattice) -> np.ndarray:
+    x, y, z = lattice.axes
+    middle = np.interp(y, form.torso.heights, form.torso.centres[:, 1])
+    gap = 0.5 * pattern.front_gap * form.scale - np.abs(x)
+    return np.minimum(np.broadcast_to(gap, lattice.shape), z - middle)
+
+
+def _skirt(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
+    hem = hem_height(pattern, form)
+    sections = hanging(form.torso, _ease(pattern, form, hem), _taper(pattern, form), form.waist + 0.02, hem)
+    reach = sections_reach(sections, hem, form.waist)
+    low, high = np.array([-reach[0], hem, -reach[1]]), np.array([reach[0], form.waist, reach[1]])
+    lattice = Lattice.around(low - _MARGIN, high + _MARGIN, _spacing(form))
+    y = lattice.axes[1]
+    cut = np.maximum(np.broadcast_to(hem - y, lattice.shape), y - form.waist)
+    return ImplicitSurface(lattice, tube_field(lattice, sections), cut)
+
+
+def _trousers(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
+    from scipy.ndimage import gaussian_filter
+
+    hem = hem_height(pattern, form)
+    ease, taper = _ease(pattern, form, hem), _taper(pattern, form)
+    arms = form.arms[0].belongs | form.arms[1].belongs
+    feet = form.legs[0].tip | form.legs[1].tip
+    pelvis = hanging(form.torso, ease, taper, form.waist + 0.02, form.crotch)
+    reach = sections_reach(pelvis, form.crotch, form.waist)
+    foot = max(abs(limb.joints[2, 0]) for limb in form.legs) + 0.12 * form.scale
+    reach[0] = max(reach[0], foot)
+    low, high = np.array([-reach[0], hem, -reach[1]]), np.array([reach[0], form.waist, reach[1]])
+    lattice = Lattice.around(low - _MARGIN, high + _MARGIN, 0.85 * _spacing(form))
+    x, y, _ = lattice.axes
+
+    shape = smooth_intersection(tube_field(lattice, pelvis), form.crotch + 0.02 * form.scale - y, 0.04 * form.scale)
+    for limb in form.legs:
+        skin = (limb.side * form.body.vertices[:, 0] > 0) & ~(arms | form.head | feet)
+        leg = hanging(form.sections(skin, None), ease, taper, form.crotch + 0.06 * form.scale, hem)
+        tube = smooth_intersection(tube_field(lattice, leg), y - form.crotch - 0.06 * form.scale, 0.03 * form.scale)
+        shape = smooth_union(shape, tube, 0.02 * form.scale)
+    shape = gaussian_filter(shape, 1.2, mode="nearest")
+    shape = smooth_union(shape, skin_field(lattice, form, arms | form.head | feet) - REST_CLEARANCE, 0.006)
+    shape = smooth_intersection(shape, _between_legs(lattice, form), 0.015 * form.scale)
+    cut = np.maximum(np.broadcast_to(hem - y, lattice.shape), y - form.waist)
+    return ImplicitSurface(lattice, shape, cut)
+
+
+def _between_legs(lattice: Lattice, form: BodyForm) -> np.ndarray:
+    """Positive in the slot that keeps the trouser legs apart, below the height where there is room for it."""
+    from scipy.ndimage import gaussian_filter1d
+
+    points, _, owner = form.samples
+    leg = (form.legs[0].belongs | form.legs[1].belongs)[owner] & (points[:, 1] < form.crotch + 0.02)
+    heights = form.torso.heights
+    level = form.torso.level
+    room = np.full(len(heights), np.inf)
+    np.minimum.at(room, np.clip(np.rint(points[leg, 1] / (heights[1] - heights[0])).astype(int), 0, len(room) - 1),
+                  np.abs(points[leg, 0]))
+    room[level(form.crotch) :] = 0.0
+    half = np.clip(room - 0.005, 0.0, 0.03 * form.scale)
+    half = np.minimum.reduce([half, np.roll(half, 1), np.roll(half, -1)])
+    narrow = np.flatnonzero(half < 0.006 * form.scale)
+    narrow = narrow[narrow > level(form.ankle_height)]
+    top = heights[narrow[0]] if len(narrow) else form.crotch - 0.02
+    arch = 0.006 * form.scale + 0.25 * np.maximum(top - heights, 0.0)
+    half = gaussian_filter1d(np.where(heights < top, np.minimum(half, arch), 0.0), 1.0, mode="nearest")
+    x, y, _ = lattice.axes
+    width = np.interp(y, heights, half)
+    return np.broadcast_to(smooth_union(width - np.abs(x), np.broadcast_to(top - y, width.shape), 0.01), lattice.shape)

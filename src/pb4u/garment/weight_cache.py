@@ -1,0 +1,83 @@
+"""Borrowed skinning weights kept on disk, so that a garment is dressed once."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.skinning import SkinningWeights
+from pb4u.garment.garment import Garment
+from pb4u.garment.weight_transfer import borrow_weights
+
+ALGORITHM = 1
+"""To be raised whenever `borrow_weights` gives different numbers."""
+
+
+def cache_folder() -> Path:
+    """The user's cache folder for this package: XDG_CACHE_HOME, or the platform's own place."""
+    if base := os.environ.get("XDG_CACHE_HOME"):
+        return Path(base) / "pb4u"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "pb4u" / "cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "pb4u"
+    return Path.home() / ".cache" / "pb4u"
+
+
+def garment_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
+    """`borrow_weights`, read from the cache when this garment was dressed on this body before.
+
+    A cache that cannot be read or written costs time, never the result.
+    """
+    path = cache_folder() / "skinning" / f"{_key(garment, body)}.npz"
+    weights = _read(path, len(garment.vertices), body.skeleton.bone_count)
+    if weights is None:
+        weights = borrow_weights(garment, body)
+        _write(path, weights)
+    return weights
+
+
+def _key(garment: Garment, body: ShapedBody) -> str:
+    digest = hashlib.sha256(f"{ALGORITHM} {garment.loose}".encode())
+    skin = (body.vertices, body.faces, body.contact, body.weights.bones, body.weights.weights)
+    for array in (garment.vertices, garment.faces, *skin):
+        digest.update(f"{array.dtype}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _read(path: Path, vertices: int, bones: int) -> SkinningWeights | None:
+    """Weights in `path`, or None when there are none that fit."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            found = SkinningWeights(stored["bones"].astype(np.int64), stored["weights"].astype(np.float32))
+    except Exception:  # np.load raises many kinds on a damaged file; all mean the same here
+        return None
+    fits = (
+        found.bones.shape == found.weights.shape
+        and found.bones.ndim == 2
+        and len(found.bones) == vertices
+        and bool(((found.bones >= 0) & (found.bones < bones)).all())
+        and bool(np.allclose(found.weights.sum(axis=1), 1.0, atol=1e-4))
+    )
+    return found if fits else None
+
+
+def _write(path: Path, weights: SkinningWeights) -> None:
+    """Write in one step, so that two processes never see half a file."""
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+            try:
+                np.savez(part, bones=weights.bones.astype(np.int16), weights=weights.weights)
+                part.close()
+                os.replace(part.name, path)
+            finally:
+                Path(part.name).unlink(missing_ok=True)

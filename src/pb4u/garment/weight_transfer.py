@@ -1,0 +1,134 @@
+"""Skinning weights that a garment borrows from the body it is worn on."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags, identity
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.skinning import SkinningWeights
+from pb4u.garment.garment import Garment
+
+INFLUENCES = 8
+"""Bones that move one garment vertex, at most."""
+
+NEIGHBOURS = 16
+SAMPLES = 200
+SLACK = 0.3  # a sample may take skin this much farther than the nearest: the mean hardly moves, in half the time
+SAMPLE_CHUNK = 2048
+TEARING_EDGES = 4
+
+
+def borrow_weights(garment: Garment, body: ShapedBody, seed: int = 0) -> SkinningWeights:
+    """Skinning weights for a garment worn by `body` in its rest pose, at most `INFLUENCES` bones a vertex.
+
+    A close garment takes the weights of the nearest skin that faces the same way. A loose one, or one that this would
+    tear between the legs, takes the mean over Gaussian samples around each vertex with the distance to the body as
+    standard deviation (reference 1.6). Both are then smoothed over the cloth, farther where the body is farther.
+    """
+    # Hands, and skin inside other skin, must not drag cloth along.
+    allowed = np.flatnonzero(body.contact) if body.contact.any() else np.arange(len(body.vertices))
+    tree = cKDTree(body.vertices[allowed])
+    skin_weights = _dense(body.weights, body.skeleton.bone_count)[allowed]
+    distances, nearest = tree.query(garment.vertices, k=min(NEIGHBOURS, len(allowed)))
+    distances, nearest = distances.reshape(len(distances), -1), nearest.reshape(len(nearest), -1)
+
+    loose = garment.loose
+    weights = _nearest_skin(
+        garment, _vertex_normals(body.vertices, body.faces)[allowed], distances, nearest, skin_weights
+    )
+    if loose or _torn_edges(garment, weights) > TEARING_EDGES:
+        loose = True
+        weights = _gaussian_mean(garment.vertices, distances[:, 0], tree, skin_weights, seed)
+    reach = 0.02 + distances[:, 0] if loose else 0.007 + 0.75 * distances[:, 0]
+    return _strongest(diffuse(garment, weights, reach))
+
+
+def diffuse(garment: Garment, values: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Values (vertices, n) spread over the cloth by about `reach` (vertices,) [m]: one implicit step of heat flow.
+
+    Every result is a mean of the values around it, so rows that sum to 1 still do, whatever the triangles look like.
+    """
+    edges, lengths = garment.topology.edges, np.maximum(garment.edge_lengths, 1e-6)
+    count = len(garment.vertices)
+    a, b = np.concatenate([edges, edges[:, ::-1]]).T
+    adjacency = csr_matrix((np.tile(1.0 / lengths**2, 2), (a, b)), shape=(count, count))
+    degree = np.maximum(np.bincount(a, minlength=count), 1)
+    # On a regular triangulation 4 / degree x sum((u_j - u_i) / length^2) is the Laplacian of u.
+    rate = 4.0 * reach**2 / degree
+    laplacian = diags(np.asarray(adjacency.sum(axis=1)).reshape(-1)) - adjacency
+    solver = splu((identity(count) + diags(rate) @ laplacian).tocsc())
+    used = np.flatnonzero(values.any(axis=0))
+    spread = np.zeros_like(values)
+    spread[:, used] = np.maximum(solver.solve(np.ascontiguousarray(values[:, used], dtype=np.float64)), 0.0)
+    return spread
+
+
+def _dense(weights: SkinningWeights, bones: int) -> np.ndarray:
+    """(vertices, bones) float64."""
+    dense = np.zeros((len(weights.bones), bones))
+    np.add.at(dense, (np.arange(len(dense))[:, None], weights.bones), weights.weights)
+    return dense
+
+
+def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(vertices, 3) unit normals, weighted by area; 0 where no face is."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    total = np.stack(
+        [np.bincount(faces.reshape(-1), weights=cross[:, k], minlength=len(vertices)) for k in range(3)], axis=1
+    )
+    unit: np.ndarray = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
+    return unit
+
+
+def _nearest_skin(
+    garment: Garment, normals: np.ndarray, distances: np.ndarray, nearest: np.ndarray, skin_weights: np.ndarray
+) -> np.ndarray:
+    """(vertices, bones): mean over the nearest skin vertices, nearer ones and those facing the same way first."""
+    facing = np.einsum("id,ikd->ik", _vertex_normals(garment.vertices, garment.faces), normals[nearest])
+    if np.median(facing[:, 0]) < 0.0:  # the whole garment is inside out
+        facing = -facing
+    width = 0.5 * (distances[:, -1:] - distances[:, :1]) + 1e-9
+    closeness = np.exp(-0.5 * ((distances - distances[:, :1]) / width) ** 2) * np.clip(facing, 0.02, 1.0)
+    closeness /= closeness.sum(axis=1, keepdims=True)
+    count, k = nearest.shape
+    mix = csr_matrix((closeness.reshape(-1), nearest.reshape(-1), np.arange(count + 1) * k), (count, len(skin_weights)))
+    return np.asarray(mix @ skin_weights)
+
+
+def _gaussian_mean(
+    vertices: np.ndarray, sigma: np.ndarray, tree: cKDTree, skin_weights: np.ndarray, seed: int
+) -> np.ndarray:
+    """(vertices, bones): mean weights of the skin vertices nearest to samples N(vertex, sigma^2)."""
+    # The same draw at every vertex: noise that neighbours share does not wrinkle the cloth.
+    half = np.random.default_rng(seed).standard_normal((SAMPLES // 2, 3))
+    draw = np.concatenate([half, -half])
+    mean = np.empty((len(vertices), skin_weights.shape[1]))
+    for start in range(0, len(vertices), SAMPLE_CHUNK):
+        rows = slice(start, start + SAMPLE_CHUNK)
+        samples = vertices[rows, None] + sigma[rows, None, None] * draw
+        hit = tree.query(samples.reshape(-1, 3), eps=SLACK)[1]
+        count = len(samples)
+        mix = csr_matrix(
+            (np.full(len(hit), 1.0 / SAMPLES), hit, np.arange(count + 1) * SAMPLES), (count, len(skin_weights))
+        )
+        mean[rows] = mix @ skin_weights
+    return mean
+
+
+def _torn_edges(garment: Garment, weights: np.ndarray) -> int:
+    """Number of edges whose two ends mostly follow different bones."""
+    a, b = garment.topology.edges.T
+    return int((np.abs(weights[a] - weights[b]).sum(axis=1) > 1.0).sum())
+
+
+def _strongest(weights: np.ndarray) -> SkinningWeights:
+    """The `INFLUENCES` largest weights of each row, renormalised."""
+    keep = min(INFLUENCES, weights.shape[1])
+    bones = np.argsort(-weights, axis=1, kind="stable")[:, :keep]
+    kept = np.take_along_axis(weights, bones, axis=1)
+    kept /= kept.sum(axis=1, keepdims=True)
+    return SkinningWeights(bones.astype(np.int64), kept.astype(np.float32))

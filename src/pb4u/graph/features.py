@@ -1,0 +1,133 @@
+"""Every feature a graph can carry: its width, unit, whether it is normalised, and where it comes from.
+
+A `FeatureLayout` is an ordered choice of them; it is stored in a checkpoint, so a network always meets its own columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from pb4u.errors import InputError
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One named group of columns.
+
+    Args:
+        name: how layouts refer to it.
+        width: number of columns.
+        unit: SI unit, "1" where it has none.
+        normalised: whether running statistics centre and scale it.
+        typical: usual spread, taken where there are no statistics yet; a hundredth of it is the smallest spread
+            believed.
+        source: what it is and where the definition comes from.
+    """
+
+    name: str
+    width: int
+    unit: str
+    normalised: bool
+    typical: float
+    source: str
+
+
+def _index(*features: Feature) -> dict[str, Feature]:
+    return {feature.name: feature for feature in features}
+
+
+DT = Feature("dt", 1, "1", False, 1.0, "log(dt / (1/30 s)); a constant dt would leave a running spread of zero")
+
+NODE_FEATURES = _index(
+    Feature("velocity", 3, "m/step", True, 1e-2, "garment: velocity x dt; body: now - previous frame (ref. 1.2)"),
+    Feature("normal", 3, "1", True, 0.6, "area-weighted unit vertex normal (ref. 1.2)"),
+    Feature("areal_density", 1, "1", False, 1.0, "log areal density, [0, 1] over the training range; -1 on the body"),
+    Feature("vertex_mass", 1, "log kg", True, 2.0, "log vertex mass, -1 on the body: the released form (ref. 1.2)"),
+    Feature("material", 3, "1", False, 1.0, "bending, mu, lambda, [0, 1] over the training range; -1 on the body"),
+    DT,
+)
+
+MESH_EDGE_FEATURES = _index(
+    Feature("direction", 3, "1", True, 0.6, "unit vector from receiver to sender, now (paper, edge feature 1)"),
+    Feature("rest_direction", 3, "1", True, 0.6, "the same at rest (paper, edge feature 2)"),
+    Feature("length_ratio", 1, "1", True, 0.1, "length now / length at rest (paper, edge feature 3)"),
+    DT,
+    Feature("material", 3, "1", False, 1.0, "mean of both ends' bending, mu, lambda (ref. 1.2, release)"),
+    Feature("relative_position", 3, "m", True, 1e-2, "sender - receiver, now: fine15 and HOOD (ref. 1.2)"),
+    Feature("length", 1, "m", True, 1e-2, "its norm: fine15 and HOOD"),
+    Feature("rest_relative_position", 3, "m", True, 1e-2, "sender - receiver at rest: fine15 and HOOD"),
+    Feature("rest_length", 1, "m", True, 1e-2, "its norm: fine15 and HOOD"),
+)
+
+WORLD_EDGE_FEATURES = _index(
+    Feature("relative_now", 3, "m", True, 1e-2, "receiver - sender, both now (ref. 1.2)"),
+    Feature("distance_now", 1, "m", True, 1e-2, "its norm"),
+    Feature("relative_next", 3, "m", True, 1e-2, "receiver - sender, garment now and body next (ref. 1.2)"),
+    Feature("distance_next", 1, "m", True, 1e-2, "its norm"),
+    DT,
+)
+
+
+@dataclass(frozen=True)
+class MaterialRange:
+    """Where materials are mapped to [0, 1]: the training range (ref. 1.7)."""
+
+    density: tuple[float, float] = (0.0434, 0.7)
+    lame_mu: tuple[float, float] = (15909.0, 63636.0)
+    lame_lambda: tuple[float, float] = (3535.41, 93333.74)
+    bending: tuple[float, float] = (6.3708e-8, 1.31397e-3)
+
+
+@dataclass(frozen=True)
+class FeatureLayout:
+    """Which columns a network reads, in order.
+
+    Args:
+        node, mesh_edge, world_edge: names from the tables above.
+        extra: further node features that the caller hands over by name; zero on the body.
+        material_range: where materials are mapped to [0, 1].
+    """
+
+    node: tuple[str, ...] = ("velocity", "normal", "dt", "areal_density", "material")
+    mesh_edge: tuple[str, ...] = ("direction", "rest_direction", "length_ratio", "dt", "material")
+    world_edge: tuple[str, ...] = ("relative_now", "distance_now", "relative_next", "distance_next", "dt")
+    extra: tuple[Feature, ...] = ()
+    material_range: MaterialRange = field(default_factory=MaterialRange)
+
+    def __post_init__(self) -> None:
+        tables = (("node", NODE_FEATURES), ("mesh_edge", MESH_EDGE_FEATURES), ("world_edge", WORLD_EDGE_FEATURES))
+        for label, table in tables:
+            for name in getattr(self, label):
+                if name not in table:
+                    raise InputError(f"There is no {label} feature {name!r}; there are: {', '.join(table)}.")
+
+    @property
+    def node_columns(self) -> tuple[Feature, ...]:
+        return (*(NODE_FEATURES[name] for name in self.node), *self.extra)
+
+    @property
+    def mesh_edge_columns(self) -> tuple[Feature, ...]:
+        return tuple(MESH_EDGE_FEATURES[name] for name in self.mesh_edge)
+
+    @property
+    def world_edge_columns(self) -> tuple[Feature, ...]:
+        return tuple(WORLD_EDGE_FEATURES[name] for name in self.world_edge)
+
+
+def total_width(columns: tuple[Feature, ...]) -> int:
+    """Number of columns of all features together."""
+    return sum(feature.width for feature in columns)
+
+
+def map_log(values: Tensor, limits: tuple[float, float]) -> Tensor:
+    """`values` on a log scale, limits[0] -> 0 and limits[1] -> 1, kept within [-1, 2]."""
+    low, high = (float(torch.tensor(limit, dtype=torch.float64).log()) for limit in limits)
+    return ((values.clamp_min(torch.finfo(values.dtype).tiny).log() - low) / (high - low)).clamp(-1.0, 2.0)
+
+
+def map_linear(values: Tensor, limits: tuple[float, float]) -> Tensor:
+    """`values` on a linear scale, limits[0] -> 0 and limits[1] -> 1, kept within [-1, 2]."""
+    return ((values - limits[0]) / (limits[1] - limits[0])).clamp(-1.0, 2.0)

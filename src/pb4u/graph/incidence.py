@@ -1,0 +1,49 @@
+"""Which node each edge touches, and which edges each node touches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+Span = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Incidence:
+    """One end of a list of edges, readable from both sides.
+
+    Args:
+        index: (edges,) int64 node at this end of each edge.
+        offsets: (nodes + 1,) int64; edges order[offsets[i]:offsets[i + 1]] touch node i.
+        order: (edges,) int64 edges in ascending order of their node (the identity where they are stored so).
+    """
+
+    index: Tensor
+    offsets: Tensor
+    order: Tensor
+
+    @property
+    def node_count(self) -> int:
+        return self.offsets.shape[0] - 1
+
+    def restrict(self, edges: Sequence[Span], nodes: Sequence[Span]) -> Incidence:
+        """Only the given spans, each span of edges touching exactly the span of nodes beside it, renumbered."""
+        index, order, offsets = [], [], [self.offsets.new_zeros(1)]
+        edge_base = node_base = 0
+        for (e0, e1), (n0, n1) in zip(edges, nodes, strict=True):
+            index.append(self.index[e0:e1] + (node_base - n0))
+            order.append(self.order[e0:e1] + (edge_base - e0))
+            offsets.append(self.offsets[n0 + 1 : n1 + 1] + (edge_base - e0))
+            edge_base += e1 - e0
+            node_base += n1 - n0
+        return Incidence(torch.cat(index), torch.cat(offsets), torch.cat(order))
+
+
+def incidence(index: Tensor, node_count: int) -> Incidence:
+    """The incidence of edges that end at `index` (edges,) among `node_count` nodes."""
+    ordered, order = torch.sort(index, stable=True)
+    nodes = torch.arange(node_count + 1, device=index.device)
+    return Incidence(index, torch.searchsorted(ordered, nodes), order)

@@ -1,0 +1,80 @@
+"""Pairs of garment and body vertices close enough to talk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pb4u.errors import InputError
+
+
+@dataclass(frozen=True)
+class WorldEdgeRule:
+    """Which body vertices a garment vertex sees.
+
+    Args:
+        radius: largest distance [m] (paper: a threshold; ref. 1.4: 3 cm).
+        neighbours: the nearest so many; 1 in the released code, a large cap for all within the radius, as in the paper.
+    """
+
+    radius: float = 0.03
+    neighbours: int = 1
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.radius < float("inf")) or not 1 <= self.neighbours <= 64:
+            raise InputError(
+                f"World edges need a radius above 0 m and 1 to 64 neighbours, not {self.radius} m and "
+                f"{self.neighbours}."
+            )
+
+
+@torch.no_grad()
+def nearest_within(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
+    """The nearest `targets` (n, 3) of each of `points` (m, 3) [m].
+
+    Returns indices (m, neighbours) int64, nearest first, and whether each lies within the radius; absent ones index 0.
+    A tree on the CPU, exact distances in chunks on an accelerator.
+    """
+    count, neighbours = points.shape[0], rule.neighbours
+    if targets.shape[0] == 0:
+        index = torch.zeros(count, neighbours, dtype=torch.int64, device=points.device)
+        return index, torch.zeros_like(index, dtype=torch.bool)
+    if points.device.type == "cpu":
+        return _nearest_by_tree(points, targets, rule)
+    return _nearest_by_chunks(points, targets, rule)
+
+
+def _nearest_by_tree(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
+    from scipy.spatial import cKDTree
+
+    cloud, queries = targets.numpy(), points.numpy()
+    near = ((cloud >= queries.min(axis=0) - rule.radius) & (cloud <= queries.max(axis=0) + rule.radius)).all(axis=1)
+    kept = near.nonzero()[0]
+    wanted = list(range(1, rule.neighbours + 1))
+    if len(kept) == 0:
+        index = torch.zeros(len(queries), rule.neighbours, dtype=torch.int64)
+        return index, torch.zeros_like(index, dtype=torch.bool)
+    tree = cKDTree(cloud[kept], balanced_tree=False, compact_nodes=False)
+    _, index = tree.query(queries, k=wanted, distance_upper_bound=rule.radius)
+    found = index < len(kept)
+    index[~found] = 0
+    return torch.from_numpy(kept[index]), torch.from_numpy(found)
+
+
+def _nearest_by_chunks(points: Tensor, targets: Tensor, rule: WorldEdgeRule, rows: int = 4096) -> tuple[Tensor, Tensor]:
+    wanted = min(rule.neighbours, targets.shape[0])
+    indices, distances = [], []
+    for start in range(0, points.shape[0], rows):
+        block = points[start : start + rows]
+        distance = torch.cdist(block, targets, compute_mode="donot_use_mm_for_euclid_dist")
+        best, index = distance.topk(wanted, dim=1, largest=False)
+        indices.append(index)
+        distances.append(best)
+    index, found = torch.cat(indices), torch.cat(distances) <= rule.radius
+    if wanted < rule.neighbours:
+        missing = rule.neighbours - wanted
+        index = torch.nn.functional.pad(index, (0, missing))
+        found = torch.nn.functional.pad(found, (0, missing))
+    return torch.where(found, index, 0), found

@@ -1,0 +1,173 @@
+"""Biovision hierarchy files (.bvh) with the joint names of CMU conversions, Mixamo and Poser / DAZ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.errors import InputError
+from pb4u.geometry.rotation import multiply
+from pb4u.motion.correspondences import BVH_SOURCES, SourceMap
+from pb4u.motion.euler import euler_quaternions
+from pb4u.motion.recording import Recording, finite
+
+_CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
+
+
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    name: str
+    parent: int
+    offset: np.ndarray
+    channels: tuple[str, ...]
+    first_channel: int
+
+
+def read_bvh(path: Path) -> Recording:
+    """Read a .bvh, in its own unit of length.
+
+    Raises InputError, with the line or frame, when it is cut short or malformed, has no frames or no frame time, or
+    its joints are not of a known skeleton.
+    """
+    text = path.read_text(encoding="utf-8", errors="replace")
+    head, motion, tail = text.partition("MOTION")
+    if not motion or not head.lstrip().upper().startswith("HIERARCHY"):
+        missing = "MOTION section; it is cut short" if "HIERARCHY" in head else "HIERARCHY; it is not a BVH recording"
+        raise InputError(f"{path} has no {missing}.")
+    joints = _hierarchy(path, head)
+    source = _source(path, joints)
+    values, fps = _motion(path, tail, sum(len(joint.channels) for joint in joints))
+
+    rotations = np.empty((len(values), len(joints), 4))
+    rest = np.zeros((len(joints), 3))
+    for i, joint in enumerate(joints):
+        columns = list(range(joint.first_channel, joint.first_channel + len(joint.channels)))
+        turning = [c for c in columns if joint.channels[c - joint.first_channel].endswith("rotation")]
+        # The channel written first turns last.
+        order = "".join(joint.channels[c - joint.first_channel][0] for c in reversed(turning))
+        local = (
+            euler_quaternions(values[:, turning[::-1]], order)
+            if turning
+            else np.tile([1.0, 0.0, 0.0, 0.0], (len(values), 1))
+        )
+        rotations[:, i] = local if joint.parent < 0 else multiply(rotations[:, joint.parent], local)
+        rest[i] = (rest[joint.parent] if joint.parent >= 0 else 0.0) + joint.offset
+    root_positions = np.tile(rest[0], (len(values), 1))
+    for k, channel in enumerate(joints[0].channels):
+        if channel.endswith("position"):
+            root_positions[:, "XYZ".index(channel[0])] = values[:, k]
+    names = tuple(_plain(joint.name) for joint in joints)
+    skeleton = Skeleton(names, np.array([joint.parent for joint in joints], dtype=np.int64), rest)
+    poses = finite(PoseSequence(rotations, root_positions, fps), path)
+    return Recording(path.stem, source, skeleton, poses).facing_forward().with_vertical_legs()
+
+
+def _plain(name: str) -> str:
+    """A joint name without the namespace that exporters put before it ("mixamorig:Hips")."""
+    return name.rpartition(":")[2]
+
+
+def _hierarchy(path: Path, text: str) -> list[_Joint]:
+    words = iter(text.split()[1:])
+    joints: list[_Joint] = []
+    open_joints: list[int] = []
+    name, count = "", 0
+    end_site = False
+
+    def following(what: str) -> str:
+        word = next(words, None)
+        if word is None:
+            raise InputError(f'{path} is cut short: {what} of joint "{name}" is missing.')
+        return word
+
+    for word in words:
+        keyword = word.upper()
+        if keyword in ("ROOT", "JOINT"):
+            name = following("the name")
+            if keyword == "ROOT" and joints:
+                raise InputError(f'{path} has a second root, "{name}"; a recording of one person has one.')
+        elif keyword == "END":
+            following("the end site")
+            end_site = True
+        elif keyword == "{":
+            if not end_site:
+                parent = open_joints[-1] if open_joints else -1
+                joints.append(_Joint(name, parent, np.zeros(3), (), count))
+            open_joints.append(-2 if end_site else len(joints) - 1)
+        elif keyword == "}":
+            if not open_joints:
+                raise InputError(f'{path}: a closing brace too many after joint "{name}".')
+            open_joints.pop()
+            end_site = False
+        elif keyword == "OFFSET":
+            offset = np.array([_number(path, following("OFFSET"), f'OFFSET of "{name}"') for _ in range(3)])
+            if not end_site and joints:
+                joints[-1] = _Joint(joints[-1].name, joints[-1].parent, offset, (), count)
+        elif keyword == "CHANNELS":
+            number = int(_number(path, following("CHANNELS"), f'CHANNELS of "{name}"'))
+            channels = tuple(following("CHANNELS") for _ in range(number))
+            unknown = [c for c in channels if c not in _CHANNELS]
+            if unknown or not joints:
+                raise InputError(f'{path}: joint "{name}" has an unknown channel "{(unknown or channels)[0]}".')
+            last = joints[-1]
+            joints[-1] = _Joint(last.name, last.parent, last.offset, channels, count)
+            count += number
+        else:
+            raise InputError(f'{path}: "{word}" after joint "{name}" is not part of a BVH hierarchy.')
+    if open_joints or not joints:
+        raise InputError(f'{path} is cut short in its HIERARCHY, after joint "{name}".')
+    return joints
+
+
+def _number(path: Path, word: str, what: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value):
+        raise InputError(f'{path}: {what} should be a number, found "{word}".')
+    return value
+
+
+def _source(path: Path, joints: list[_Joint]) -> SourceMap:
+    names = {_plain(joint.name) for joint in joints}
+    for source in BVH_SOURCES:
+        if source.bones <= names:
+            return source
+    nearest = max(BVH_SOURCES, key=lambda source: len(source.bones & names) / len(source.bones))
+    missing = sorted(nearest.bones - names)
+    raise InputError(
+        f"{path}: its joints ({', '.join(sorted(names)[:6])}, ..) are of no known skeleton; the nearest is "
+        f"{nearest.family}, of which {', '.join(missing[:6])} are missing: rename the joints like one of "
+        f"{', '.join(source.family for source in BVH_SOURCES)}."
+    )
+
+
+def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
+    """Channel values (frames, channels) and frames per second."""
+    words = text.replace(":", ": ").split()
+    lower = [word.lower() for word in words[:5]]
+    if len(words) < 5 or lower[0] != "frames:" or lower[2:4] != ["frame", "time:"]:
+        raise InputError(f'{path}: MOTION does not begin with "Frames:" and "Frame Time:"; the file is cut short.')
+    frames = int(_number(path, words[1], "Frames"))
+    frame_time = _number(path, words[4], "Frame Time")
+    if frames < 1:
+        raise InputError(f"{path} holds no frames.")
+    if frame_time <= 0.0:
+        raise InputError(f"{path}: the frame time is {frame_time:g} s; it should be positive, such as 0.00833333.")
+    found = len(words) - 5
+    if found < frames * channels:
+        raise InputError(
+            f"{path} is cut short: it should have {frames} frames of {channels} numbers, and ends in frame "
+            f"{found // channels + 1}."
+        )
+    if found > frames * channels:
+        raise InputError(f"{path} has {found} numbers, not the {frames} frames of {channels} that its header tells.")
+    try:
+        values = np.array(list(map(float, words[5:])))
+    except ValueError as problem:
+        raise InputError(f"{path} has a word where a number should be: {problem}.") from None
+    return values.reshape(frames, channels), 1.0 / frame_time

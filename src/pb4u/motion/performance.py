@@ -1,0 +1,216 @@
+"""A procedural performance in human terms, and the body that performs it with its feet where they were planned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pb4u.body.skeleton import PoseSequence
+from pb4u.geometry.rotation import conjugate, multiply, rotate, slerp
+from pb4u.motion.correspondences import ROLE_INDEX, ROLES
+from pb4u.motion.humanoid import Humanoid
+from pb4u.motion.reference_pose import T_POSE
+
+# Share of the turn from pelvis to chest, and from chest to head, that each bone has done.
+_SPINE_SHARES = {"spine_lower": 0.3, "spine_middle": 0.65, "spine_upper": 1.0}
+_NECK_SHARES = {"neck_lower": 0.3, "neck_upper": 0.65, "head": 1.0}
+# A planned foot should be no farther from its hip than this share of the leg's length; no leg reaches past the second.
+FULL_STRETCH, _LOCKED = 0.993, 0.9995
+
+Angle = np.ndarray | float
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """A rotation Ry(yaw) Rx(pitch) Rz(roll) in degrees: yaw to the left, pitch forward, roll with the left side up."""
+
+    pitch: Angle = 0.0
+    yaw: Angle = 0.0
+    roll: Angle = 0.0
+
+    def quaternions(self, frames: int) -> np.ndarray:
+        """(frames, 4) wxyz."""
+        facing = multiply(about("y", self.yaw, frames), about("x", self.pitch, frames))
+        return multiply(facing, about("z", self.roll, frames))
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """Angles of an arm in degrees, told from hanging with the palm to the thigh; mirrored on the right.
+
+    Args:
+        flexion: upper arm swung forward.
+        abduction: upper arm lifted sideways.
+        sweep: the whole arm turned about the vertical, outward.
+        twist: upper arm turned inward about itself.
+        elbow: bend of the elbow.
+        pronation: forearm turned inward about itself.
+        wrist: hand bent towards the palm.
+        shrug: shoulder lifted.
+    """
+
+    flexion: Angle = 0.0
+    abduction: Angle = 10.0
+    sweep: Angle = 0.0
+    twist: Angle = 15.0
+    elbow: Angle = 15.0
+    pronation: Angle = 20.0
+    wrist: Angle = 5.0
+    shrug: Angle = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Foot:
+    """Where a foot is.
+
+    Args:
+        ankle: (frames, 3) world position of the ankle [m].
+        rotation: (frames, 4) world rotation of the foot from rest.
+        toes: (frames, 4) world rotation of the toes from rest.
+    """
+
+    ankle: np.ndarray
+    rotation: np.ndarray
+    toes: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Performance:
+    """What a body does over time.
+
+    Args:
+        hips: (frames, 3) world position of the middle of the hips [m].
+        pelvis: rotation of the pelvis in the world.
+        chest: rotation of the chest from the pelvis.
+        head: rotation of the head from the chest.
+        arms: arm angles by side.
+        feet: planned feet by side.
+    """
+
+    hips: np.ndarray
+    pelvis: Turn
+    feet: Mapping[str, Foot]
+    chest: Turn = field(default_factory=Turn)
+    head: Turn = field(default_factory=Turn)
+    arms: Mapping[str, Arm] = field(default_factory=lambda: {"L": Arm(), "R": Arm()})
+
+
+def about(axis: str, degrees: Angle, frames: int) -> np.ndarray:
+    """Quaternions (frames, 4) wxyz about a world axis."""
+    half = 0.5 * np.deg2rad(np.broadcast_to(np.asarray(degrees, dtype=np.float64), (frames,)))
+    q = np.zeros((frames, 4))
+    q[:, 0] = np.cos(half)
+    q[:, 1 + "xyz".index(axis)] = np.sin(half)
+    return q
+
+
+def role_rotations(performance: Performance, humanoid: Humanoid) -> np.ndarray:
+    """Role rotations (frames, roles, 4) from the rest pose of the body; legs are solved by inverse kinematics."""
+    frames = len(performance.hips)
+    roles = np.tile([1.0, 0.0, 0.0, 0.0], (frames, len(ROLES), 1))
+    pelvis = performance.pelvis.quaternions(frames)
+    chest = multiply(pelvis, performance.chest.quaternions(frames))
+    head = multiply(chest, performance.head.quaternions(frames))
+    roles[:, ROLE_INDEX["pelvis"]] = pelvis
+    for shares, start, end in ((_SPINE_SHARES, pelvis, chest), (_NECK_SHARES, chest, head)):
+        for role, share in shares.items():
+            roles[:, ROLE_INDEX[role]] = slerp(start, end, np.full(frames, share))
+    for side in "LR":
+        local = _arm_rotations(performance.arms[side], frames)
+        for role, rotation in local.items():
+            mirrored = rotation if side == "L" else rotation * np.array([1.0, 1.0, -1.0, -1.0])
+            roles[:, ROLE_INDEX[f"{role}.{side}"]] = multiply(chest, mirrored)
+    roles = humanoid.aligned(roles, T_POSE)
+    for side in "LR":
+        for role, rotation in _leg_rotations(performance, humanoid, pelvis, side).items():
+            roles[:, ROLE_INDEX[f"{role}.{side}"]] = rotation
+    return roles
+
+
+def poses_of(performance: Performance, humanoid: Humanoid, fps: float) -> PoseSequence:
+    """The poses of a body that performs."""
+    rotations = humanoid.bone_rotations(role_rotations(performance, humanoid))
+    return PoseSequence(rotations, humanoid.root_positions(rotations, performance.hips), fps)
+
+
+def _arm_rotations(arm: Arm, n: int) -> dict[str, np.ndarray]:
+    """Left arm's rotations from a T-pose, in the frame of the chest."""
+    lift = np.asarray(arm.abduction, dtype=np.float64) + np.asarray(arm.flexion) * 0.0
+    # The collar bone follows an arm that is lifted above the shoulder.
+    height = np.maximum(lift, np.abs(arm.flexion))
+    collar = about("z", np.asarray(arm.shrug) + 18.0 * _soft_ramp((height - 60.0) / 90.0), n)
+    upper = multiply(about("x", -np.asarray(arm.flexion), n), about("z", lift - 90.0, n))
+    upper = multiply(about("y", arm.sweep, n), upper)
+    upper = multiply(upper, about("x", arm.twist, n))
+    fore = multiply(upper, about("y", -np.asarray(arm.elbow), n))
+    end = multiply(fore, about("x", arm.pronation, n))
+    hand = multiply(end, about("z", -np.asarray(arm.wrist), n))
+    return {"clavicle": collar, "upper_arm": upper, "forearm": fore, "forearm_end": end, "hand": hand}
+
+
+def _soft_ramp(s: np.ndarray) -> np.ndarray:
+    s = np.clip(s, 0.0, 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+def _leg_rotations(
+    performance: Performance, humanoid: Humanoid, pelvis: np.ndarray, side: str
+) -> dict[str, np.ndarray]:
+    """Two-bone inverse kinematics: rotations from rest of a leg's bones that put the ankle where it was planned."""
+    foot = performance.feet[side]
+    rest_hip, rest_knee, rest_ankle = (humanoid.joint(f"{role}.{side}") for role in ("thigh", "shin", "foot"))
+    hip = performance.hips + rotate(pelvis, rest_hip - humanoid.hip_midpoint)
+    upper, lower = float(np.linalg.norm(rest_knee - rest_hip)), float(np.linalg.norm(rest_ankle - rest_knee))
+    reach = foot.ankle - hip
+    distance = np.linalg.norm(reach, axis=1)
+    along = reach / distance[:, None]
+    distance = reachable_distance(distance, upper + lower)
+    front = np.array([0.0, 0.0, 1.0])
+    # A knee points between where the pelvis and where the foot point.
+    pole = rotate(slerp(pelvis, level_heading(foot.rotation), np.full(len(reach), 0.6)), front)
+    pole = pole - np.sum(pole * along, axis=1, keepdims=True) * along
+    pole /= np.linalg.norm(pole, axis=1, keepdims=True)
+    cosine = np.clip((upper**2 + distance**2 - lower**2) / (2 * upper * distance), -1.0, 1.0)
+    thigh = cosine[:, None] * along + np.sqrt(1.0 - cosine**2)[:, None] * pole
+    shin = (distance[:, None] * along - upper * thigh) / lower
+    return {
+        "thigh": _frame_to_frame(rest_knee - rest_hip, front, thigh, pole),
+        "shin": _frame_to_frame(rest_ankle - rest_knee, front, shin, pole),
+        "foot": foot.rotation,
+        "toes": foot.toes,
+    }
+
+
+def reachable_distance(distance: np.ndarray, leg: float) -> np.ndarray:
+    """Hip-to-ankle distance as far as the leg reaches: unchanged up to `FULL_STRETCH`, then ever closer to locked."""
+    start, end = FULL_STRETCH * leg, _LOCKED * leg
+    over = np.maximum(distance - start, 0.0)
+    return np.minimum(distance, start) + (end - start) * np.tanh(over / (end - start))
+
+
+def level_heading(rotation: np.ndarray) -> np.ndarray:
+    """The turn about Y (frames, 4) of rotations (frames, 4): the twist part of their swing-twist decomposition."""
+    twist = rotation * np.array([1.0, 0.0, 1.0, 0.0])
+    return twist / np.linalg.norm(twist, axis=-1, keepdims=True)
+
+
+def _frame_to_frame(rest_along: np.ndarray, rest_pole: np.ndarray, along: np.ndarray, pole: np.ndarray) -> np.ndarray:
+    """Rotations (frames, 4) that take the rest direction and its pole to the posed ones."""
+    rest = _frame_quaternions(rest_along[None], rest_pole[None])
+    return multiply(_frame_quaternions(along, pole), conjugate(rest))
+
+
+def _frame_quaternions(along: np.ndarray, pole: np.ndarray) -> np.ndarray:
+    """Quaternions (frames, 4) of the frames whose -Y is `along` and whose Z lies towards `pole`."""
+    y = -along / np.linalg.norm(along, axis=1, keepdims=True)
+    z = pole - np.sum(pole * y, axis=1, keepdims=True) * y
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    # Y to its place by the smallest rotation, then a twist about it.
+    swing = np.concatenate([1.0 + y[:, 1:2], np.cross(np.array([0.0, 1.0, 0.0]), y)], axis=1)
+    swing /= np.linalg.norm(swing, axis=1, keepdims=True)
+    local = rotate(conjugate(swing), z)
+    half = 0.5 * np.arctan2(local[:, 0], local[:, 2])
+    twist = np.stack([np.cos(half), np.zeros_like(half), np.sin(half), np.zeros_like(half)], axis=1)
+    return multiply(swing, twist)

@@ -1,0 +1,158 @@
+"""A recorded performance of some skeleton, whatever file it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.body.skinning import joint_positions
+from pb4u.errors import InputError
+from pb4u.geometry.rotation import conjugate, multiply, rotate, slerp
+from pb4u.motion.correspondences import ROLES, Blend, SourceMap
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """World rotations of a recorded skeleton from its own reference pose; lengths in any unit, Y up.
+
+    Args:
+        name: what the user called it.
+        source: how its bones play the roles.
+        skeleton: the reference pose, facing +Z.
+        poses: the performance.
+        notes: plain sentences on what was repaired or ignored.
+    """
+
+    name: str
+    source: SourceMap
+    skeleton: Skeleton
+    poses: PoseSequence
+    notes: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """Time from the first frame to the last [s]."""
+        return (len(self.poses) - 1) / self.poses.fps
+
+    def cropped(self, start: int, stop: int) -> Recording:
+        """Frames start..stop-1 of the recording, counted at its own rate. Raises InputError outside it."""
+        frames = len(self.poses)
+        if not 0 <= start < stop <= frames:
+            raise InputError(
+                f"{self.name}: the crop {start}:{stop} is not inside the recording, which has frames 0:{frames}."
+            )
+        poses = PoseSequence(self.poses.rotations[start:stop], self.poses.root_positions[start:stop], self.poses.fps)
+        return replace(self, poses=poses)
+
+    def sampled(self, times: np.ndarray) -> PoseSequence:
+        """Poses at `times` (frames,) [s], within the recording: rotations by slerp, positions linearly."""
+        position = np.clip(np.asarray(times) * self.poses.fps, 0.0, len(self.poses) - 1)
+        lower = np.minimum(np.floor(position + 1e-9).astype(np.int64), max(len(self.poses) - 2, 0))
+        upper = np.minimum(lower + 1, len(self.poses) - 1)
+        s = position - lower
+        roots, rotations = self.poses.root_positions, self.poses.rotations
+        fps = 1.0 / float(times[1] - times[0]) if len(times) > 1 else self.poses.fps
+        return PoseSequence(
+            slerp(rotations[lower], rotations[upper], s[:, None]),
+            roots[lower] + s[:, None] * (roots[upper] - roots[lower]),
+            fps,
+        )
+
+    def facing_forward(self) -> Recording:
+        """The same performance in axes in which the reference pose has Y up, faces +Z and has its left at +X.
+
+        The reference pose is taken to stand along the axes of its file, whichever they are.
+        """
+        joints = self.skeleton.joints
+        hips = [joints[self.joint_index(f"thigh.{side}")] for side in "LR"]
+        ankles = [joints[self.joint_index(f"foot.{side}")] for side in "LR"]
+        left = _nearest_axis(hips[0] - hips[1])
+        up = _nearest_axis(sum(hips) - sum(ankles))
+        axes = np.stack([left, up, np.cross(left, up)])
+        if np.array_equal(axes, np.eye(3)) or np.dot(left, up) != 0.0:
+            return self
+        q = Rotation.from_matrix(axes).as_quat()[[3, 0, 1, 2]]
+        rotations = multiply(multiply(q, self.poses.rotations), conjugate(q))
+        return replace(
+            self,
+            skeleton=replace(self.skeleton, joints=joints @ axes.T),
+            poses=PoseSequence(rotations, self.poses.root_positions @ axes.T, self.poses.fps),
+        )
+
+    def with_vertical_legs(self) -> Recording:
+        """The same performance, told from a reference pose whose legs hang straight down in the frontal plane.
+
+        The rest poses of motion capture skeletons often spread the legs, feet and all; a body at rest does not.
+        """
+        joints = self.skeleton.joints.copy()
+        rotations = self.poses.rotations.copy()
+        parents = self.skeleton.parents.tolist()
+        for side in "LR":
+            hip, ankle = (self.joint_index(f"{role}.{side}") for role in ("thigh", "foot"))
+            leg = joints[ankle] - joints[hip]
+            half = 0.5 * -np.arctan2(leg[0], -leg[1])
+            turn = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+            branch = {hip}
+            for bone, parent in enumerate(parents):
+                if parent in branch:
+                    branch.add(bone)
+            below = sorted(branch)
+            joints[below] = joints[hip] + rotate(turn, joints[below] - joints[hip])
+            rotations[:, below] = multiply(rotations[:, below], conjugate(turn))
+        return replace(
+            self,
+            skeleton=replace(self.skeleton, joints=joints),
+            poses=replace(self.poses, rotations=rotations),
+        )
+
+    def joint_index(self, role: str) -> int:
+        """Index of the bone whose head marks the upper end of a limb role."""
+        part = self.source.roles[role]
+        return self.skeleton.index(part.first if isinstance(part, Blend) else part)
+
+    def role_rotations(self, poses: PoseSequence) -> np.ndarray:
+        """World rotations (frames, roles, 4) from the reference pose of every role."""
+        result = np.empty((len(poses), len(ROLES), 4))
+        for i, role in enumerate(ROLES):
+            part = self.source.roles[role]
+            if isinstance(part, Blend):
+                first, second = (poses.rotations[:, self.skeleton.index(b)] for b in (part.first, part.second))
+                result[:, i] = slerp(first, second, np.full(len(poses), part.amount))
+            else:
+                result[:, i] = poses.rotations[:, self.skeleton.index(part)]
+        return result
+
+    def hip_midpoints(self, poses: PoseSequence) -> np.ndarray:
+        """World positions (frames, 3) halfway between the hip joints."""
+        joints = joint_positions(self.skeleton, poses)
+        return 0.5 * (joints[:, self.joint_index("thigh.L")] + joints[:, self.joint_index("thigh.R")])
+
+    @property
+    def leg_length(self) -> float:
+        """Hip to knee to ankle at rest, mean of both legs."""
+        joints = self.skeleton.joints
+        total = 0.0
+        for side in "LR":
+            hip, knee, ankle = (joints[self.joint_index(f"{role}.{side}")] for role in ("thigh", "shin", "foot"))
+            total += float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
+        return 0.5 * total
+
+
+def _nearest_axis(v: np.ndarray) -> np.ndarray:
+    k = int(np.argmax(np.abs(v)))
+    return np.sign(v[k]) * np.eye(3)[k]
+
+
+def finite(poses: PoseSequence, path: Path) -> PoseSequence:
+    """The poses unchanged. Raises InputError naming the first frame that holds a NaN or an infinity."""
+    bad = ~(np.isfinite(poses.rotations).all((1, 2)) & np.isfinite(poses.root_positions).all(1))
+    if bad.any():
+        raise InputError(
+            f"{path}: frame {int(np.argmax(bad))} holds values that are not finite ({int(bad.sum())} such frame(s)); "
+            f"leave them out with a crop or mend the file."
+        )
+    return poses

@@ -1,0 +1,99 @@
+"""How the limbs of two skeletons at rest stand to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
+from pb4u.motion.correspondences import ROLE_INDEX, ROLES
+
+_SEGMENT_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
+# Below this bend the plane of an elbow is not told by the rest pose.
+_STRAIGHT = np.deg2rad(10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ReferencePose:
+    """Directions of the limbs in the pose that a skeleton's rotations are counted from, facing +Z.
+
+    Args:
+        directions: limb segment role -> unit vector (3,) from its upper joint to its lower one.
+        elbow_flexion: side -> unit vector (3,) in which the forearm folds, square to the upper arm.
+    """
+
+    directions: Mapping[str, np.ndarray]
+    elbow_flexion: Mapping[str, np.ndarray]
+
+    @classmethod
+    def of_joints(
+        cls, joint: Callable[[str], np.ndarray], t_pose_elbow_flexion: tuple[float, float, float]
+    ) -> ReferencePose:
+        """From joint positions by limb role.
+
+        Args:
+            joint: position (3,) of the upper joint of a limb role.
+            t_pose_elbow_flexion: where the left forearm folds in a T-pose; used where the elbow is straight at rest.
+        """
+        directions = {
+            f"{role}.{side}": _unit(joint(f"{end}.{side}") - joint(f"{role}.{side}"))
+            for role, end in _SEGMENT_ENDS.items()
+            for side in "LR"
+        }
+        flexion = {}
+        for side, sign in (("L", 1.0), ("R", -1.0)):
+            upper, fore = directions[f"upper_arm.{side}"], directions[f"forearm.{side}"]
+            across = fore - np.dot(fore, upper) * upper
+            if np.arctan2(np.linalg.norm(across), np.dot(fore, upper)) < _STRAIGHT:
+                lateral = np.array([sign, 0.0, 0.0])
+                folding = np.array(t_pose_elbow_flexion) * np.array([sign, 1.0, 1.0])
+                across = rotate(between(lateral, upper), folding)
+                across = across - np.dot(across, upper) * upper
+            flexion[side] = _unit(across)
+        return cls(directions, flexion)
+
+
+T_POSE = ReferencePose(
+    {
+        **{f"{role}.L": np.array([1.0, 0.0, 0.0]) for role in ("upper_arm", "forearm")},
+        **{f"{role}.R": np.array([-1.0, 0.0, 0.0]) for role in ("upper_arm", "forearm")},
+        **{f"{role}.{side}": np.array([0.0, -1.0, 0.0]) for role in ("thigh", "shin") for side in "LR"},
+    },
+    {side: np.array([0.0, 0.0, 1.0]) for side in "LR"},
+)
+
+
+def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Smallest rotation (..., 4) wxyz that takes unit vectors a (..., 3) to b (..., 3), which must not be opposite."""
+    q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def alignment(source: ReferencePose, target: ReferencePose) -> np.ndarray:
+    """Rotations (roles, 4) that bring the limbs of `target` at rest into the reference pose of `source`.
+
+    Torso, clavicles and feet are taken to rest alike. A limb's upper segment takes the smallest rotation, and the
+    upper arm the twist that makes the elbows fold the same way; lower segments unbend from the aligned upper ones.
+    """
+    result = np.tile([1.0, 0.0, 0.0, 0.0], (len(ROLES), 1))
+    for side in "LR":
+        for upper, lower in (("upper_arm", "forearm"), ("thigh", "shin")):
+            upper, lower = f"{upper}.{side}", f"{lower}.{side}"
+            axis = source.directions[upper]
+            turn = between(target.directions[upper], axis)
+            if upper.startswith("upper_arm"):
+                folded, wanted = rotate(turn, target.elbow_flexion[side]), source.elbow_flexion[side]
+                twist = np.arctan2(np.dot(np.cross(folded, wanted), axis), np.dot(folded, wanted))
+                turn = multiply(from_axis_angle(twist * axis), turn)
+            unbend = between(rotate(turn, target.directions[lower]), source.directions[lower])
+            result[ROLE_INDEX[upper]] = turn
+            result[ROLE_INDEX[lower]] = multiply(unbend, turn)
+        for role in ("forearm_end", "hand"):
+            result[ROLE_INDEX[f"{role}.{side}"]] = result[ROLE_INDEX[f"forearm.{side}"]]
+    return result
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v)

@@ -1,0 +1,122 @@
+"""Faults of recordings that can be told from the motion alone, mended and counted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pb4u.geometry.rotation import angle_between, conjugate, multiply, rotate, slerp
+from pb4u.motion.recording import Recording
+
+# A joint that turns by more than this between two frames has not moved: its Euler angles have jumped.
+_JUMP_ANGLE, _JUMP_SPEED = np.deg2rad(60.0), np.deg2rad(3600.0)
+# Nor can a joint turn by so much, or a limb twist about itself by so much, in so short a time [s].
+_TURN_ANGLE, _TWIST_ANGLE, _SHORT_TIME = np.deg2rad(100.0), np.deg2rad(60.0), 0.05
+# A repaired joint is led over its flip no faster than this.
+_REPAIR_SPEED = np.deg2rad(600.0)
+# Flips closer to each other than this are one: there and back again [s].
+_SAME_FLIP = 0.25
+_FLIPPING = ("upper_arm", "forearm", "forearm_end", "hand", "thigh", "shin", "foot", "toes")
+_LIMB_ENDS = {"upper_arm": "forearm", "thigh": "shin", "forearm": "hand", "shin": "foot"}
+# A recording may begin with a calibration pose, from which everything leaps into the performance.
+_START_FRAMES, _START_SPEED = 6, np.deg2rad(3000.0)
+
+
+def without_flips(recording: Recording) -> Recording:
+    """Joints that jump, or turn faster than a limb can, are led over it by slerp; repairs are counted in `notes`."""
+    parents = recording.skeleton.parents.tolist()
+    world, fps = recording.poses.rotations, recording.poses.fps
+    local = _local(recording)
+    counts: dict[str, int] = {}
+    for role in (f"{r}.{side}" for r in _FLIPPING for side in "LR"):
+        bone = recording.joint_index(role)
+        if recording.skeleton.names[bone] in counts:
+            continue
+        flips = _flips(local[:, bone], _limb_direction(recording, role), fps)
+        if flips:
+            local[:, bone] = _led_over(local[:, bone], flips, fps)
+            counts[recording.skeleton.names[bone]] = len(flips)
+    if not counts:
+        return recording
+    mended = np.empty_like(world)
+    for i, parent in enumerate(parents):
+        mended[:, i] = local[:, i] if parent < 0 else multiply(mended[:, parent], local[:, i])
+    told = ", ".join(f"{name} {count}" for name, count in counts.items())
+    note = f"{recording.name}: {sum(counts.values())} joint flip(s) led over by slerp ({told})."
+    return replace(recording, poses=replace(recording.poses, rotations=mended), notes=(*recording.notes, note))
+
+
+def without_false_start(recording: Recording) -> Recording:
+    """The recording without leading frames from which several joints at once leap into what follows."""
+    head = min(_START_FRAMES, len(recording.poses) - 2)
+    if head < 1:
+        return recording
+    local = _local(recording)[: head + 1]
+    bones = sorted({recording.joint_index(f"{role}.{side}") for role in _FLIPPING[:-1] for side in "LR"})
+    limit = _START_SPEED / recording.poses.fps
+    leaps = angle_between(local[:-1], local[1:]) > limit
+    bad = leaps[:, 0] | (leaps[:, bones].sum(axis=1) >= 2)
+    if not bad.any():
+        return recording
+    first = int(np.flatnonzero(bad)[-1]) + 1
+    note = f"{recording.name}: the first {first} frame(s) are left out: the joints leap from them into what follows."
+    return replace(recording.cropped(first, len(recording.poses)), notes=(*recording.notes, note))
+
+
+def _local(recording: Recording) -> np.ndarray:
+    """Rotations (frames, bones, 4) of the bones from their parents."""
+    world = recording.poses.rotations
+    local = world.copy()
+    for i, parent in enumerate(recording.skeleton.parents.tolist()):
+        if parent >= 0:
+            local[:, i] = multiply(conjugate(world[:, parent]), world[:, i])
+    return local
+
+
+def _limb_direction(recording: Recording, role: str) -> np.ndarray | None:
+    """Unit vector (3,) along a limb segment in the reference pose; None for hands and feet."""
+    part, side = role.split(".")
+    if part not in _LIMB_ENDS:
+        return None
+    joints = recording.skeleton.joints
+    along = joints[recording.joint_index(f"{_LIMB_ENDS[part]}.{side}")] - joints[recording.joint_index(role)]
+    return along / np.linalg.norm(along)
+
+
+def _flips(rotations: np.ndarray, along: np.ndarray | None, fps: float) -> list[tuple[int, int]]:
+    """(last good frame before, first good frame after) of each flip of a joint (frames, 4)."""
+    last = len(rotations) - 1
+    limit = max(_JUMP_ANGLE, _JUMP_SPEED / fps)
+    spans = [(i, i + 1) for i in np.flatnonzero(angle_between(rotations[:-1], rotations[1:]) > limit).tolist()]
+    window = round(_SHORT_TIME * fps)
+    if 1 < window < last:
+        before, after = rotations[:-window], rotations[window:]
+        angle = angle_between(before, after)
+        impossible = angle > _TURN_ANGLE
+        if along is not None:
+            carried, now = rotate(before, along), rotate(after, along)
+            swing = np.arccos(np.clip(np.sum(carried * now, axis=-1), -1.0, 1.0))
+            impossible |= angle - swing > _TWIST_ANGLE
+        spans += [(i, i + window) for i in np.flatnonzero(impossible).tolist()]
+    merged: list[tuple[int, int]] = []
+    for start, stop in sorted(spans):
+        if merged and start - merged[-1][1] <= _SAME_FLIP * fps:
+            merged[-1] = (merged[-1][0], max(stop, merged[-1][1]))
+        else:
+            merged.append((start, stop))
+    return merged
+
+
+def _led_over(rotations: np.ndarray, flips: list[tuple[int, int]], fps: float) -> np.ndarray:
+    """Rotations (frames, 4) with slerp over each flip, taking as long as it must to stay slow."""
+    result, last = rotations.copy(), len(rotations) - 1
+    for start, stop in flips:
+        while start > 0 or stop < last:
+            needed = float(angle_between(result[start], result[stop])) / _REPAIR_SPEED * fps
+            if stop - start >= needed:
+                break
+            start, stop = max(start - 1, 0), min(stop + 1, last)
+        s = np.linspace(0.0, 1.0, stop - start + 1)
+        result[start : stop + 1] = slerp(result[start][None], result[stop][None], s * s * (3.0 - 2.0 * s))
+    return result

@@ -1,0 +1,189 @@
+"""The interface that the simulation step and the trainer know: a graph in, accelerations out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from pb4u.errors import InputError
+from pb4u.graph.builder import GraphBuilder, graph_builder
+from pb4u.graph.features import Feature, FeatureLayout
+from pb4u.graph.garment_graph import GarmentGraph
+from pb4u.graph.graph import Graph
+from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.nn.normaliser import Normaliser
+from pb4u.scene.packed import ColliderFrame, PackedGarments
+from pb4u.scene.state import State
+
+ACCELERATION = Feature("acceleration", 3, "m/step^2", True, 3e-3, "x(t+1) - 2 x(t) + x(t-1), in displacement units")
+MOST_PROPAGATION_STEPS = 500
+
+
+class GraphNetwork(nn.Module, ABC):
+    """A network on normalised features; a baseline differs from ours in this and in nothing else.
+
+    Attributes:
+        layout: the columns it reads.
+        world_edges: which body vertices a garment vertex sees.
+    """
+
+    layout: FeatureLayout
+    world_edges: WorldEdgeRule
+
+    @abstractmethod
+    def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
+        """Normalised accelerations (garment vertices, 3), with `steps` propagation steps for each garment."""
+
+    def propagation_steps(self, mean_edge_length: float) -> int:
+        """How many propagation steps a garment of this mean rest edge length [m] takes; 0 where there are none."""
+        return 0
+
+    def update_scale(self, garments: GarmentGraph) -> Tensor | None:
+        """Dimensionless factors (vertices, 1) on the accelerations, or None for 1."""
+        return None
+
+    def further_edges(self, garments: PackedGarments) -> Mapping[str, Tensor]:
+        """Undirected edges (edges, 2) between vertices of a garment beyond its mesh, by kind, such as "coarse".
+
+        They carry the columns of mesh edges and share their normaliser.
+        """
+        return {}
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedGarments:
+    """What a model derives once from garments and reuses every step.
+
+    Args:
+        builder: makes the graph of a step.
+        steps: propagation steps of each garment.
+        scale: (vertices, 1) dimensionless factors on the accelerations, or None.
+    """
+
+    builder: GraphBuilder
+    steps: tuple[int, ...]
+    scale: Tensor | None
+
+    def graph(
+        self,
+        state: State,
+        collider: ColliderFrame | None,
+        dt: float,
+        origin: Tensor | None = None,
+        extra: Mapping[str, Tensor] | None = None,
+    ) -> Graph:
+        """The graph at `state`; see `GraphBuilder.build`."""
+        return self.builder.build(state, collider, dt, origin, extra)
+
+    def with_steps(self, steps: int | Sequence[int]) -> PreparedGarments:
+        """The same garments taking other numbers of propagation steps, one for all or one a garment.
+
+        Raises InputError where a number is not between 1 and 500.
+        """
+        count = len(self.steps)
+        chosen = (steps,) * count if isinstance(steps, int) else tuple(steps)
+        for number in chosen:
+            if not 1 <= number <= MOST_PROPAGATION_STEPS:
+                raise InputError(
+                    f"Propagation steps must lie between 1 and {MOST_PROPAGATION_STEPS}, not {number}; "
+                    "leave the option out to let the resolution decide."
+                )
+        return replace(self, steps=chosen)
+
+
+class AccelerationModel(nn.Module):
+    """A network between its normalisers: acceleration x dt^2 from a graph of raw features.
+
+    Called as `model(prepared.graph(state, collider, dt, origin), prepared)`. On an accelerator cast the network alone,
+    `model.network.to(torch.bfloat16)`: normalisers and what comes out stay in full precision. `model.network.compile()`
+    compiles it; garments prepared with fixed shapes then never make it compile again.
+    """
+
+    def __init__(self, network: GraphNetwork) -> None:
+        super().__init__()
+        self.network = network
+        layout = network.layout
+        self.node_normaliser = Normaliser(layout.node_columns)
+        self.mesh_edge_normaliser = Normaliser(layout.mesh_edge_columns)
+        self.world_edge_normaliser = Normaliser(layout.world_edge_columns)
+        self.acceleration_normaliser = Normaliser((ACCELERATION,))
+
+    def prepare(
+        self,
+        garments: PackedGarments,
+        propagation_steps: int | None = None,
+        dtype: torch.dtype = torch.float32,
+        fixed_shapes: bool = False,
+    ) -> PreparedGarments:
+        """Everything that is the same at every step of `garments`.
+
+        Args:
+            garments: on the device to compute on.
+            propagation_steps: overrides what the resolution asks for.
+            dtype: precision of features and accelerations.
+            fixed_shapes: same shapes every step, for a captured accelerator step.
+
+        Raises InputError where the override is not between 1 and 500.
+        """
+        network = self.network
+        builder = graph_builder(
+            garments, network.layout, network.world_edges, dtype, fixed_shapes, network.further_edges(garments)
+        )
+        steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
+        prepared = PreparedGarments(builder, steps, network.update_scale(builder.static))
+        return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
+
+    def forward(self, graph: Graph, prepared: PreparedGarments) -> Tensor:
+        """Acceleration x dt^2 (garment vertices, 3) [m per step^2]."""
+        output = self.network(self.normalised(graph), prepared.steps).to(prepared.builder.dtype)
+        acceleration = self.acceleration_normaliser.restore(output)
+        return acceleration if prepared.scale is None else prepared.scale * acceleration
+
+    def normalised(self, graph: Graph) -> Graph:
+        """The graph with centred and scaled features, in the precision of the network's weights."""
+        dtype = next(self.network.parameters()).dtype
+        nodes = {name: self.node_normaliser(node_set.features).to(dtype) for name, node_set in graph.nodes.items()}
+        edges = {name: self._edge_normaliser(s.kind)(s.features).to(dtype) for name, s in graph.edges.items()}
+        return graph.with_features(nodes, edges)
+
+    @torch.no_grad()
+    def gather_statistics(self, graph: Graph, acceleration: Tensor) -> None:
+        """Warm-up: add a step's features and skinning's accelerations (garment vertices, 3) [m per step^2].
+
+        Every garment of the graph weighs the same. Raises RuntimeError once frozen.
+        """
+        garments = len(graph.vertex_offsets) - 1
+        node_sets = list(graph.nodes.values())
+        owner = torch.cat([node_set.owner for node_set in node_sets])
+        counted = torch.cat([_counted(s.active, len(s.owner), owner.device) for s in node_sets])
+        self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), owner, garments, counted)
+        for edge_set in graph.edges.values():
+            edge_owner = graph.nodes[edge_set.receiver_set].owner[edge_set.receivers.index]
+            present = None if edge_set.mask is None else edge_set.mask[:, 0] > 0
+            self._edge_normaliser(edge_set.kind).gather(edge_set.features, edge_owner, garments, present)
+        self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].owner, garments)
+
+    def normalisers(self) -> tuple[Normaliser, ...]:
+        """All four, in a fixed order: to add their sums over devices."""
+        return (
+            self.node_normaliser,
+            self.mesh_edge_normaliser,
+            self.world_edge_normaliser,
+            self.acceleration_normaliser,
+        )
+
+    def freeze_statistics(self) -> None:
+        """End of warm-up."""
+        for normaliser in self.normalisers():
+            normaliser.freeze()
+
+    def _edge_normaliser(self, kind: str) -> Normaliser:
+        return self.world_edge_normaliser if kind == "world" else self.mesh_edge_normaliser
+
+
+def _counted(active: Tensor | None, rows: int, device: torch.device) -> Tensor:
+    return torch.ones(rows, dtype=torch.bool, device=device) if active is None else active

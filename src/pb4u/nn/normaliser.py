@@ -1,0 +1,90 @@
+"""Running statistics that centre and scale features: cumulative mean and spread, every garment weighing the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from pb4u.graph.features import Feature, total_width
+
+SMALLEST_SPREAD = 1e-2
+
+
+class Normaliser(nn.Module):
+    """Centres and scales columns by statistics gathered during warm-up, then frozen (ref. 1.3).
+
+    `sums` holds everything gathered, [garments, sum of means, sum of mean squares] in float64: add it over devices to
+    reduce, then call `refresh`. Columns that are not normalised pass through unchanged. Before anything is gathered the
+    mean is 0 and the spread the feature's typical one.
+    """
+
+    sums: Tensor
+    mean: Tensor
+    spread: Tensor
+    normalised: Tensor
+    typical: Tensor
+    frozen: Tensor
+
+    def __init__(self, columns: Sequence[Feature]) -> None:
+        super().__init__()
+        width = total_width(tuple(columns))
+        typical = torch.tensor([f.typical if f.normalised else 1.0 for f in columns for _ in range(f.width)])
+        self.register_buffer("sums", torch.zeros(1 + 2 * width, dtype=torch.float64))
+        self.register_buffer("mean", torch.zeros(width))
+        self.register_buffer("spread", typical.clone())
+        self.register_buffer("frozen", torch.tensor(False))
+        self.register_buffer("typical", typical, persistent=False)
+        self.register_buffer(
+            "normalised", torch.tensor([f.normalised for f in columns for _ in range(f.width)]), persistent=False
+        )
+
+    @property
+    def width(self) -> int:
+        return self.mean.shape[0]
+
+    def forward(self, values: Tensor) -> Tensor:
+        """`values` (rows, width) centred and scaled."""
+        return (values - self.mean) / self.spread
+
+    def restore(self, values: Tensor) -> Tensor:
+        """The inverse of calling the normaliser."""
+        return values * self.spread + self.mean
+
+    @torch.no_grad()
+    def gather(self, values: Tensor, owner: Tensor, garments: int, counted: Tensor | None = None) -> None:
+        """Add one step's `values` (rows, width), each row of garment `owner` (rows,), to the statistics.
+
+        Each garment that has a row adds its mean and mean square once, however many rows it has. `counted` (rows,) bool
+        leaves rows out. Raises RuntimeError once frozen.
+        """
+        if bool(self.frozen):
+            raise RuntimeError("The statistics are frozen; they are gathered during warm-up only.")
+        rows = values.to(torch.float64)
+        weight = torch.ones(len(rows), 1, dtype=torch.float64, device=rows.device)
+        if counted is not None:
+            weight = counted[:, None].to(torch.float64)
+        stacked = torch.cat([weight, rows * weight, rows.square() * weight], dim=1)
+        totals = torch.zeros(garments, stacked.shape[1], dtype=torch.float64, device=rows.device)
+        totals.index_add_(0, owner, stacked)
+        present = (totals[:, :1] > 0).to(torch.float64)
+        means = totals[:, 1:] / totals[:, :1].clamp_min(1.0)
+        self.sums += torch.cat([present, means * present], dim=1).sum(dim=0)
+        self.refresh()
+
+    @torch.no_grad()
+    def refresh(self) -> None:
+        """Recompute mean and spread from `sums`; call it after adding sums over devices."""
+        count, width = self.sums[0], self.width
+        if float(count) == 0.0:
+            return
+        mean, square = self.sums[1 : 1 + width] / count, self.sums[1 + width :] / count
+        spread = (square - mean.square()).clamp_min(0.0).sqrt()
+        spread = torch.maximum(spread, SMALLEST_SPREAD * self.typical.to(spread))
+        self.mean.copy_(torch.where(self.normalised, mean, 0.0))
+        self.spread.copy_(torch.where(self.normalised, spread, 1.0))
+
+    def freeze(self) -> None:
+        """Gather no more."""
+        self.frozen.fill_(True)

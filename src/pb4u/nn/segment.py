@@ -1,0 +1,63 @@
+"""Reading node values at edges and summing edge values at nodes, deterministic in both directions of differentiation.
+
+Each is the other's derivative. Sums run through `embedding_bag`, which walks the edges of one node at a time: on a CPU
+it took a tenth of the time of `segment_reduce` and less than half of that of `index_add_` (33,000 edges, 128 wide).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from pb4u.graph.incidence import Incidence
+
+
+def _bag_sums(values: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
+    if values.shape[0] == 0:
+        return values.new_zeros(offsets.shape[0] - 1, values.shape[1])
+    return F.embedding_bag(order, values, offsets, mode="sum", include_last_offset=True)
+
+
+class _Gather(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, nodes: Tensor, index: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
+        ctx.save_for_backward(order, offsets)
+        return nodes.index_select(0, index)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        order, offsets = ctx.saved_tensors
+        return _bag_sums(gradients[0].contiguous(), order, offsets), None, None, None
+
+
+class _SegmentSum(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, edges: Tensor, index: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
+        ctx.save_for_backward(index)
+        return _bag_sums(edges, order, offsets)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        return gradients[0].index_select(0, ctx.saved_tensors[0]), None, None, None
+
+
+def gather(nodes: Tensor, ends: Incidence) -> Tensor:
+    """Values (edges, width) of the node at each edge's end, from `nodes` (nodes, width)."""
+    if not torch.is_grad_enabled():
+        return nodes.index_select(0, ends.index)
+    return _Gather.apply(nodes, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
+
+
+def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:
+    """Sums (nodes, width) of `edges` (edges, width) over the edges that end at each node; zero where none does."""
+    if not torch.is_grad_enabled():
+        return _bag_sums(edges, ends.order, ends.offsets)
+    return _SegmentSum.apply(edges, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
+
+
+def joined(parts: list[Tensor]) -> Tensor:
+    """Row-wise concatenation; a single part as it is."""
+    return parts[0] if len(parts) == 1 else torch.cat(parts)

@@ -1,0 +1,92 @@
+"""Out-of-plane bending at the edge between two faces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pb4u.physics.energy_term import ElementBlocks, EnergyTerm, TimeStep, dot, outer, sum_by_garment
+from pb4u.scene.packed import PackedGarments
+
+
+@dataclass(frozen=True)
+class Bending(EnergyTerm):
+    """Sum over hinges of k l^2 / (4 (A1 + A2)) (theta - theta0)^2 / 2 [J].
+
+    k is the bending coefficient [J], l the current edge length [m], A1 and A2 the rest areas of the two faces [m^2],
+    theta = atan2(e . (n0 x n1), n0 . n1) their dihedral angle [rad]. Source: SNUG and HOOD, where theta0 = 0.
+
+    Args:
+        rest_angles: whether theta0 is the angle of the rest shape instead of 0.
+    """
+
+    rest_angles: bool = False
+    name = "bending"
+
+    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
+        garments = step.garments
+        length, angle = _length_and_angle(x, garments.hinges)
+        return self._energies(garments, length * (angle - self._rest(garments)))
+
+    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
+        garments = step.garments
+        bend, derivative = self._bend_and_derivative(garments, x)
+        pull = _stiffness(garments) * bend
+        gradient = torch.zeros_like(x)
+        gradient.index_add_(0, garments.hinges.T.reshape(-1), torch.cat([pull[:, None] * d for d in derivative]))
+        return self._energies(garments, bend), gradient
+
+    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks:
+        """Gauss-Newton: stiffness times the outer product of the derivative of l (theta - theta0)."""
+        garments = step.garments
+        _, derivative = self._bend_and_derivative(garments, x)
+        stacked = torch.stack(derivative, dim=1) * _stiffness(garments).sqrt()[:, None, None]
+        return ElementBlocks(garments.hinges, outer(stacked[:, :, None], stacked[:, None]))
+
+    def _rest(self, garments: PackedGarments) -> Tensor | float:
+        return dihedral_angles(garments.rest_positions, garments.hinges) if self.rest_angles else 0.0
+
+    def _energies(self, garments: PackedGarments, bend: Tensor) -> Tensor:
+        energy = 0.5 * _stiffness(garments) * bend * bend
+        return sum_by_garment(energy, garments.hinge_garment, garments.garment_count)
+
+    def _bend_and_derivative(self, garments: PackedGarments, x: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """l (theta - theta0) [m] of each hinge and its derivative (hinges, 3) by each of the four vertices."""
+        x0, x1, x2, x3 = (x.index_select(0, garments.hinges[:, k]) for k in range(4))
+        edge = x1 - x0
+        length = edge.norm(dim=1).clamp_min(_tiny(x))
+        along = edge / length[:, None]
+        n0, n1 = torch.linalg.cross(edge, x2 - x0), torch.linalg.cross(x3 - x0, edge)
+        angle = torch.atan2(dot(along, torch.linalg.cross(n0, n1)), dot(n0, n1)) - self._rest(garments)
+        m0, m1 = n0 / dot(n0, n0).clamp_min(_tiny(x))[:, None], n1 / dot(n1, n1).clamp_min(_tiny(x))[:, None]
+        span = length[:, None]
+        by_x2, by_x3 = -(span * span) * m0, -(span * span) * m1
+        by_x0 = -span * (dot(x2 - x1, along)[:, None] * m0 + dot(x3 - x1, along)[:, None] * m1)
+        by_x1 = span * (dot(x2 - x0, along)[:, None] * m0 + dot(x3 - x0, along)[:, None] * m1)
+        lengthening = angle[:, None] * along
+        return length * angle, [by_x0 - lengthening, by_x1 + lengthening, by_x2, by_x3]
+
+
+def dihedral_angles(x: Tensor, hinges: Tensor) -> Tensor:
+    """(hinges,) angles [rad] between the faces at each hinge of `x` (vertices, 3); 0 where flat."""
+    return _length_and_angle(x, hinges)[1]
+
+
+def _length_and_angle(x: Tensor, hinges: Tensor) -> tuple[Tensor, Tensor]:
+    x0, x1, x2, x3 = (x.index_select(0, hinges[:, k]) for k in range(4))
+    edge = x1 - x0
+    length = edge.norm(dim=1).clamp_min(_tiny(x))
+    n0, n1 = torch.linalg.cross(edge, x2 - x0), torch.linalg.cross(x3 - x0, edge)
+    sine = dot(edge, torch.linalg.cross(n0, n1)) / length
+    return length, torch.atan2(sine, dot(n0, n1))
+
+
+def _stiffness(garments: PackedGarments) -> Tensor:
+    """k / (4 (A1 + A2)) (hinges,) [J/m^2]."""
+    return garments.bending / (4.0 * garments.hinge_areas)
+
+
+def _tiny(x: Tensor) -> float:
+    return 1e-30 if x.dtype == torch.float64 else 1e-20

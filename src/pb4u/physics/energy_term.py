@@ -1,0 +1,124 @@
+"""What every energy of the incremental potential is: a function of the next positions, its gradient and curvature."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from pb4u.physics.contact_planes import ContactPlanes
+from pb4u.scene.packed import ColliderFrame, PackedGarments
+from pb4u.scene.state import State
+
+
+@dataclass(frozen=True, eq=False)
+class TimeStep:
+    """All that an energy may know about the step from frame t to t+1.
+
+    Args:
+        garments: static quantities.
+        state: positions [m] and velocities [m/s] at frame t.
+        collider: the bodies around the step, or None.
+        dt: length of the step [s].
+        gravity: (3,) [m/s^2].
+        height_origin: (garments, 3) point where each garment's height energy is zero [m].
+        contact_now: for each vertex at frame t, the plane of the body that it may slide on, or None.
+        contact_next: for each vertex at frame t+1, the plane of the body that it may enter, or None.
+        contact_opposite: a second plane for vertices caught between two parts of the body, or None.
+    """
+
+    garments: PackedGarments
+    state: State
+    collider: ColliderFrame | None
+    dt: float
+    gravity: Tensor
+    height_origin: Tensor
+    contact_now: ContactPlanes | None = field(default=None)
+    contact_next: ContactPlanes | None = field(default=None)
+    contact_opposite: ContactPlanes | None = field(default=None)
+
+    @property
+    def ground_height(self) -> float | None:
+        return None if self.collider is None else self.collider.ground_height
+
+
+@dataclass(frozen=True, eq=False)
+class ElementBlocks:
+    """Second derivatives of an energy, one dense block per element.
+
+    Args:
+        vertices: (elements, k) int64.
+        blocks: (elements, k, k, 3, 3) [J/m^2], symmetric under exchange of the corner and the axis pairs together.
+    """
+
+    vertices: Tensor
+    blocks: Tensor
+
+
+class EnergyTerm(ABC):
+    """One term of the potential. Implementations are stateless and follow the dtype and device of `x`."""
+
+    name: str
+
+    @abstractmethod
+    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
+        """(garments,) energies [J] at the next positions `x` (vertices, 3) [m]; differentiable."""
+
+    @abstractmethod
+    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
+        """The energies and the gradient (vertices, 3) [N] of their sum, by hand, without autograd."""
+
+    @abstractmethod
+    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks | None:
+        """The second derivative, or a good approximation of it; None where it is zero.
+
+        Args:
+            step: the time step. x: next positions (vertices, 3) [m].
+            definite: leave out what makes a block indefinite.
+        """
+
+
+class NullTerm(EnergyTerm):
+    """A term switched off: zero everywhere, under the name of the one that it stands for."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
+        return x.new_zeros(step.garments.garment_count)
+
+    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
+        return self.energies(step, x), torch.zeros_like(x)
+
+    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks | None:
+        return None
+
+
+def gradient_by_autograd(term: EnergyTerm, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Energies and gradient of a term that is measured rather than minimised."""
+    with torch.enable_grad():
+        variable = x.detach().requires_grad_(True)
+        energies = term.energies(step, variable)
+        if not energies.requires_grad:
+            return energies, torch.zeros_like(x)
+        (gradient,) = torch.autograd.grad(energies.sum(), variable)
+    return energies.detach(), gradient
+
+
+def sum_by_garment(values: Tensor, garment: Tensor, garment_count: int) -> Tensor:
+    """(garments,) sums of `values` (n,) over the rows that belong to each garment."""
+    if garment_count == 1:
+        return values.sum().reshape(1)
+    return values.new_zeros(garment_count).index_add(0, garment, values)
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Row-wise inner product (...,) of (..., 3) vectors."""
+    return (a * b).sum(-1)
+
+
+def outer(a: Tensor, b: Tensor) -> Tensor:
+    """Row-wise outer product (..., 3, 3) of (..., 3) vectors."""
+    return a[..., :, None] * b[..., None, :]

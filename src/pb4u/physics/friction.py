@@ -1,0 +1,145 @@
+"""Resistance to sliding on the body and on the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pb4u.physics.contact_planes import ContactPlanes
+from pb4u.physics.energy_term import (
+    ElementBlocks,
+    EnergyTerm,
+    TimeStep,
+    dot,
+    gradient_by_autograd,
+    outer,
+    sum_by_garment,
+)
+from pb4u.scene.packed import ColliderFrame
+
+_STANDARD_GRAVITY = 9.81
+_FLOOR = 1e-4
+
+
+@dataclass(frozen=True)
+class Friction(EnergyTerm):
+    """Sum over touching vertices of mu m g c |s| [J], smoothed to mu m g (sqrt(c^2 |s|^2 + e^2) - e).
+
+    s is the slip [m]: the vertex's displacement over the step less that of the body under it, without its part along
+    the body's normal. c^2 = 1 - cos^2(s, up) + 1e-4 makes slipping sideways cost and sliding down nearly free.
+    e = `smoothing` dt [m]. A vertex touches when its true distance to the body (or to the ground) at the step's start
+    is below `radius`; so the set is known before the step and the energy is convex. Source: HOOD (Grigorev et al.
+    2023); its released gate and its third axis for up are in `ReleasedFriction`.
+
+    Args:
+        coefficient: mu.
+        radius: distance below which a vertex touches [m].
+        smoothing: slip speed below which the vertex sticks [m/s].
+    """
+
+    coefficient: float = 0.5
+    radius: float = 3e-3
+    smoothing: float = 1e-3
+    name = "friction"
+
+    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
+        limit, carried, normal = self._contact(step, x)
+        magnitude = self._magnitude(step, _slip(x, carried, normal))
+        return self._sum(step, limit, magnitude)
+
+    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
+        limit, carried, normal = self._contact(step, x)
+        slip = _slip(x, carried, normal)
+        magnitude = self._magnitude(step, slip)
+        pull = slip * _directional(x) * (limit / magnitude)[:, None]
+        return self._sum(step, limit, magnitude), pull - dot(pull, normal)[:, None] * normal
+
+    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks:
+        """Exact: the smoothed norm is convex."""
+        limit, carried, normal = self._contact(step, x)
+        slip = _slip(x, carried, normal)
+        magnitude = self._magnitude(step, slip)
+        tangent = torch.eye(3, dtype=x.dtype, device=x.device) - outer(normal, normal)
+        along = slip * _directional(x) / magnitude[:, None]
+        along = along - dot(along, normal)[:, None] * normal
+        stiff = (tangent * _directional(x)) @ tangent - outer(along, along)
+        blocks = stiff * (limit / magnitude)[:, None, None]
+        return ElementBlocks(torch.arange(len(x), device=x.device)[:, None], blocks[:, None, None])
+
+    def _magnitude(self, step: TimeStep, slip: Tensor) -> Tensor:
+        return (dot(slip * slip, _directional(slip)) + (self.smoothing * step.dt) ** 2).sqrt()
+
+    def _sum(self, step: TimeStep, limit: Tensor, magnitude: Tensor) -> Tensor:
+        energy = limit * (magnitude - self.smoothing * step.dt)
+        return sum_by_garment(energy, step.garments.vertex_garment, step.garments.garment_count)
+
+    def _contact(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Friction limit mu m g (vertices,) [N], 0 where nothing touches; carried start and normal (vertices, 3)."""
+        before = step.state.positions
+        carried, normal = before, torch.zeros_like(before)
+        touching = torch.zeros(len(before), dtype=torch.bool, device=before.device)
+        distance = torch.full_like(before[:, 0], torch.inf)
+        if step.contact_now is not None and step.collider is not None:
+            distance = torch.where(step.contact_now.touchable, step.contact_now.distance, torch.inf)
+            touching = distance < self.radius
+            carried, normal = _carried_by_body(step.contact_now, step.collider, before)
+        if step.ground_height is not None:
+            height = before[:, 1] - step.ground_height
+            on_ground = (height < self.radius) & (height < distance)
+            touching = touching | on_ground
+            carried = torch.where(on_ground[:, None], before, carried)
+            normal = torch.where(on_ground[:, None], before.new_tensor([0.0, 1.0, 0.0]), normal)
+        limit = self.coefficient * _STANDARD_GRAVITY * step.garments.vertex_masses
+        return torch.where(touching, limit, 0.0), carried, normal
+
+
+@dataclass(frozen=True)
+class ReleasedFriction(EnergyTerm):
+    """The family's released friction, for tables: not smoothed, gates on squared distances, the third axis as up.
+
+    Sum of mu m g c |s| over vertices whose nearest face centres before and after the step both lie within
+    sqrt(3e-3) m, s projected off the mean of the two normals, c^2 = 1 - cos^2(s, +Z) + 1e-4.
+    """
+
+    coefficient: float = 0.5
+    squared_radius: float = 3e-3
+    name = "friction"
+
+    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
+        garments, now, following = step.garments, step.contact_now, step.contact_next
+        if now is None or following is None or step.collider is None:
+            return x.new_zeros(garments.garment_count)
+        carried, _ = _carried_by_body(now, step.collider, step.state.positions)
+        mean = now.normals + following.normals
+        slip = _slip(x, carried, mean / mean.norm(dim=1, keepdim=True).clamp_min(torch.finfo(x.dtype).tiny))
+        squared = dot(slip, slip)
+        safe = squared.clamp_min(torch.finfo(x.dtype).tiny)
+        length = torch.where(squared > 0, (safe * (1.0 + _FLOOR) - slip[:, 2] ** 2).clamp_min(0.0).sqrt(), 0.0)
+        near = (now.distance**2 < self.squared_radius) & (following.distance**2 < self.squared_radius)
+        limit = self.coefficient * _STANDARD_GRAVITY * garments.vertex_masses
+        energy = torch.where(near & now.touchable & following.touchable, limit * length, 0.0)
+        return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
+
+    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
+        return gradient_by_autograd(self, step, x)
+
+    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks | None:
+        return None
+
+
+def _directional(x: Tensor) -> Tensor:
+    """(3,) weights of the squared slip along each axis: |s|^2 c^2 = s . W s."""
+    return x.new_tensor([1.0 + _FLOOR, _FLOOR, 1.0 + _FLOOR])
+
+
+def _slip(x: Tensor, carried: Tensor, normal: Tensor) -> Tensor:
+    moved = x - carried
+    return moved - dot(moved, normal)[:, None] * normal
+
+
+def _carried_by_body(planes: ContactPlanes, collider: ColliderFrame, before: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the body under each vertex takes it over the step, and the body's normal there."""
+    motion = planes.carried(collider.following - collider.now, collider.faces)
+    return before + motion.to(before), planes.carried_normals(collider.following, collider.faces).to(before)

@@ -1,0 +1,216 @@
+"""The implicit solver: minimises the incremental potential of a step by truncated Newton iterations.
+
+Each iteration solves with the second derivative of the potential by preconditioned conjugate gradients and searches
+along the direction. Where cloth is about to buckle the second derivative is not positive: the iteration then uses its
+positive part, and follows the buckling direction for as long as the energy falls. The number of iterations does not
+depend on the resolution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.physics.conjugate_gradient import LinearSolution, conjugate_gradient
+from pb4u.physics.contact_planes import ContactPlanes
+from pb4u.physics.divergence import DivergedError
+from pb4u.physics.incremental_potential import Energies, StepPotential
+from pb4u.physics.preconditioner import PatchBasis, TwoLevelPreconditioner
+from pb4u.physics.stiffness_matrix import StiffnessPattern
+from pb4u.physics.tracked_contact import REACH, TrackedContact
+from pb4u.scene.packed import PackedGarments
+
+_STANDARD_GRAVITY = 9.81
+_SUFFICIENT_DECREASE = 1e-4
+_LARGEST_MOVE = 0.2
+_BUCKLING_MOVE = 1e-4
+_INDEFINITE_BELOW = 1.0
+_START_CLEARANCE = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the solver stopped.
+
+    Args:
+        positions: (vertices, 3) [m].
+        energies: at `positions`.
+        residual: rms over free vertices of the unbalanced acceleration, in units of standard gravity.
+        iterations: Newton iterations made.
+        inner_iterations: conjugate gradient iterations made, summed.
+        converged: whether the residual is below the tolerance.
+        contact: the planes of the bodies at t+1 that the result was found with, or None.
+    """
+
+    positions: Tensor
+    energies: Energies
+    residual: float
+    iterations: int
+    inner_iterations: int
+    converged: bool
+    contact: ContactPlanes | None
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One iteration, for whoever watches: energies and residual before it, milliseconds not included."""
+
+    iteration: int
+    total: float
+    residual: float
+
+
+class Solver:
+    """Minimises step potentials; keeps what depends on the garments alone from one step to the next.
+
+    Computes in float64 on the CPU.
+
+    Args:
+        tolerance: rms(M^-1 gradient) / 9.81 at which a step counts as solved.
+        max_iterations: Newton iterations after which it stops anyway.
+        forcing: relative tolerance of the linear solves.
+    """
+
+    def __init__(self, tolerance: float = 1e-3, max_iterations: int = 60, forcing: float = 0.02) -> None:
+        self.tolerance, self.max_iterations, self.forcing = tolerance, max_iterations, forcing
+        self._garments: PackedGarments | None = None
+        self._pattern: StiffnessPattern
+        self._basis: PatchBasis
+
+    def refine(self, potential: StepPotential, start: Tensor, iterations: int) -> Solution:
+        """At most `iterations` iterations from a prediction `start` (vertices, 3) [m], fewer if solved earlier."""
+        return self.minimise(potential, start, iterations)
+
+    def minimise(
+        self,
+        potential: StepPotential,
+        start: Tensor,
+        iterations: int | None = None,
+        watch: Callable[[Progress], None] | None = None,
+    ) -> Solution:
+        """Minimise `potential` from `start` (vertices, 3) float64 [m], where pinned vertices stay.
+
+        Raises DivergedError when `start` or its energy is not finite.
+        """
+        garments = potential.step.garments
+        self._prepare(garments)
+        limit = self.max_iterations if iterations is None else iterations
+        start = _better_start(potential, start, self._pattern.free)
+        contact = TrackedContact(potential, start)
+        preconditioner: TwoLevelPreconditioner | None = None
+        x, inner, iteration, previous_inner = start, 0, 0, 0
+        while True:
+            frozen = contact.potential_at(x)
+            energies, gradient = frozen.energies_and_gradient(x)
+            gradient = torch.where(self._pattern.free[:, None], gradient, 0.0)
+            residual, total = self._residual(garments, gradient), float(energies.total)
+            if not np.isfinite(residual) or not np.isfinite(total):
+                raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
+            if watch is not None:
+                watch(Progress(iteration, total, residual))
+            if residual <= self.tolerance or iteration >= limit:
+                solved = residual <= self.tolerance
+                return Solution(x, energies, residual, iteration, inner, solved, frozen.step.contact_next)
+            newton, preconditioner = self._direction(frozen, x, gradient, residual, preconditioner, previous_inner)
+            previous_inner = newton.iterations
+            inner += newton.iterations
+            moved = self._line_search(frozen, x, gradient, total, newton)
+            if moved is None:
+                return Solution(x, energies, residual, iteration, inner, False, frozen.step.contact_next)
+            x = moved
+            iteration += 1
+
+    def _prepare(self, garments: PackedGarments) -> None:
+        if self._garments is not garments:
+            self._pattern = StiffnessPattern(garments)
+            self._basis = PatchBasis(garments, self._pattern.free.numpy())
+            self._garments = garments
+
+    def _residual(self, garments: PackedGarments, gradient: Tensor) -> float:
+        free = self._pattern.free
+        if not bool(free.any()):
+            return 0.0
+        acceleration = gradient[free] / garments.vertex_masses[free, None]
+        return float(acceleration.square().sum(1).mean().sqrt()) / _STANDARD_GRAVITY
+
+    def _direction(
+        self,
+        frozen: StepPotential,
+        x: Tensor,
+        gradient: Tensor,
+        residual: float,
+        preconditioner: TwoLevelPreconditioner | None,
+        previous_inner: int,
+    ) -> tuple[LinearSolution, TwoLevelPreconditioner]:
+        """The Newton direction, with a direction of negative curvature where there is one."""
+        right = -gradient.reshape(-1).numpy()
+        negative, spent = None, 0
+        for definite in (False, True) if residual < _INDEFINITE_BELOW else (True,):
+            matrix, diagonal = self._pattern.assemble(frozen.curvature(x, definite))
+            if preconditioner is None:
+                preconditioner = TwoLevelPreconditioner(self._basis, matrix, diagonal)
+            else:
+                preconditioner.refresh_diagonal(diagonal)
+                if previous_inner > 50:
+                    preconditioner.refresh_patches(matrix)
+            solved = conjugate_gradient(matrix, right, preconditioner, self.forcing, 2000)
+            spent += solved.iterations
+            if solved.negative is None:
+                break
+            negative = solved.negative
+        assert preconditioner is not None
+        return LinearSolution(solved.solution, spent, negative), preconditioner
+
+    def _line_search(
+        self, frozen: StepPotential, x: Tensor, gradient: Tensor, total: float, solved: LinearSolution
+    ) -> Tensor | None:
+        """Where the energy has fallen enough along the direction, then along the buckling one; None if nowhere."""
+        direction = torch.from_numpy(solved.solution.reshape(-1, 3))
+        largest = float(direction.norm(dim=1).max())
+        if largest > _LARGEST_MOVE:
+            direction = direction * (_LARGEST_MOVE / largest)
+        slope = float((gradient * direction).sum())
+        length = 1.0
+        for _ in range(20):
+            candidate = x + length * direction
+            energy = float(frozen.energies(candidate).total)
+            if energy <= total + _SUFFICIENT_DECREASE * length * slope:
+                break
+            length *= 0.5
+        else:
+            return None
+        if solved.negative is None:
+            return candidate
+        buckling = torch.from_numpy(solved.negative.reshape(-1, 3))
+        buckling = buckling * (_BUCKLING_MOVE / float(buckling.norm(dim=1).max()))
+        if float((gradient * buckling).sum()) > 0:
+            buckling = -buckling
+        result, size = candidate, 1.0
+        for _ in range(9):
+            further = candidate + size * buckling
+            lower = float(frozen.energies(further).total)
+            if not lower < energy:
+                break
+            result, energy, size = further, lower, 2.0 * size
+        return result
+
+
+def _better_start(potential: StepPotential, start: Tensor, free: Tensor) -> Tensor:
+    """`start`, with what the moving body has overrun lifted back to the side of the body that it was on."""
+    step = potential.step
+    planes, collider = step.contact_now, step.collider
+    if planes is None or collider is None:
+        return start
+    point = planes.carried(collider.following, collider.faces).to(start)
+    normal = planes.carried_normals(collider.following, collider.faces).to(start)
+    height = ((start - point) * normal).sum(1)
+    wanted = planes.distance.clamp(0.0, _START_CLEARANCE)
+    overrun = planes.touchable & free & (planes.distance.abs() < REACH) & (height < wanted)
+    lifted = torch.where(overrun[:, None], start + (wanted - height)[:, None] * normal, start)
+    if float(potential.energies(lifted).total) < float(potential.energies(start).total):
+        return lifted
+    return start

@@ -1,0 +1,67 @@
+"""Contacts that follow the iterations of a minimisation."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pb4u.physics.contact_planes import ContactPlanes
+from pb4u.physics.incremental_potential import StepPotential
+
+REACH = 0.03
+"""Distance [m] from the body beyond which a vertex is not looked up again."""
+
+_OPPOSED = 0.8
+_CAUGHT_WITHIN = 0.01
+
+
+class TrackedContact:
+    """The bodies near each vertex, as tangent planes renewed at each iteration.
+
+    Only vertices that may have come near are looked up. A vertex whose nearest point jumps to another part of the body
+    (cloth caught in an armpit) keeps the plane that it left as a second one: with the nearest alone it would be thrown
+    to and fro for ever.
+
+    Args:
+        potential: of the step.
+        start: (vertices, 3) [m] where the iterations begin.
+    """
+
+    def __init__(self, potential: StepPotential, start: Tensor) -> None:
+        self._potential = potential
+        self._planes = potential.contact_at(start)
+        self._opposite: ContactPlanes | None = None
+        self._found_at = start
+
+    def potential_at(self, x: Tensor) -> StepPotential:
+        """The potential with the bodies near `x` frozen."""
+        planes, body = self._planes, self._potential.body
+        if planes is None or body is None:
+            return self._potential
+        moved = (x - self._found_at).norm(dim=1)
+        # A distance changes by no more than the vertex moved, so the others are still out of reach.
+        stale = (moved > 0) & (planes.distance - moved < REACH)
+        if bool(stale.any()):
+            self._planes = body.nearest(x, stale, planes)
+            self._opposite = _left_behind(planes, self._planes, self._opposite, x)
+            self._found_at = torch.where(stale[:, None], x, self._found_at)
+        return self._potential.with_contact(self._planes, self._opposite)
+
+
+def _left_behind(
+    old: ContactPlanes, new: ContactPlanes, opposite: ContactPlanes | None, x: Tensor
+) -> ContactPlanes | None:
+    """For each vertex the plane that it was at before it jumped to another part of the body."""
+    jumped = old.touchable & new.touchable & ((old.normals * new.normals).sum(1) < _OPPOSED)
+    if opposite is None:
+        if not bool(jumped.any()):
+            return None
+        opposite = ContactPlanes(**{**vars(old), "touchable": torch.zeros_like(old.touchable)})
+    taken = {
+        name: torch.where(jumped.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(opposite, name))
+        for name, value in vars(old).items()
+    }
+    caught = ((x - taken["points"]).norm(dim=1) < _CAUGHT_WITHIN) & new.touchable
+    apart = (taken["normals"] * new.normals).sum(1) < _OPPOSED
+    taken["touchable"] = taken["touchable"] & caught & apart
+    return ContactPlanes(**taken)

@@ -1,0 +1,225 @@
+"""Trained weights in one safetensors file that rebuilds its own model. Nothing is unpickled."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import warnings
+from dataclasses import asdict, dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from pb4u.errors import InputError, InputWarning
+from pb4u.garment.garment import Garment
+from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.scene.packed import PackedGarments
+from pb4u.simulation.network_configuration import (
+    NetworkConfiguration,
+    configuration_from_json,
+    configuration_to_json,
+)
+
+FORMAT_VERSION = 1
+SUFFIX = ".safetensors"
+RESOLUTION_TOLERANCE = 0.05
+
+
+@dataclass(frozen=True)
+class TrainingRecord:
+    """How weights came to be.
+
+    Args:
+        dt: time step that they were trained with [s].
+        mean_edge_lengths: finest and coarsest mean rest edge length seen [m].
+        propagation_steps: fewest and most propagation steps seen.
+        optimiser_steps: number of optimiser steps taken.
+        details: anything else, JSON data: preset, garments, motions, seed, versions.
+    """
+
+    dt: float
+    mean_edge_lengths: tuple[float, float]
+    propagation_steps: tuple[int, int]
+    optimiser_steps: int = 0
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A trained model with where it came from.
+
+    Args:
+        name: the built-in name, or the file's stem.
+        model: in evaluation mode, on the CPU, float32.
+        configuration: what the model was built from.
+        record: how it was trained.
+        licence: SPDX name of the weights' licence.
+    """
+
+    name: str
+    model: AccelerationModel
+    configuration: NetworkConfiguration
+    record: TrainingRecord
+    licence: str
+
+    def prepare(
+        self,
+        garments: PackedGarments,
+        propagation_steps: int | None = None,
+        dtype: torch.dtype = torch.float32,
+        fixed_shapes: bool = False,
+    ) -> PreparedGarments:
+        """`AccelerationModel.prepare`, warning about resolutions and propagation steps never seen in training."""
+        prepared = self.model.prepare(garments, propagation_steps, dtype, fixed_shapes)
+        for garment in garments.garments:
+            self.warn_of_resolution(garment)
+        fewest, most = self.record.propagation_steps
+        for garment, steps in zip(garments.garments, prepared.steps, strict=True):
+            if steps != 0 and not fewest <= steps <= most:
+                warnings.warn(
+                    f"{garment.name}: {steps} propagation steps, where the weights {self.name} were trained with "
+                    f"{fewest} to {most}; expect over-stretched or unsteady cloth.",
+                    InputWarning,
+                    stacklevel=2,
+                )
+        return prepared
+
+    def warn_of_resolution(self, garment: Garment) -> None:
+        """Warn where a garment is finer or coarser than what the weights have seen, and say what to expect."""
+        length, (finest, coarsest) = garment.mean_edge_length, self.record.mean_edge_lengths
+        if finest * (1 - RESOLUTION_TOLERANCE) <= length <= coarsest * (1 + RESOLUTION_TOLERANCE):
+            return
+        side, bound, expect = "finer", finest, "more stretch and trembling"
+        if length > coarsest:
+            side, bound, expect = "coarser", coarsest, "stiffer cloth, fewer wrinkles and deeper contact"
+        triangles = round(garment.triangle_count * (length / bound) ** 2, -2)
+        warnings.warn(
+            f"{garment.name}: its edges are {1e3 * length:.1f} mm long on average, {side} than the "
+            f"{1e3 * finest:.1f} to {1e3 * coarsest:.1f} mm that the weights {self.name} have seen; expect {expect}, "
+            f"or remesh it with `--triangles {triangles:.0f}`.",
+            InputWarning,
+            stacklevel=3,
+        )
+
+
+def save_checkpoint(
+    path: Path | str,
+    model: AccelerationModel,
+    configuration: NetworkConfiguration,
+    record: TrainingRecord,
+    licence: str = "Apache-2.0",
+) -> None:
+    """Write weights, normalisers and everything needed to rebuild them; the file appears whole or not at all.
+
+    Raises InputError where the folder cannot be written.
+    """
+    path = Path(path)
+    metadata = {
+        "pb4u_format_version": str(FORMAT_VERSION),
+        "configuration": json.dumps(configuration_to_json(configuration)),
+        "training_record": json.dumps(asdict(record)),
+        "licence": licence,
+    }
+    tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
+    content = save(tensors, metadata)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with open(temporary, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise InputError(f"Cannot write the checkpoint {path}: {error.strerror or error}.") from error
+
+
+def load_checkpoint(path: Path | str, name: str | None = None) -> Checkpoint:
+    """The model in a file that `save_checkpoint` wrote.
+
+    Raises InputError where the file is absent, cut, foreign, of a newer format, or at odds with its own configuration.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"There is no checkpoint {path}.")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata: dict[str, str] = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(
+            f"{path} is no whole safetensors file ({error}); fetch or train it again. "
+            "Checkpoints in pickle formats (.pt, .pth, .ckpt) are not read."
+        ) from error
+    version = metadata.get("pb4u_format_version")
+    if version is None or not version.isdigit():
+        raise InputError(f"{path} holds weights, but not those of a pb4u network: its header names no pb4u format.")
+    if int(version) > FORMAT_VERSION:
+        raise InputError(
+            f"{path} is of checkpoint format {version} and this pb4u reads up to {FORMAT_VERSION}; upgrade pb4u."
+        )
+    try:
+        configuration = configuration_from_json(json.loads(metadata["configuration"]))
+        record = _record_from_json(json.loads(metadata["training_record"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path} has a header that this pb4u cannot read: {error}") from error
+    model = AccelerationModel(configuration.network())
+    _check_fit(path, model.state_dict(), tensors)
+    model.load_state_dict(tensors)
+    return Checkpoint(name or path.stem, model.eval(), configuration, record, metadata.get("licence", "unknown"))
+
+
+def built_in_models() -> tuple[str, ...]:
+    """Names of the weights that come with the package."""
+    folder = resources.files("pb4u.simulation") / "weights"
+    if not folder.is_dir():
+        return ()
+    return tuple(sorted(entry.name[: -len(SUFFIX)] for entry in folder.iterdir() if entry.name.endswith(SUFFIX)))
+
+
+def from_pretrained(name_or_path: str | Path) -> Checkpoint:
+    """The checkpoint of a built-in name, or of a path.
+
+    Raises InputError where there is neither, listing the names, and whatever `load_checkpoint` refuses.
+    """
+    wanted = str(name_or_path)
+    if wanted in built_in_models():
+        with resources.as_file(resources.files("pb4u.simulation") / "weights" / (wanted + SUFFIX)) as path:
+            return load_checkpoint(path, wanted)
+    if Path(wanted).is_file():
+        return load_checkpoint(wanted)
+    names = ", ".join(built_in_models()) or "none"
+    raise InputError(f"There is no model file {wanted} and no built-in model of that name; built in: {names}.")
+
+
+def _record_from_json(data: dict[str, Any]) -> TrainingRecord:
+    record = TrainingRecord(**data)
+    finest, coarsest = (float(length) for length in record.mean_edge_lengths)
+    fewest, most = (int(count) for count in record.propagation_steps)
+    if not (record.dt > 0 and 0 < finest <= coarsest and 0 <= fewest <= most):
+        raise InputError("the training record holds a time step, resolution or step count out of range.")
+    return TrainingRecord(
+        float(record.dt), (finest, coarsest), (fewest, most), int(record.optimiser_steps), dict(record.details)
+    )
+
+
+def _check_fit(path: Path, expected: dict[str, Tensor], found: dict[str, Tensor]) -> None:
+    missing, foreign = sorted(expected.keys() - found.keys()), sorted(found.keys() - expected.keys())
+    if missing or foreign:
+        named = f"{missing[0]} is missing" if missing else f"{foreign[0]} is not part of it"
+        raise InputError(f"{path} does not hold the network that its header describes: {named}.")
+    for key, tensor in found.items():
+        if tensor.shape != expected[key].shape:
+            raise InputError(
+                f"{path} has another feature layout or size than its header says: {key} is {tuple(tensor.shape)} "
+                f"where {tuple(expected[key].shape)} is meant."
+            )
+        if not bool(torch.isfinite(tensor).all()):
+            raise InputError(f"{path} holds numbers that are not finite in {key}; its training diverged.")

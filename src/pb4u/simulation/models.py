@@ -1,0 +1,88 @@
+"""Simulators by name: what `--model` takes."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from importlib.util import find_spec
+from pathlib import Path
+
+from pb4u.errors import InputError
+from pb4u.simulation.simulator import Simulator
+
+
+def model_descriptions() -> dict[str, str]:
+    """Name -> one line, of every simulator that needs no file."""
+    from pb4u.simulation.checkpoint import built_in_models
+
+    descriptions = dict.fromkeys(built_in_models(), "trained network")
+    descriptions |= {
+        "solver": "minimises the physics energies each frame: the reference",
+        "skinning": "no physics: the garment follows the body",
+        "newton": "the cloth solver of the newton package"
+        + ("" if find_spec("newton") else ' (needs the "newton" extra)'),
+    }
+    return descriptions
+
+
+def default_model() -> str:
+    """The best network shipped, or the solver where none is."""
+    from pb4u.simulation.checkpoint import built_in_models
+
+    shipped = built_in_models()
+    return next((name for name in ("pb4u", "pb4u-small") if name in shipped), shipped[0] if shipped else "solver")
+
+
+def load_simulator(
+    name: str | Path = "auto",
+    *,
+    contact: bool = True,
+    refine: int = 5,
+    propagation_steps: int | None = None,
+    device: str = "auto",
+) -> Simulator:
+    """The simulator called `name`.
+
+    Args:
+        name: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
+        contact: push the garment out of the body after each step (networks and solver).
+        refine: solver iterations after each step of a network.
+        propagation_steps: override of K for a network; None follows the paper's rule.
+        device: "auto", "cpu" or "cuda".
+
+    Raises InputError for an unknown name, a bad file or an impossible option.
+    """
+    from pb4u.simulation.contact import SurfaceContact
+    from pb4u.simulation.step import Contact, NoContact
+
+    if refine < 0:
+        raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
+    wanted = default_model() if str(name) == "auto" else str(name)
+    answering: Contact = SurfaceContact() if contact else NoContact()
+    if wanted == "skinning":
+        from pb4u.simulation.skinning_simulator import SkinningSimulator
+
+        return SkinningSimulator()
+    if wanted == "solver":
+        from pb4u.simulation.solver_simulator import SolverSimulator
+
+        return SolverSimulator(contact=answering)
+    if wanted == "newton":
+        from pb4u.simulation.newton_simulator import NewtonSimulator
+
+        return NewtonSimulator(device)
+    if not Path(wanted).suffix and wanted not in model_descriptions():
+        near = get_close_matches(wanted, model_descriptions())
+        hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(model_descriptions())}."
+        raise InputError(f"There is no model {wanted!r}; {hint}")
+    from pb4u.simulation.checkpoint import from_pretrained
+    from pb4u.simulation.network_simulator import NetworkSimulator
+
+    return NetworkSimulator(from_pretrained(wanted), propagation_steps, refine, answering, _device(device))
+
+
+def _device(name: str) -> str:
+    import torch
+
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError("There is no CUDA device here; use --device cpu.")
+    return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"

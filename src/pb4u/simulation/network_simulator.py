@@ -1,0 +1,115 @@
+"""A trained network rolled out, with the solver and contact response in the loop where asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.physics.integrator import integrate
+from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
+from pb4u.scene.scene import Scene
+from pb4u.scene.state import State
+from pb4u.simulation.checkpoint import Checkpoint
+from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Relaxed
+from pb4u.simulation.refinement import SolverRefinement
+from pb4u.simulation.simulator import RunRecord
+from pb4u.simulation.stage import Stage
+from pb4u.simulation.step import Contact, NoContact, NoRefinement, Predictor, Situation, StepParts
+from pb4u.simulation.stepwise_simulator import StepwiseSimulator
+
+_ORIGIN_GRID = 1.0 / 16.0
+
+
+class NetworkPredictor(Predictor):
+    """Accelerations from the network, integrated in the state's own precision.
+
+    Args:
+        model: the network between its normalisers, on the device to compute on.
+        prepared: what it derived once from the garments.
+    """
+
+    def __init__(self, model: AccelerationModel, prepared: PreparedGarments) -> None:
+        self.model, self.prepared = model, prepared
+        self.device = next(model.parameters()).device
+
+    @torch.inference_mode()
+    def _accelerations(self, situation: Situation) -> Tensor:
+        state = replace(
+            situation.state,
+            positions=situation.state.positions.to(self.device),
+            velocities=situation.state.velocities.to(self.device),
+        )
+        collider = _moved(situation.collider, self.device)
+        graph = self.prepared.graph(state, collider, situation.dt, local_origin(situation.collider).to(self.device))
+        return self.model(graph, self.prepared)
+
+    def predict(self, situation: Situation) -> State:
+        acceleration = self._accelerations(situation).to(situation.state.positions).clone()
+        return integrate(
+            situation.state, acceleration, situation.dt, situation.garments.pinned, situation.pin_positions
+        )
+
+
+def local_origin(collider: ColliderFrame) -> Tensor:
+    """(3,) [m] middle of the bodies, rounded so that float32 differences of positions stay exact."""
+    middle = collider.now.mean(0)
+    return (middle / _ORIGIN_GRID).round() * _ORIGIN_GRID
+
+
+def _moved(collider: ColliderFrame, device: torch.device) -> ColliderFrame:
+    if collider.now.device == device:
+        return collider
+    names = ("previous", "now", "following", "faces", "contact", "vertex_garment")
+    return replace(collider, **{name: getattr(collider, name).to(device) for name in names})
+
+
+class NetworkSimulator(StepwiseSimulator):
+    """Rolls a checkpoint out.
+
+    Args:
+        checkpoint: the trained model.
+        propagation_steps: override of K; None follows the paper's rule.
+        refine: solver iterations after each step; 0 for none.
+        contact: what answers vertices left inside the body.
+        device: where the network computes.
+    """
+
+    def __init__(
+        self,
+        checkpoint: Checkpoint,
+        propagation_steps: int | None = None,
+        refine: int = 0,
+        contact: Contact | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.name = checkpoint.name
+        self.fps = 1.0 / checkpoint.record.dt
+        self.checkpoint = checkpoint
+        self.override = propagation_steps
+        self.refine = refine
+        self.contact = contact or NoContact()
+        self.device = torch.device(device)
+        checkpoint.model.to(self.device)
+
+    def settings(self) -> dict[str, Any]:
+        return {"refine": self.refine, "device": str(self.device), "weights_licence": self.checkpoint.licence}
+
+    def propagation_steps(self, scene: Scene) -> int | None:
+        if self.override is not None:
+            return self.override
+        steps = self.checkpoint.model.network.propagation_steps(scene.garments[0].garment.mean_edge_length)
+        return steps or None
+
+    def parts(self, stage: Stage, record: RunRecord) -> StepParts:
+        garments: PackedGarments = pack(stage.garments.garments, torch.float32, self.device)
+        prepared = self.checkpoint.prepare(garments, self.override)
+        predictor = NetworkPredictor(self.checkpoint.model, prepared)
+        refinement = SolverRefinement(self.refine) if self.refine else NoRefinement()
+        return StepParts(predictor, refinement, self.contact)
+
+    def first_frame(self, parts: StepParts) -> FirstFrame:
+        return Relaxed(contact=self.contact) if self.refine else OneLongStep(parts, self.contact)

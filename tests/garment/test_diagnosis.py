@@ -1,0 +1,146 @@
+import json
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cloth_shapes import quad_tube, triangle_tube, tube_garment
+
+from pb4u.body.library import load_body
+from pb4u.errors import InputError, InputWarning
+from pb4u.garment.diagnosis import Severity, diagnose, require_worn
+from pb4u.garment.garment import SourceMesh
+
+
+@pytest.fixture(scope="module")
+def woman():
+    return load_body("woman")
+
+
+def finding(diagnosis, code):
+    assert code in diagnosis.codes
+    return next(f for f in diagnosis.findings if f.code == code)
+
+
+def test_a_sound_garment_has_nothing_to_mend(woman):
+    diagnosis = diagnose(triangle_tube(low=0.6, high=1.0, radius=0.22), woman)
+    assert diagnosis.codes == ()
+    assert not diagnosis.is_refused
+    assert diagnosis.measures["boundary_loops"] == 2
+    assert diagnosis.measures["penetration_percent"] == 0.0
+
+
+def test_every_fault_of_the_mesh_is_named_with_its_place():
+    mesh = triangle_tube()
+    faces = np.stack(mesh.polygons)
+    faces[11] = faces[11][::-1]
+    extra = (np.array([500, 501, 0]), faces[7], np.array([9, 9, 10]))
+    diagnosis = diagnose(SourceMesh(np.concatenate([mesh.vertices, [[0, 2, 0.0]]]), (*faces, *extra)))
+    assert diagnosis.is_refused
+    assert diagnosis.findings[0].severity is Severity.REFUSED
+    shared = finding(diagnosis, "non-manifold")
+    assert "500-501" in shared.sentence
+    assert shared.where == (1600,)
+    assert not shared.mendable
+    assert finding(diagnosis, "duplicate").where == (1601,)
+    assert finding(diagnosis, "degenerate").where == (1602,)
+    assert finding(diagnosis, "isolated").where == (len(mesh.vertices),)
+    assert 11 in finding(diagnosis, "orientation").where
+    written = json.loads(json.dumps(diagnosis.to_json()))
+    assert written["refused"]
+    assert {f["code"] for f in written["findings"]} == set(diagnosis.codes)
+
+
+def test_pieces_and_polygons():
+    mesh = quad_tube()
+    two = SourceMesh(
+        np.concatenate([mesh.vertices, mesh.vertices * [2.0, 1.0, 2.0]]),
+        mesh.polygons + tuple(p + len(mesh.vertices) for p in mesh.polygons),
+    )
+    diagnosis = diagnose(two)
+    assert "2 pieces" in finding(diagnosis, "pieces").sentence
+    assert finding(diagnosis, "polygons").severity is Severity.NOTE
+
+
+def test_a_solidified_shell_is_double(woman):
+    mesh = triangle_tube()
+    shell = mesh.vertices * [0.985, 1.0, 0.985]
+    inner = tuple(p[::-1] + len(mesh.vertices) for p in mesh.polygons)
+    diagnosis = diagnose(SourceMesh(np.concatenate([mesh.vertices, shell]), mesh.polygons + inner))
+    assert "double-layer" in diagnosis.codes
+    assert "double-layer" not in diagnose(mesh).codes
+
+
+def test_graded_edge_lengths_propose_a_triangle_count():
+    mesh = triangle_tube()
+    stretched = mesh.vertices.copy()
+    stretched[:, 1] = 0.5 + 2.0 * (stretched[:, 1] - 0.5) ** 2
+    diagnosis = diagnose(replace(mesh, vertices=stretched))
+    assert "--triangles 1600" in finding(diagnosis, "graded").fix
+    assert "graded" not in diagnose(mesh).codes
+
+
+def test_first_frame_penetration_is_measured(woman):
+    garment = tube_garment(low=0.95, high=1.05, radius=0.17)
+    diagnosis = diagnose(garment, woman)
+    said = finding(diagnosis, "penetration")
+    assert said.mendable
+    assert said.severity is Severity.WARNING
+    assert 1.0 < diagnosis.measures["penetration_percent"] < 60.0
+    assert diagnosis.measures["penetration_depth_max"] > 0.002
+    with pytest.warns(InputWarning, match="start inside the body, the deepest"):
+        require_worn(garment, woman)
+
+
+def test_a_garment_wholly_inside_is_refused(woman):
+    garment = tube_garment(low=1.0, high=1.2, radius=0.04)
+    garment = replace(garment, vertices=garment.vertices + [0.0, 0.0, 0.03])
+    assert finding(diagnose(garment, woman), "inside").severity is Severity.REFUSED
+    with pytest.raises(InputError, match="wholly inside the body"):
+        require_worn(garment, woman)
+
+
+def test_a_garment_far_from_the_body_is_refused(woman):
+    garment = tube_garment()
+    far = replace(garment, vertices=garment.vertices + [3.0, 0.0, 0.0])
+    assert finding(diagnose(far, woman), "far").severity is Severity.REFUSED
+    with pytest.raises(InputError, match="far from the body.*2.[0-9]+ m away"):
+        require_worn(far, woman)
+
+
+def test_z_up_is_told_and_a_garment_that_lies_on_the_floor_is_refused(woman):
+    garment = tube_garment(low=0.2, high=1.0, radius=0.22)
+    lying = replace(garment, vertices=garment.vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0])
+    diagnosis = diagnose(lying, woman)
+    assert "Z up" in finding(diagnosis, "axes").sentence
+    assert finding(diagnosis, "axes").severity is Severity.WARNING
+    assert finding(diagnosis, "misplaced").severity is Severity.REFUSED
+    with pytest.raises(InputError, match="not on the body.*check --fix"):
+        require_worn(lying, woman)
+
+
+def test_other_units_are_named(woman):
+    mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
+    diagnosis = diagnose(replace(mesh, vertices=100.0 * mesh.vertices), woman)
+    assert "centimetres" in finding(diagnosis, "units").sentence
+    assert "scale it by 0.01" in finding(diagnosis, "units").fix
+    assert "units" in diagnose(replace(mesh, vertices=1000.0 * mesh.vertices)).codes
+
+
+def test_penetration_is_not_reported_for_a_body_with_holes(woman):
+    open_body = replace(woman, faces=woman.faces[200:])
+    garment = tube_garment(low=0.95, high=1.05, radius=0.17)
+    diagnosis = diagnose(garment, open_body)
+    assert "open-body" in diagnosis.codes
+    assert "penetration" not in diagnosis.codes
+    assert "penetration_percent" not in diagnosis.measures
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        require_worn(garment, open_body)
+    assert "not a closed surface" in str(caught[0].message)
+
+
+def test_a_garment_inside_out_is_told(woman):
+    mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
+    turned = replace(mesh, polygons=tuple(p[::-1] for p in mesh.polygons))
+    assert diagnose(turned, woman).codes == ("inside-out",)

@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+import torch
+from cloth_shapes import tube_arrays
+
+from pb4u.body.library import load_body
+from pb4u.garment.fit import AXES, UNITS, RestBody, find_fit
+from pb4u.geometry.triangle_mesh import vertex_normals
+
+
+@pytest.fixture(scope="module")
+def body():
+    return RestBody.of(load_body("woman"))
+
+
+@pytest.fixture(scope="module")
+def shirt(body):
+    """Skin of torso and upper arms, 1 cm out: it has a front, a back and a height of its own."""
+    vertices = body.vertices
+    torso = (vertices[:, 1] > 1.0) & (vertices[:, 1] < 1.42) & (np.abs(vertices[:, 0]) < 0.3) & body.contact
+    normals = vertex_normals(torch.from_numpy(vertices), torch.from_numpy(body.faces)).numpy()
+    return vertices[torso] + 0.01 * normals[torso]
+
+
+def test_a_garment_that_fits_is_not_moved(body, shirt):
+    fit = find_fit(shirt, body)
+    assert fit.is_identity
+    np.testing.assert_array_equal(fit.apply(shirt), shirt)
+
+
+@pytest.mark.parametrize("unit", ["centimetres", "inches"])
+@pytest.mark.parametrize("axes", ["Z up, facing -Y", "Y up, facing -Z"])
+def test_unit_axes_and_the_models_own_origin_are_found(body, shirt, unit, axes):
+    file = ((shirt - [0.0, body.lift, 0.0]) @ AXES[axes]) / UNITS[unit]
+    fit = find_fit(file, body)
+    assert (fit.unit, fit.axes, fit.searched) == (unit, axes, False)
+    np.testing.assert_allclose(fit.apply(file), shirt, atol=1e-9)
+
+
+def test_any_other_height_is_searched_for(body, shirt):
+    fit = find_fit(shirt - [0.0, 0.3, 0.0], body)
+    assert fit.searched
+    assert fit.shift[1] == pytest.approx(0.3, abs=0.015)
+
+
+def test_a_wide_skirt_stays_where_it_is(body):
+    vertices, _ = tube_arrays(low=0.2, high=1.05, radius=0.2)
+    vertices[:, [0, 2]] *= 1.0 + 0.8 * (1.05 - vertices[:, 1:2])
+    assert find_fit(vertices, body).is_identity
+
+
+def test_the_axes_are_rotations():
+    for rotation in AXES.values():
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3))
+        assert np.linalg.det(rotation) == pytest.approx(1.0)

@@ -1,0 +1,151 @@
+import time
+import warnings
+
+import numpy as np
+import pytest
+from cloth_shapes import CLOTH, quad_tube, saved, triangle_tube, tube_arrays
+
+from pb4u.errors import InputError, InputWarning
+from pb4u.garment.garment import SourceMesh
+from pb4u.garment.garment_file import read_garment
+
+
+def with_faces(mesh, extra):
+    return SourceMesh(mesh.vertices, (*mesh.polygons, *(np.array(face) for face in extra)))
+
+
+def test_without_a_count_the_simulated_mesh_is_the_authors(tmp_path):
+    mesh = triangle_tube()
+    path = saved(tmp_path, mesh)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        garment = read_garment(path, CLOTH)
+    np.testing.assert_allclose(garment.vertices, mesh.vertices, atol=1e-8)
+    np.testing.assert_array_equal(garment.faces, np.stack(mesh.polygons))
+    moved = garment.vertices + np.random.default_rng(0).normal(size=garment.vertices.shape)
+    np.testing.assert_array_equal(garment.source.carry(moved, garment.faces), moved)
+
+
+def test_quads_are_cut_to_simulate_and_kept_in_the_source(tmp_path):
+    mesh = quad_tube()
+    with pytest.warns(InputWarning, match="800 quads or n-gons"):
+        garment = read_garment(saved(tmp_path, mesh), CLOTH)
+    assert garment.triangle_count == 1600
+    assert all(len(p) == 4 for p in garment.source.source.polygons)
+    # Each corner still has the UV of its own side of the seam.
+    u = garment.uvs[garment.uv_faces][..., 0]
+    assert np.ptp(u, axis=1).max() < 0.05
+
+
+def test_remeshing_keeps_borders_and_carries_motion_back(tmp_path):
+    mesh = quad_tube()
+    with pytest.warns(InputWarning):
+        garment = read_garment(saved(tmp_path, mesh), CLOTH, triangles=3000)
+    assert abs(garment.triangle_count - 3000) <= 150
+    assert len(garment.topology.boundary_loops) == 2
+    assert len(garment.source.source.vertices) == len(mesh.vertices)
+    turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    carried = garment.source.carry(garment.vertices @ turn.T + [0.1, 0.2, 0.3], garment.faces)
+    np.testing.assert_allclose(carried, mesh.vertices @ turn.T + [0.1, 0.2, 0.3], atol=2e-3)
+
+
+def test_oddities_are_warned_of_and_left_out(tmp_path):
+    mesh = triangle_tube()
+    other, quads = tube_arrays(radius=0.4)
+    polygons = (*mesh.polygons, mesh.polygons[7][[1, 2, 0]], np.array([3, 3, 4]), *(quads + len(mesh.vertices)))
+    odd = SourceMesh(np.concatenate([mesh.vertices, other, [[0.0, 0.7, 0.3]]]), polygons)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        garment = read_garment(saved(tmp_path, odd), CLOTH)
+    said = " ".join(str(w.message) for w in caught)
+    assert all(w.category is InputWarning for w in caught)
+    for part in ("1 duplicate face", "1 face(s) without area", "1 isolated vertices", "2 pieces", "quads"):
+        assert part in said
+    assert garment.triangle_count == 1600 + 1600
+    assert len(garment.vertices) == len(odd.vertices) - 1
+    # The isolated vertex rides on the cloth beside it.
+    assert np.isfinite(garment.source.barycentric).all()
+    carried = garment.source.carry(garment.vertices + [1.0, 0, 0], garment.faces)
+    assert np.linalg.norm(carried[-1] - [1.0, 0.7, 0.3]) < 0.06
+
+
+def test_open_seams_and_turned_faces_are_said(tmp_path):
+    mesh = triangle_tube()
+    faces = np.stack(mesh.polygons)
+    seam = faces.copy()
+    # The last column of quads gets border vertices of its own, on top of the first column's.
+    wrap = (faces % 40).max(axis=1) - (faces % 40).min(axis=1) > 2
+    first = np.flatnonzero(np.arange(len(mesh.vertices)) % 40 == 0)
+    copy = np.zeros(len(mesh.vertices), dtype=np.int64)
+    copy[first] = len(mesh.vertices) + np.arange(len(first))
+    seam[wrap] = np.where(faces[wrap] % 40 == 0, copy[faces[wrap]], faces[wrap])
+    torn = SourceMesh(np.concatenate([mesh.vertices, mesh.vertices[first]]), tuple(seam))
+    with pytest.warns(InputWarning, match="21 border vertices lie on others.*weld it with"):
+        read_garment(saved(tmp_path, torn), CLOTH)
+    faces[5] = faces[5][::-1]
+    with pytest.warns(InputWarning, match="1 face.s. are turned over"):
+        garment = read_garment(saved(tmp_path, SourceMesh(mesh.vertices, tuple(faces))), CLOTH)
+    assert garment.topology.is_consistently_oriented
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(100.0, "centimetres"), (1000.0, "millimetres"), (0.01, "too small")])
+def test_other_units_are_refused_and_the_fix_is_named(tmp_path, scale, unit):
+    mesh = triangle_tube()
+    path = saved(tmp_path, SourceMesh(scale * mesh.vertices, mesh.polygons))
+    with pytest.raises(InputError, match=f"{unit}.*check --fix"):
+        read_garment(path, CLOTH)
+
+
+def test_edges_of_three_faces_are_refused(tmp_path):
+    mesh = triangle_tube()
+    with pytest.raises(InputError, match=r"1 edge\(s\) are shared by three or more faces, first 500-501"):
+        read_garment(saved(tmp_path, with_faces(mesh, [[500, 501, 0]])), CLOTH)
+
+
+def test_too_many_triangles_are_refused_before_they_are_parsed(tmp_path):
+    path = tmp_path / "huge.obj"
+    path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"f 1 2 3\n" * 5_000_000)
+    started = time.perf_counter()
+    with pytest.raises(InputError, match="5,000,000 triangles or more"):
+        read_garment(path, CLOTH, triangles=10_000)
+    assert time.perf_counter() - started < 2.0
+    path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"f 1 2 3\n" * 1_500_000)
+    with pytest.raises(InputError, match="ask for fewer with `--triangles N`"):
+        read_garment(path, CLOTH)
+
+
+def test_a_hundred_thousand_faces_load_in_seconds(tmp_path):
+    mesh = triangle_tube(around=250, rows=200)
+    path = saved(tmp_path, mesh)
+    started = time.perf_counter()
+    assert read_garment(path, CLOTH).triangle_count == 100_000
+    assert time.perf_counter() - started < 6.0  # about 1.5 s on one free core
+
+
+@pytest.mark.parametrize("suffix", ["ply", "stl", "glb"])
+def test_other_formats_give_the_same_surface(tmp_path, suffix):
+    trimesh = pytest.importorskip("trimesh")
+    mesh = triangle_tube()
+    path = tmp_path / f"tube.{suffix}"
+    trimesh.Trimesh(mesh.vertices, np.stack(mesh.polygons), process=False).export(path)
+    garment = read_garment(path, CLOTH)
+    assert garment.triangle_count == len(mesh.polygons)
+    assert len(garment.topology.boundary_loops) == 2
+    if suffix != "stl":  # which has no vertex order of its own
+        np.testing.assert_allclose(garment.vertices, mesh.vertices, atol=1e-6)
+
+
+def test_what_is_no_garment_file(tmp_path):
+    with pytest.raises(InputError, match="There is no garment file"):
+        read_garment(tmp_path / "absent.obj", CLOTH)
+    (tmp_path / "cloth.fbx").write_bytes(b"")
+    with pytest.raises(InputError, match="the kinds are .obj"):
+        read_garment(tmp_path / "cloth.fbx", CLOTH)
+    (tmp_path / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\nelement face 7\n")
+    with pytest.raises(InputError, match="broken.ply"):
+        read_garment(tmp_path / "broken.ply", CLOTH)
+    (tmp_path / "noise.glb").write_bytes(bytes(range(200)))
+    with pytest.raises(InputError, match="noise.glb"):
+        read_garment(tmp_path / "noise.glb", CLOTH)
+    with pytest.raises(InputError, match="must be 1 or more, not -5"):
+        read_garment(saved(tmp_path, triangle_tube()), CLOTH, triangles=-5)

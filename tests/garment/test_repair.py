@@ -1,0 +1,105 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cloth_shapes import quad_tube, triangle_tube, tube_garment
+
+from pb4u.body.library import load_body
+from pb4u.garment.diagnosis import diagnose
+from pb4u.garment.fit import AXES, RestBody
+from pb4u.garment.garment import SourceMesh
+from pb4u.garment.push_out import CLEARANCE, push_out
+from pb4u.garment.repair import repair
+from pb4u.geometry.triangle_mesh import edge_lengths
+
+
+@pytest.fixture(scope="module")
+def woman():
+    return load_body("woman")
+
+
+def test_a_sound_garment_is_returned_as_it_was(woman):
+    mesh = quad_tube(low=0.6, high=1.0, radius=0.22)
+    mended, said = repair(mesh, woman)
+    assert said == ()
+    np.testing.assert_array_equal(mended.vertices, mesh.vertices)
+    np.testing.assert_array_equal(np.stack(mended.polygons), np.stack(mesh.polygons))
+
+
+def test_units_axes_and_origin_are_set_right_with_polygons_and_uvs_kept(woman):
+    mesh = quad_tube(low=0.2, high=1.0, radius=0.22)
+    standing = mesh.vertices + [0.0, 0.0, 0.02]
+    file = 100.0 * (standing - [0.0, woman.lift, 0.0]) @ AXES["Z up, facing -Y"]
+    mended, said = repair(replace(mesh, vertices=file), woman)
+    assert said[0] == "Scaled by 0.01, from centimetres to metres."
+    assert said[1] == "Turned from Z up, facing -Y to Y up, facing +Z."
+    assert said[2].startswith("Moved by +0.8")
+    np.testing.assert_allclose(mended.vertices, standing, atol=1e-9)
+    np.testing.assert_array_equal(np.stack(mended.polygons), np.stack(mesh.polygons))
+    np.testing.assert_array_equal(np.stack(mended.polygon_uvs), np.stack(mesh.polygon_uvs))
+
+
+def test_faults_of_the_mesh_are_mended_without_a_body():
+    mesh = triangle_tube()
+    faces = np.stack(mesh.polygons)
+    wrap = (faces % 40).max(axis=1) - (faces % 40).min(axis=1) > 2
+    first = np.arange(0, len(mesh.vertices), 40)
+    copy = np.zeros(len(mesh.vertices), dtype=np.int64)
+    copy[first] = len(mesh.vertices) + np.arange(len(first))
+    faces[wrap] = np.where(faces[wrap] % 40 == 0, copy[faces[wrap]], faces[wrap])
+    faces[11] = faces[11][::-1]
+    polygons = (*faces, faces[7], np.array([9, 9, 10]), np.array([], dtype=np.int64))[:-1]
+    broken = SourceMesh(np.concatenate([mesh.vertices, mesh.vertices[first], [[0.0, 0.7, 0.4]]]), polygons)
+    assert {"unwelded", "duplicate", "degenerate", "orientation"} <= set(diagnose(broken).codes)
+    mended, said = repair(broken)
+    assert diagnose(mended).codes == ()
+    assert len(mended.vertices) == len(mesh.vertices)
+    assert len(mended.polygons) == 1600
+    assert len(said) == 4
+    np.testing.assert_array_equal(np.sort(mended.vertices, axis=0), np.sort(mesh.vertices, axis=0))
+
+
+def test_a_seam_whose_weld_would_join_three_faces_stays_open():
+    vertices = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    mesh = SourceMesh(vertices, (np.array([0, 1, 3]), np.array([1, 0, 2]), np.array([4, 5, 6])))
+    mended, said = repair(mesh)
+    assert len(mended.vertices) == 7
+    assert "left open" in said[0]
+
+
+def test_a_garment_inside_out_is_turned(woman):
+    mesh = quad_tube(low=0.6, high=1.0, radius=0.22)
+    wrong = replace(
+        mesh,
+        polygons=tuple(p[::-1] for p in mesh.polygons),
+        polygon_uvs=tuple(p[::-1] for p in mesh.polygon_uvs),
+    )
+    mended, said = repair(wrong, woman)
+    assert said == ("Turned the garment right side out.",)
+    np.testing.assert_array_equal(np.stack(mended.polygons), np.stack(mesh.polygons))
+    np.testing.assert_array_equal(np.stack(mended.polygon_uvs), np.stack(mesh.polygon_uvs))
+
+
+def test_cloth_is_pushed_out_smoothly_and_no_farther_than_it_must(woman):
+    garment = tube_garment(low=0.85, high=1.1, radius=0.165, around=80, rows=24)
+    body = RestBody.of(woman)
+    before = body.signed_distances(garment.vertices)
+    assert (before < 0.0).any()
+    moved = push_out(garment.vertices, garment.topology, body)
+    after = body.signed_distances(moved)
+    assert after.min() >= 0.9 * CLEARANCE
+    distance = np.linalg.norm(moved - garment.vertices, axis=1)
+    assert distance.max() < 1.5 * (CLEARANCE - before.min()) + 1e-3
+    # Cloth well clear of the body stays.
+    assert distance[before > 0.04].max() < 1e-3
+    stretch = edge_lengths(moved, garment.topology.edges) / garment.edge_lengths
+    assert stretch.max() < 1.6
+    assert stretch.min() > 0.5
+
+
+def test_a_garment_of_another_size_is_not_pushed(woman):
+    garment = triangle_tube(low=1.0, high=1.2, radius=0.04)
+    garment = replace(garment, vertices=garment.vertices + [0.0, 0.0, 0.03])
+    mended, said = repair(garment, woman)
+    assert "too small" in said[-1]
+    np.testing.assert_array_equal(mended.vertices, garment.vertices)

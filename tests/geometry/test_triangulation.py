@@ -1,0 +1,41 @@
+import numpy as np
+
+from pb4u.geometry.triangle_mesh import face_areas
+from pb4u.geometry.triangulation import triangulate
+
+
+def test_polygons_keep_their_order_orientation_and_area():
+    vertices = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0], [3, 0, 0], [3, 1, 0.0]])
+    polygons = (np.array([1, 4, 5, 2]), np.array([0, 1, 2]), np.array([0, 2, 3]))
+    corners, owner = triangulate(vertices, polygons)
+    faces = np.concatenate(polygons)[corners]
+    assert owner.tolist() == [0, 0, 1, 2]
+    assert face_areas(vertices, faces).sum() == 3.0
+    normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+    assert (normals[:, 2] > 0).all()
+
+
+def test_a_quad_is_cut_along_its_shorter_diagonal():
+    kite = np.array([[0, 0, 0], [1, -0.2, 0], [2, 0, 0], [1, 0.2, 0.0]])
+    corners, _ = triangulate(kite, [np.arange(4)])
+    assert {frozenset(face) for face in corners.tolist()} == {frozenset({0, 1, 3}), frozenset({1, 2, 3})}
+
+
+def test_a_concave_polygon_in_any_plane_is_covered_once():
+    angle = np.linspace(0, 2 * np.pi, 11)[:-1]
+    radius = np.where(np.arange(10) % 2, 0.4, 1.0)
+    flat = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(10)], axis=1)
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    star = flat @ turn.T + [1.0, 2.0, 3.0]
+    corners, owner = triangulate(star, [np.arange(10)])
+    assert corners.shape == (8, 3)
+    assert owner.tolist() == [0] * 8
+    following = np.roll(flat, -1, axis=0)
+    area = 0.5 * abs(np.sum(flat[:, 0] * following[:, 1] - flat[:, 1] * following[:, 0]))
+    np.testing.assert_allclose(face_areas(star, corners).sum(), area)
+
+
+def test_no_polygons_give_no_triangles():
+    corners, owner = triangulate(np.zeros((3, 3)), [])
+    assert corners.shape == (0, 3)
+    assert owner.shape == (0,)

@@ -1,0 +1,129 @@
+"""Small made-up garments and bodies for tests of graphs and networks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.garment.garment import Garment
+from pb4u.garment.material import Material
+from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
+from pb4u.scene.state import State
+
+COTTON = Material(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)
+DT = 1.0 / 30.0
+
+
+def sheet(rows: int, columns: int, edge: float = 0.015, seed: int = 0, material: Material = COTTON) -> Garment:
+    """A slightly uneven horizontal sheet of 2 (rows - 1) (columns - 1) triangles at 1 m height."""
+    rng = np.random.default_rng(seed)
+    i, j = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    vertices = np.stack([i * edge, np.ones(i.shape), j * edge], axis=-1).reshape(-1, 3).astype(float)
+    vertices[:, [0, 2]] += rng.uniform(-0.15, 0.15, (len(vertices), 2)) * edge
+    corner = (i * columns + j)[:-1, :-1].reshape(-1)
+    a, b, c, d = corner, corner + 1, corner + columns, corner + columns + 1
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([b, d, c], 1)]).astype(np.int64)
+    return Garment("sheet", vertices, faces, material)
+
+
+def sheet_of(triangles: int, area: float = 0.9) -> Garment:
+    """A square sheet of about so many triangles and `area` [m^2] (a T-shirt has about 0.9)."""
+    side = round((triangles / 2) ** 0.5) + 1
+    return sheet(side, side, edge=area**0.5 / (side - 1))
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A packed state around its bodies."""
+
+    garments: PackedGarments
+    state: State
+    collider: ColliderFrame | None
+
+    def shifted(self, shift: Tensor) -> Moment:
+        collider = self.collider
+        if collider is not None:
+            moved = {name: getattr(collider, name) + shift for name in ("previous", "now", "following")}
+            collider = replace(collider, **moved)
+        return replace(self, state=replace(self.state, positions=self.state.positions + shift), collider=collider)
+
+    def alone(self, garment: int) -> Moment:
+        """The same moment of one garment only."""
+        start, stop = self.garments.vertex_offsets[garment : garment + 2]
+        state = replace(
+            self.state, positions=self.state.positions[start:stop], velocities=self.state.velocities[start:stop]
+        )
+        collider = self.collider
+        if collider is not None:
+            kept = collider.vertex_garment == garment
+            collider = replace(
+                collider,
+                previous=collider.previous[kept],
+                now=collider.now[kept],
+                following=collider.following[kept],
+                contact=collider.contact[kept],
+                vertex_garment=torch.zeros(int(kept.sum()), dtype=torch.int64),
+                faces=collider.faces[kept[collider.faces[:, 0]]] - int(kept.nonzero()[0]),
+            )
+        packed = pack([self.garments.garments[garment]], dtype=self.garments.dtype)
+        return Moment(packed, state, collider)
+
+
+def moment(garments: list[Garment], body: bool = True, seed: int = 0, dtype: torch.dtype = torch.float64) -> Moment:
+    """Garments wobbling in the air, half of each 1.5 cm over a body of its own that moves."""
+    generator = torch.Generator().manual_seed(seed)
+    packed = pack(garments, dtype=dtype)
+
+    def noise(like: Tensor, scale: float) -> Tensor:
+        return scale * torch.randn(like.shape, generator=generator, dtype=torch.float64).to(like)
+
+    positions = packed.rest_positions + noise(packed.rest_positions, 5e-4)
+    velocities = noise(positions, 0.1)
+    collider = None
+    if body:
+        frames, faces, owner, base = [], [], [], 0
+        for index, garment in enumerate(garments):
+            extent = np.ptp(garment.vertices, axis=0)
+            under = sheet(9, 9, edge=float(max(extent[0], extent[2])) / 12, seed=seed + index + 1)
+            vertices = torch.as_tensor(under.vertices, dtype=dtype) - torch.tensor([0.0, 0.015, 0.0], dtype=dtype)
+            frames.append(vertices)
+            faces.append(torch.as_tensor(under.faces) + base)
+            owner += [index] * len(vertices)
+            base += len(vertices)
+        now = torch.cat(frames)
+        collider = ColliderFrame(
+            previous=now + noise(now, 2e-3),
+            now=now,
+            following=now + noise(now, 2e-3),
+            faces=torch.cat(faces),
+            contact=torch.ones(base, dtype=torch.bool),
+            vertex_garment=torch.tensor(owner),
+        )
+    return Moment(packed, State(positions, velocities, 0), collider)
+
+
+def accelerations(
+    model: AccelerationModel,
+    at: Moment,
+    steps: int | tuple[int, ...] | None = None,
+    dtype: torch.dtype = torch.float64,
+    origin: Tensor | None = None,
+    fixed_shapes: bool = False,
+) -> Tensor:
+    prepared = prepared_for(model, at, steps, dtype, fixed_shapes)
+    return model(prepared.graph(at.state, at.collider, DT, origin), prepared)
+
+
+def prepared_for(
+    model: AccelerationModel,
+    at: Moment,
+    steps: int | tuple[int, ...] | None = None,
+    dtype: torch.dtype = torch.float64,
+    fixed_shapes: bool = False,
+) -> PreparedGarments:
+    prepared = model.prepare(at.garments, dtype=dtype, fixed_shapes=fixed_shapes)
+    return prepared if steps is None else prepared.with_steps(steps)

@@ -1,0 +1,136 @@
+"""Simulators: the same Scene in, the same kind of Trajectory out, kept when the state fails."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from pb4u.errors import InputError
+from pb4u.evaluation.metrics import measure
+from pb4u.scene.state import State
+from pb4u.simulation.contact import SurfaceContact
+from pb4u.simulation.first_frame import AsSkinned, FirstFrame, OneLongStep, Relaxed
+from pb4u.simulation.models import load_simulator
+from pb4u.simulation.simulator import RunRecord
+from pb4u.simulation.skinning_simulator import SkinningSimulator
+from pb4u.simulation.solver_simulator import SolverSimulator
+from pb4u.simulation.stage import Stage
+from pb4u.simulation.step import BallisticPredictor, Predictor, Situation, StepParts, step
+from pb4u.simulation.stepwise_simulator import StepwiseSimulator, situation_at
+from ball_scene import ball_scene
+
+
+class FreeFall(StepwiseSimulator):
+    """Flight without any physics, turning to NaN at a frame."""
+
+    name = "free fall"
+
+    def __init__(self, fails_at: int | None = None) -> None:
+        self.fails_at = fails_at
+
+    def parts(self, stage: Stage, record: RunRecord) -> StepParts:
+        fails_at = self.fails_at
+
+        class Flight(Predictor):
+            def predict(self, situation: Situation) -> State:
+                after = BallisticPredictor().predict(situation)
+                return replace(after, positions=after.positions * np.nan) if after.frame == fails_at else after
+
+        return StepParts(Flight())
+
+    def first_frame(self, parts: StepParts) -> FirstFrame:
+        return AsSkinned()
+
+
+def test_lead_in_is_simulated_but_not_written() -> None:
+    scene = ball_scene(frames=5, lead_in=3)
+    record, seen = RunRecord(), []
+    frames = list(SkinningSimulator().written_frames(scene, record, lambda done, total: seen.append((done, total))))
+    assert len(frames) == 5
+    assert seen[-1] == (8, 8)
+    np.testing.assert_allclose(frames[0].body_positions, scene.colliders[0].positions(3, 4)[0])
+
+
+def test_skinning_carries_the_garment_with_the_body_at_its_speed() -> None:
+    trajectory = SkinningSimulator().simulate(ball_scene(frames=6, lead_in=0, speed=0.3))
+    moved = trajectory.positions[5] - trajectory.positions[0]
+    np.testing.assert_allclose(moved, np.broadcast_to([5 / 30 * 0.3, 0, 0], moved.shape), atol=1e-5)
+    np.testing.assert_allclose(trajectory.velocities[3, :, 0], 0.3, atol=1e-4)
+
+
+def test_solver_drapes_the_sheet_without_stretch_or_penetration() -> None:
+    trajectory = SolverSimulator(contact=SurfaceContact()).simulate(ball_scene(frames=10))
+    measured = measure(trajectory)
+    assert not measured["diverged"]
+    assert measured["metrics"]["strain_p95"]["max"] < 0.1
+    assert measured["metrics"]["penetration_percent"]["max"] == 0.0
+    fallen = trajectory.positions[-1, :, 1].min()
+    assert fallen < 0.66, "the corners of the sheet should have fallen"
+    assert trajectory.positions[-1, :, 1].max() > 0.69, "the middle of the sheet should rest on the ball"
+
+
+def test_run_record_says_what_the_solver_did() -> None:
+    record = RunRecord()
+    list(SolverSimulator().written_frames(ball_scene(frames=3, lead_in=0), record))
+    assert len(record.step_seconds) == 3
+    assert record.ms_per_step > 0
+    assert len(record.solver_iterations) == 2
+
+
+def test_what_was_simulated_is_kept_when_the_state_fails(tmp_path: Path) -> None:
+    record = RunRecord()
+    trajectory = FreeFall(fails_at=7).simulate_to(ball_scene(frames=8, lead_in=2), tmp_path / "a.npz", record)
+    assert record.failed_at == 5
+    assert trajectory.frame_count == 5
+    assert np.isfinite(trajectory.positions).all()
+
+
+def test_a_step_changes_nothing_that_it_was_given() -> None:
+    scene = ball_scene()
+    stage = Stage(scene)
+    state = AsSkinned().start(stage)
+    before = state.positions.clone(), state.velocities.clone()
+    parts = SolverSimulator(contact=SurfaceContact()).parts(stage, RunRecord())
+    after = step(situation_at(stage, state, 0), parts)
+    assert torch.equal(state.positions, before[0])
+    assert torch.equal(state.velocities, before[1])
+    assert after.frame == 1
+
+
+def test_pins_follow_the_body() -> None:
+    scene = ball_scene(frames=4, lead_in=0)
+    pinned = np.zeros(len(scene.garments[0].garment.vertices), dtype=bool)
+    pinned[:11] = True
+    worn = scene.garments[0].garment.with_pins(pinned)
+    scene = replace(scene, garments=(replace(scene.garments[0], garment=worn),))
+    trajectory = SolverSimulator().simulate(scene)
+    skinned = scene.garments[0].placement.positions(3, 4)[0].numpy()
+    np.testing.assert_allclose(trajectory.positions[3, :11], skinned[:11], atol=1e-6)
+
+
+def test_settling_lowers_the_sheet_and_leaves_it_at_rest() -> None:
+    stage = Stage(ball_scene())
+    settled = Relaxed(contact=SurfaceContact()).start(stage)
+    assert settled.frame == 0
+    assert float(settled.positions[:, 1].min()) < 0.62
+    assert float(settled.velocities.abs().max()) == 0.0
+    flown = OneLongStep(StepParts(BallisticPredictor()), SurfaceContact()).start(stage)
+    torch.testing.assert_close(flown.positions, AsSkinned().start(stage).positions)
+
+
+def test_scene_is_repeatable() -> None:
+    first, second = (SolverSimulator().simulate(ball_scene(frames=3)) for _ in range(2))
+    np.testing.assert_array_equal(first.positions, second.positions)
+
+
+def test_unknown_model_lists_near_names() -> None:
+    with pytest.raises(InputError, match="did you mean solver"):
+        load_simulator("sovler")
+    with pytest.raises(InputError, match="no model file"):
+        load_simulator("absent.safetensors")
+    with pytest.raises(InputError, match="0 or more"):
+        load_simulator("solver", refine=-1)
