@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Mapping
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 
 from pb4u.body.anny_body import AnnyBody
@@ -36,6 +37,8 @@ def load_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None
     Raises InputError on an unknown name, a file that cannot be used, or a shape parameter that does not fit.
     """
     given = dict(shape or {})
+    if str(name_or_path) in BUILT_IN:
+        return _built_in(str(name_or_path), tuple(sorted(given.items())))
     model = _model(str(name_or_path))
     if model is not None:
         return model.shaped(**given)
@@ -44,10 +47,14 @@ def load_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None
     return load_vertex_sequence(name_or_path)
 
 
+@lru_cache(maxsize=8)
+def _built_in(name: str, shape: tuple[tuple[str, float], ...]) -> ShapedBody:
+    """Kept, because garments keep what they worked out about a body for as long as it lives."""
+    return BakedBody.built_in(name).shaped(**dict(shape))
+
+
 def _model(name: str) -> BodyModel | None:
     """The model of a name or file; None where the file is a moving surface."""
-    if name in BUILT_IN:
-        return BakedBody.built_in(name)
     if name == _ANNY:
         return AnnyBody()
     path = Path(name)
