@@ -12,7 +12,7 @@ from pb4u.errors import InputError
 from pb4u.geometry.rotation import multiply, rotate
 from pb4u.motion.correspondences import CMU
 from pb4u.motion.euler import euler_quaternions
-from pb4u.motion.recording import Recording, finite
+from pb4u.motion.recording import Recording, finite_frames
 
 # The database names no rate; its trials were captured at 120 Hz.
 CAPTURE_RATE = 120.0
@@ -80,6 +80,10 @@ def read_amc(path: Path, asf: Path) -> Recording:
     Raises InputError naming frame and bone where the recording is cut short or does not fit the skeleton.
     """
     rest = read_asf(asf)
+    if missing := sorted(CMU.bones - set(rest.skeleton.names)):
+        raise InputError(
+            f"{asf} lacks the bones {', '.join(missing[:6])} of a CMU skeleton; rename its bones as the database does."
+        )
     names, values, degrees = _read_frames(path, rest, asf)
     frames = len(values)
     skeleton = rest.skeleton
@@ -104,7 +108,7 @@ def read_amc(path: Path, asf: Path) -> Recording:
         world[:, i] = local if parent < 0 else multiply(world[:, parent], local)
     root_positions = rotate(rest.axes[0], root_positions)
     poses = PoseSequence(world, root_positions, CAPTURE_RATE)
-    return Recording(path.stem, CMU, skeleton, finite(poses, path)).with_vertical_legs()
+    return Recording(path.stem, CMU, skeleton, poses).with_vertical_legs()
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,17 +223,20 @@ def _read_frames(path: Path, rest: AcclaimSkeleton, asf: Path) -> tuple[list[str
     widths = [1] + [1 + len(known[name]) for name in names]
     frames, odd = divmod(len(tokens), height)
     for row in range(height):
-        column = tokens[row::height]
-        for frame, words in enumerate(column):
-            if len(words) != widths[row] or (row and words[0] != names[row - 1]):
-                wanted = f"{names[row - 1]} with {widths[row] - 1} number(s)" if row else "a frame number"
-                raise InputError(
-                    f'{path} is damaged or cut short: frame {frame + 1} reads "{" ".join(words)}" instead of {wanted}.'
-                )
+        column, name = tokens[row::height], names[row - 1] if row else ""
+        if list(map(len, column)).count(widths[row]) == len(column) and (
+            not row or [words[0] for words in column].count(name) == len(column)
+        ):
+            continue
+        wanted = f"{name} with {widths[row] - 1} number(s)" if row else "a frame number"
+        frame = next(i for i, words in enumerate(column) if len(words) != widths[row] or (row and words[0] != name))
+        raise InputError(
+            f'{path} is damaged or cut short: frame {frame + 1} reads "{" ".join(column[frame])}" instead of {wanted}.'
+        )
     if odd:
         raise InputError(f"{path} is cut short: frame {frames + 1} has {odd - 1} of its {height - 1} bones.")
     try:
         flat = np.array([float(word) for i, words in enumerate(tokens) if i % height for word in words[1:]])
     except ValueError as problem:
         raise InputError(f"{path} has a word where a number should be: {problem}.") from None
-    return names, flat.reshape(frames, -1), degrees
+    return names, finite_frames(flat.reshape(frames, -1), path), degrees

@@ -12,7 +12,7 @@ from pb4u.errors import InputError
 from pb4u.geometry.rotation import multiply
 from pb4u.motion.correspondences import BVH_SOURCES, SourceMap
 from pb4u.motion.euler import euler_quaternions
-from pb4u.motion.recording import Recording, finite
+from pb4u.motion.recording import Recording, finite_frames
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
@@ -61,7 +61,7 @@ def read_bvh(path: Path) -> Recording:
             root_positions[:, "XYZ".index(channel[0])] = values[:, k]
     names = tuple(_plain(joint.name) for joint in joints)
     skeleton = Skeleton(names, np.array([joint.parent for joint in joints], dtype=np.int64), rest)
-    poses = finite(PoseSequence(rotations, root_positions, fps), path)
+    poses = PoseSequence(rotations, root_positions, fps)
     return Recording(path.stem, source, skeleton, poses).facing_forward().with_vertical_legs()
 
 
@@ -170,4 +170,4 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         values = np.array(list(map(float, words[5:])))
     except ValueError as problem:
         raise InputError(f"{path} has a word where a number should be: {problem}.") from None
-    return values.reshape(frames, channels), 1.0 / frame_time
+    return finite_frames(values.reshape(frames, channels), path), 1.0 / frame_time

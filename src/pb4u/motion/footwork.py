@@ -99,7 +99,8 @@ def stepping_foot(shape: FootShape, cycles: np.ndarray, steps: list[Step], turn_
     x, z = x * np.cos(back) + z * np.sin(back), z * np.cos(back) - x * np.sin(back)
     for step in steps:
         length = step.stop - step.start
-        going = ease((phase - step.start) / length)
+        # It is lifted before it travels, and has travelled before it is down.
+        going = ease((phase - step.start - 0.15 * length) / (0.7 * length))
         x, z, yaw = (a + going * (b - a) for a, b in ((x, step.x), (z, step.z), (yaw, step.yaw)))
         # Rolling begins before the step and may begin before the cycle does.
         middle = 0.5 * (step.start + step.stop)

@@ -64,7 +64,7 @@ class Gait:
 
 WALK = Gait(
     cycle=1.05, stride=1.38, stance=0.62, half_width=0.075, landing=-17.0, flat=0.10, heel_off=0.34, toe_off=56.0,
-    stopping=38.0, lift=(0.030, 0.55), bounce=0.020, top=0.32, sway=0.018, lean=3.0, hip_yaw=5.0, hip_list=3.0,
+    stopping=38.0, lift=(0.042, 0.36), bounce=0.020, top=0.32, sway=0.018, lean=3.0, hip_yaw=5.0, hip_list=3.0,
     chest_yaw=5.0, arm_swing=21.0, arm_forward=4.0, elbow=24.0, elbow_swing=11.0,
 )  # fmt: skip
 
@@ -108,7 +108,7 @@ class Gaiting:
             swing = -a * wave(phase, 0.03)
             arms[side] = Arm(
                 flexion=g.arm_forward + g.arm_swing * swing,
-                abduction=12.0 + 2.0 * swing,
+                abduction=15.0 + 2.0 * swing,
                 elbow=g.elbow + g.elbow_swing * -a * wave(phase, 0.08),
                 twist=4.0 + 8.0 * swing,
             )
@@ -151,7 +151,7 @@ class Gaiting:
         pitch = self._pitch(phase)
         # The toes stay flat while the heel rises, and straighten early in the swing.
         straight = 1.0 - ease((phase - g.flat) / (g.heel_off - g.flat))
-        straight += ease((phase - g.stance) / (0.4 * (1.0 - g.stance)))
+        straight += ease((phase - g.stance) / (0.5 * (1.0 - g.stance)))
         first = stride * (number + self.lead - (0.5 if side == "R" else 0.0))
         x = (1.0 if side == "L" else -1.0) * self.size * g.half_width
         place = np.stack([np.full_like(phase, x), np.zeros_like(phase), first], axis=1)

@@ -39,7 +39,7 @@ def lead_in(poses: PoseSequence, body: ShapedBody, frames: int) -> PoseSequence:
     roots = rest_root + ease[:, None] * (target_roots - rest_root)
 
     # Blended legs reach lower or less low than either end does; the body is moved to where its feet belong.
-    start = PoseSequence(np.broadcast_to(facing, rotations[:1].shape), rest_root[None], poses.fps)
+    start = PoseSequence(np.tile(facing, (1, rotations.shape[1], 1)), rest_root[None], poses.fps)
     first = PoseSequence(poses.rotations[:1], poses.root_positions[:1], poses.fps)
     low, high = float(lowest_heights(body, start)[0]), float(lowest_heights(body, first)[0])
     blended = lowest_heights(body, PoseSequence(rotations, roots, poses.fps))

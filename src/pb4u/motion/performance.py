@@ -52,7 +52,7 @@ class Arm:
     """
 
     flexion: Angle = 0.0
-    abduction: Angle = 10.0
+    abduction: Angle = 14.0
     sweep: Angle = 0.0
     twist: Angle = 15.0
     elbow: Angle = 15.0

@@ -147,12 +147,12 @@ def _nearest_axis(v: np.ndarray) -> np.ndarray:
     return np.sign(v[k]) * np.eye(3)[k]
 
 
-def finite(poses: PoseSequence, path: Path) -> PoseSequence:
-    """The poses unchanged. Raises InputError naming the first frame that holds a NaN or an infinity."""
-    bad = ~(np.isfinite(poses.rotations).all((1, 2)) & np.isfinite(poses.root_positions).all(1))
+def finite_frames(values: np.ndarray, path: Path) -> np.ndarray:
+    """The values (frames, numbers) unchanged. Raises InputError naming the first frame with a NaN or an infinity."""
+    bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
         raise InputError(
             f"{path}: frame {int(np.argmax(bad))} holds values that are not finite ({int(bad.sum())} such frame(s)); "
-            f"leave them out with a crop or mend the file."
+            f"leave them out or mend the file."
         )
-    return poses
+    return values

@@ -11,7 +11,7 @@ from pb4u.body.smpl import JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.motion.correspondences import SMPL
-from pb4u.motion.recording import Recording, finite
+from pb4u.motion.recording import Recording, finite_frames
 
 _FAMILY_OF_WIDTH = {3 * len(names): family for family, names in JOINT_NAMES.items()}
 _Z_UP_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
@@ -53,11 +53,12 @@ def smpl_recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps:
     if not (np.isfinite(fps) and fps > 0):
         raise InputError(f"{path}: the frame rate is {fps:g}; it should be a positive number of frames per second.")
     skeleton = nominal_skeleton(_FAMILY_OF_WIDTH[poses.shape[1]])
-    local = from_axis_angle(np.asarray(poses, dtype=np.float64).reshape(len(poses), -1, 3))
+    numbers = np.concatenate([poses, translations], axis=1, dtype=np.float64)
+    local = from_axis_angle(finite_frames(numbers, path)[:, :-3].reshape(len(poses), -1, 3))
     world = np.empty_like(local)
     for i, parent in enumerate(skeleton.parents.tolist()):
         world[:, i] = local[:, i] if parent < 0 else multiply(world[:, parent], local[:, i])
-    sequence = finite(PoseSequence(world, np.asarray(translations, dtype=np.float64), fps), path)
+    sequence = PoseSequence(world, numbers[:, -3:], fps)
     _, y, z = np.abs(rotate(sequence.rotations[:, 0], np.array([0.0, 1.0, 0.0])).mean(0))
     notes: tuple[str, ...] = ()
     if (z_up and y > 0.7 > z) or (not z_up and z > 0.7 > y):

@@ -69,7 +69,7 @@ class ArmRaises:
         """The performance at `time` (frames,) [s]."""
         phase, a, frames = time / self.PERIOD, min(self.amplitude, 1.1), len(time)
         #        hang  side  over  side  hang  front  over  front wide  cross hang
-        lift = (11.0, 88.0, 158.0, 90.0, 13.0, 14.0, 14.0, 14.0, 84.0, 62.0, 14.0)
+        lift = (14.0, 88.0, 158.0, 90.0, 15.0, 16.0, 16.0, 16.0, 84.0, 62.0, 17.0)
         forward = (0.0, 0.0, 0.0, 0.0, 0.0, 86.0, 150.0, 88.0, 8.0, 24.0, 8.0)
         sweep = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 8.0, -58.0, 0.0)
         elbow = (18.0, 8.0, 14.0, 8.0, 20.0, 8.0, 14.0, 10.0, 10.0, 60.0, 24.0)
@@ -79,7 +79,7 @@ class ArmRaises:
             p = phase - delay
             arms[side] = Arm(
                 flexion=a * keyframes(p, self._KNOTS, forward),
-                abduction=10.0 + a * (keyframes(p, self._KNOTS, lift) - 10.0),
+                abduction=14.0 + a * (keyframes(p, self._KNOTS, lift) - 14.0),
                 sweep=keyframes(p, self._KNOTS, sweep),
                 elbow=keyframes(p, self._KNOTS, elbow),
                 twist=keyframes(p, self._KNOTS, twist),
@@ -145,7 +145,7 @@ class Squat:
         phase, a, frames = np.mod(time / self.PERIOD, 1.0), min(self.amplitude, 1.05), len(time)
         deep = hermite(phase, [0.0, 0.08, 0.45, 0.54, 0.90, 1.0], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]) * a
         reach = hermite(phase, [0.0, 0.04, 0.42, 0.56, 0.94, 1.0], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]) * a
-        arm = Arm(flexion=4.0 + 108.0 * reach, abduction=12.0 + 4.0 * reach, elbow=16.0 + 4.0 * reach, twist=6.0)
+        arm = Arm(flexion=4.0 + 108.0 * reach, abduction=15.0 + 2.0 * reach, elbow=16.0 + 4.0 * reach, twist=6.0)
         return Performance(
             hips=self.stance.hips(0.0, -0.46 * deep, -0.19 * deep, frames),
             pelvis=Turn(pitch=30.0 * deep),
@@ -199,7 +199,7 @@ class Jump:
                 t, [0.0, 0.08, crouch - 0.1, off + 0.18, land + 0.06, low + 0.2, up + 0.2],
                 [0.0, 0.0, -34.0, 112.0, 78.0, 22.0, 0.0], [0.0, 0.0, 0.0, 0.0, -160.0, -60.0, 0.0],
             ),
-            abduction=hermite(t, [0.0, crouch, off, land, up], [11.0, 16.0, 14.0, 26.0, 11.0]),
+            abduction=hermite(t, [0.0, crouch, off, land, up], [14.0, 17.0, 16.0, 26.0, 14.0]),
             elbow=hermite(t, [0.0, crouch, off, land, low, up], [16.0, 14.0, 38.0, 34.0, 40.0, 16.0]),
             twist=6.0,
         )  # fmt: skip

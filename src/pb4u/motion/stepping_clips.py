@@ -101,7 +101,7 @@ class Dance:
         middle = 0.5 * (feet["L"].ankle[:, 0] + feet["R"].ankle[:, 0])
         sway = wave(beats / 2, 0.45) * wave(cycles * 2, 0.125)
         side_to_side = np.sin(2.0 * np.pi * (beats / 2.0 - 0.1))
-        path = self.stance.hips(0.0, -0.058 - 0.018 * a * wave(beats, 0.3), 0.012 * wave(beats / 2), frames)
+        path = self.stance.hips(0.0, -0.048 - 0.016 * a * wave(beats, 0.3), 0.012 * wave(beats / 2), frames)
         path[:, 0] += middle + 0.02 * leg * a * side_to_side
         knots = tuple(k / 16 for k in range(16))
         up = (20, 60, 120, 150, 110, 40, 25, 70, 130, 140, 90, 45, 30, 80, 70, 30)

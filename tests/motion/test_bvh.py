@@ -1,0 +1,132 @@
+"""Biovision files: channel orders, naming schemes, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pb4u.errors import InputError
+from pb4u.geometry.rotation import rotate
+from pb4u.motion.bvh import read_bvh
+from pb4u.motion.library import load_motion
+
+
+def test_channels_turn_in_the_order_written(bvh):
+    recording = read_bvh(bvh(order="ZXY", angles={"LeftArm": {"Z": 90.0, "X": 90.0}}))
+    arm = recording.poses.rotations[0, recording.skeleton.index("LeftArm")]
+    # R = Rz Rx: the Z axis goes to -Y by Rx and on to X by Rz.
+    np.testing.assert_allclose(rotate(arm, np.array([0.0, 0.0, 1.0])), [1.0, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("order", ["XYZ", "YXZ", "ZYX", "YZX"])
+def test_any_channel_order_of_a_single_turn_is_the_same_motion(bvh, order):
+    angles = {"LeftArm": {"Z": -70.0}, "RightLeg": {"X": 40.0}}
+    one, other = read_bvh(bvh(angles=angles)), read_bvh(bvh(angles=angles, order=order))
+    np.testing.assert_allclose(one.poses.rotations, other.poses.rotations, atol=1e-9)
+
+
+def test_mixamo_arm_lowered_by_a_right_angle_hangs_on_the_body(bvh, woman):
+    angles = {"LeftArm": {"Z": -90.0}, "RightArm": {"Z": 90.0}}
+    poses = load_motion(bvh(angles=angles)).poses(woman, 30.0, 1)
+    skeleton = woman.skeleton
+    upper, elbow = skeleton.index("upperarm01.L"), skeleton.index("lowerarm01.L")
+    along = rotate(poses.rotations[0, upper], skeleton.joints[elbow] - skeleton.joints[upper])
+    np.testing.assert_allclose(along / np.linalg.norm(along), [0.0, -1.0, 0.0], atol=1e-6)
+
+
+def test_mixamo_elbow_folds_forward(bvh, woman):
+    # In a T-pose a left forearm comes forward by a negative turn about Y.
+    poses = load_motion(bvh(angles={"LeftForeArm": {"Y": -90.0}})).poses(woman, 30.0, 1)
+    skeleton = woman.skeleton
+    elbow, wrist = skeleton.index("lowerarm01.L"), skeleton.index("wrist.L")
+    along = rotate(poses.rotations[0, elbow], skeleton.joints[wrist] - skeleton.joints[elbow])
+    np.testing.assert_allclose(along / np.linalg.norm(along), [0.0, 0.0, 1.0], atol=1e-6)
+
+
+def test_name_prefix_is_ignored(bvh):
+    with_prefix, without = read_bvh(bvh(prefix="mixamorig1:")), read_bvh(bvh(prefix=""))
+    assert with_prefix.skeleton.names == without.skeleton.names
+
+
+def test_skeleton_that_stands_along_z_is_turned_upright(bvh):
+    path = bvh()
+    lines = []
+    for line in path.read_text().splitlines():
+        words = line.split()
+        if words[:1] == ["OFFSET"]:
+            x, y, z = map(float, words[1:])
+            line = f"OFFSET {x} {-z} {y}"
+        lines.append(line)
+    path.write_text("\n".join(lines))
+    joints = read_bvh(path).skeleton
+    head, foot = (joints.joints[joints.index(name)] for name in ("Head", "LeftFoot"))
+    assert head[1] - foot[1] > 100.0
+    assert joints.joints[joints.index("LeftToeBase"), 2] > foot[2] + 10.0
+
+
+def test_rate_comes_from_the_frame_time(bvh, woman):
+    motion = load_motion(bvh(frames=11, frame_time="0.05"))
+    assert motion.duration == pytest.approx(0.5)
+    poses = motion.poses(woman, 40.0, motion.available_frames(40.0))
+    assert len(poses) == 21
+    # 2 units a frame of 0.05 s, evenly: resampled positions lie on the line.
+    steps = np.diff(poses.root_positions[:, 2])
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
+
+
+def test_unknown_joints_are_refused_with_the_nearest_skeleton(bvh):
+    with pytest.raises(InputError, match="nearest is Mixamo, of which LeftArm, RightArm are missing"):
+        load_motion(bvh(renamed={"LeftArm": "Flipper", "RightArm": "Fin"}))
+
+
+def test_cut_short_in_the_frames_is_refused(bvh):
+    path = bvh(frames=6)
+    path.write_text(path.read_text()[:-200])
+    with pytest.raises(InputError, match=r"cut short: it should have 6 frames .* ends in frame"):
+        load_motion(path)
+
+
+@pytest.mark.parametrize("keep", ["HIERARCHY\n", "MOTION", "JOINT"])
+def test_cut_short_in_the_hierarchy_is_refused(bvh, keep):
+    path = bvh()
+    text = path.read_text()
+    path.write_text(text[: text.rindex(keep) + len(keep)])
+    with pytest.raises(InputError, match=r"cut short|no HIERARCHY|no MOTION"):
+        load_motion(path)
+
+
+def test_missing_brace_is_refused(bvh):
+    path = bvh()
+    head, _, tail = path.read_text().partition("MOTION")
+    path.write_text(head.rstrip().removesuffix("}") + "MOTION" + tail)
+    with pytest.raises(InputError, match="cut short in its HIERARCHY"):
+        load_motion(path)
+
+
+def test_no_frames_are_refused(bvh):
+    with pytest.raises(InputError, match="no frames"):
+        load_motion(bvh(frames=0))
+
+
+@pytest.mark.parametrize("frame_time", ["0", "-0.01", "nan"])
+def test_frame_time_that_is_not_positive_is_refused(bvh, frame_time):
+    with pytest.raises(InputError, match=r"frame time is|Frame Time should be"):
+        load_motion(bvh(frame_time=frame_time))
+
+
+def test_more_numbers_than_frames_are_refused(bvh):
+    with pytest.raises(InputError, match="not the 3 frames"):
+        load_motion(bvh(frames=4, count=3))
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_values_that_are_not_finite_are_refused(bvh, value):
+    with pytest.raises(InputError, match="frame 3 holds values that are not finite"):
+        load_motion(bvh(frames=4, value=value))
+
+
+def test_other_text_is_refused(tmp_path):
+    path = tmp_path / "a.bvh"
+    path.write_text("not a recording")
+    with pytest.raises(InputError, match="no HIERARCHY"):
+        load_motion(path)

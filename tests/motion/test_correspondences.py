@@ -1,0 +1,25 @@
+"""The tables agree with the roles and with the skeletons that they describe."""
+
+from __future__ import annotations
+
+import pytest
+
+from pb4u.motion.correspondences import BVH_SOURCES, CMU, ROLES, SMPL, TARGETS, Blend
+from pb4u.motion.humanoid import Humanoid
+
+
+@pytest.mark.parametrize("source", [CMU, SMPL, *BVH_SOURCES], ids=lambda source: source.family)
+def test_source_plays_every_role(source):
+    assert set(source.roles) == set(ROLES)
+
+
+@pytest.mark.parametrize("family", list(TARGETS))
+def test_target_is_driven_by_known_roles(family):
+    for part in TARGETS[family].bones.values():
+        names = (part.first, part.second) if isinstance(part, Blend) else (part,)
+        assert set(names) <= set(ROLES)
+
+
+def test_targets_fit_their_skeletons(woman, smpl_body):
+    for body in (woman, *(smpl_body(family) for family in ("smpl", "smplh", "smplx"))):
+        assert Humanoid(body).leg_length == pytest.approx(0.8, abs=0.1)
