@@ -51,6 +51,16 @@ def triangle_tube(**shape: float) -> SourceMesh:
     return SourceMesh(vertices, tuple(np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])))
 
 
+def with_open_seam(mesh: SourceMesh, around: int = 40) -> SourceMesh:
+    """A tube of triangles whose last column has border vertices of its own, on top of the first column's."""
+    faces = np.stack(mesh.polygons)
+    column = faces % around
+    wraps = np.ptp(column, axis=1) > 2
+    first = np.arange(0, len(mesh.vertices), around)
+    faces[wraps] = np.where(column[wraps] == 0, len(mesh.vertices) + faces[wraps] // around, faces[wraps])
+    return SourceMesh(np.concatenate([mesh.vertices, mesh.vertices[first]]), tuple(faces))
+
+
 def tube_garment(**shape: float) -> Garment:
     """A tube as a garment."""
     mesh = triangle_tube(**shape)

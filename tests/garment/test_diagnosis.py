@@ -94,7 +94,7 @@ def test_first_frame_penetration_is_measured(woman):
 
 def test_a_garment_wholly_inside_is_refused(woman):
     garment = tube_garment(low=1.0, high=1.2, radius=0.04)
-    garment = replace(garment, vertices=garment.vertices + [0.0, 0.0, 0.03])
+    garment = replace(garment, vertices=garment.vertices + np.array([0.0, 0.0, 0.03]))
     assert finding(diagnose(garment, woman), "inside").severity is Severity.REFUSED
     with pytest.raises(InputError, match="wholly inside the body"):
         require_worn(garment, woman)
@@ -102,9 +102,9 @@ def test_a_garment_wholly_inside_is_refused(woman):
 
 def test_a_garment_far_from_the_body_is_refused(woman):
     garment = tube_garment()
-    far = replace(garment, vertices=garment.vertices + [3.0, 0.0, 0.0])
+    far = replace(garment, vertices=garment.vertices + np.array([3.0, 0.0, 0.0]))
     assert finding(diagnose(far, woman), "far").severity is Severity.REFUSED
-    with pytest.raises(InputError, match="far from the body.*2.[0-9]+ m away"):
+    with pytest.raises(InputError, match=r"far from the body.*2.[0-9]+ m away"):
         require_worn(far, woman)
 
 
@@ -115,7 +115,7 @@ def test_z_up_is_told_and_a_garment_that_lies_on_the_floor_is_refused(woman):
     assert "Z up" in finding(diagnosis, "axes").sentence
     assert finding(diagnosis, "axes").severity is Severity.WARNING
     assert finding(diagnosis, "misplaced").severity is Severity.REFUSED
-    with pytest.raises(InputError, match="not on the body.*check --fix"):
+    with pytest.raises(InputError, match=r"not on the body.*check --fix"):
         require_worn(lying, woman)
 
 

@@ -70,13 +70,13 @@ def test_a_rigid_motion_carries_the_garment_rigidly(woman, small):
     turn = from_axis_angle(np.array([0.0, 1.2, 0.0]))
     bones = woman.skeleton.bone_count
     poses = PoseSequence(
-        np.tile(turn, (70, bones, 1)), np.tile(woman.skeleton.joints[0] + [1.0, 0, 2.0], (70, 1)), 30.0
+        np.tile(turn, (70, bones, 1)), np.tile(woman.skeleton.joints[0] + np.array([1.0, 0, 2.0]), (70, 1)), 30.0
     )
     placed = SkinnedPlacement(small, woman.posed(poses)).positions(65, 70)
     assert placed.shape == (5, len(small.vertices), 3)
     root = woman.skeleton.joints[0]
     rotation = matrix_from_quaternion(torch.from_numpy(turn)).numpy()
-    expected = (small.vertices - root) @ rotation.T + root + [1.0, 0, 2.0]
+    expected = (small.vertices - root) @ rotation.T + root + np.array([1.0, 0, 2.0])
     np.testing.assert_allclose(placed[2].numpy(), expected, atol=1e-4)
 
 

@@ -31,14 +31,14 @@ def test_a_garment_that_fits_is_not_moved(body, shirt):
 @pytest.mark.parametrize("unit", ["centimetres", "inches"])
 @pytest.mark.parametrize("axes", ["Z up, facing -Y", "Y up, facing -Z"])
 def test_unit_axes_and_the_models_own_origin_are_found(body, shirt, unit, axes):
-    file = ((shirt - [0.0, body.lift, 0.0]) @ AXES[axes]) / UNITS[unit]
+    file = ((shirt - np.array([0.0, body.lift, 0.0])) @ AXES[axes]) / UNITS[unit]
     fit = find_fit(file, body)
     assert (fit.unit, fit.axes, fit.searched) == (unit, axes, False)
     np.testing.assert_allclose(fit.apply(file), shirt, atol=1e-9)
 
 
 def test_any_other_height_is_searched_for(body, shirt):
-    fit = find_fit(shirt - [0.0, 0.3, 0.0], body)
+    fit = find_fit(shirt - np.array([0.0, 0.3, 0.0]), body)
     assert fit.searched
     assert fit.shift[1] == pytest.approx(0.3, abs=0.015)
 

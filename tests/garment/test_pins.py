@@ -21,7 +21,7 @@ def test_names_pick_borders():
 
 
 def test_unknown_pins_list_the_choices():
-    with pytest.raises(InputError, match="none, waist, hem, loop:0 .*loop:1"):
+    with pytest.raises(InputError, match=r"none, waist, hem, loop:0 .*loop:1"):
         resolve_pins("collar", tube_garment())
     with pytest.raises(InputError, match='no border "loop:2"'):
         resolve_pins("loop:2", tube_garment())
@@ -38,7 +38,7 @@ def test_files_of_indices_in_the_authors_order(tmp_path):
 @pytest.mark.parametrize("text", ["3 four", "[1, 2.5]", "[1, [2]]", "[1, 2", '["a"]', "99999", "-1"])
 def test_bad_files_of_indices(tmp_path, text):
     (tmp_path / "pins.txt").write_text(text)
-    with pytest.raises(InputError, match="pins.txt"):
+    with pytest.raises(InputError, match=r"pins.txt"):
         resolve_pins(tmp_path / "pins.txt", tube_garment())
 
 

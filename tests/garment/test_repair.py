@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cloth_shapes import quad_tube, triangle_tube, tube_garment
+from cloth_shapes import quad_tube, triangle_tube, tube_garment, with_open_seam
 
 from pb4u.body.library import load_body
 from pb4u.garment.diagnosis import diagnose
@@ -28,28 +28,24 @@ def test_a_sound_garment_is_returned_as_it_was(woman):
 
 def test_units_axes_and_origin_are_set_right_with_polygons_and_uvs_kept(woman):
     mesh = quad_tube(low=0.2, high=1.0, radius=0.22)
-    standing = mesh.vertices + [0.0, 0.0, 0.02]
+    standing = mesh.vertices + np.array([0.0, 0.0, 0.02])
     file = 100.0 * (standing - [0.0, woman.lift, 0.0]) @ AXES["Z up, facing -Y"]
     mended, said = repair(replace(mesh, vertices=file), woman)
     assert said[0] == "Scaled by 0.01, from centimetres to metres."
     assert said[1] == "Turned from Z up, facing -Y to Y up, facing +Z."
     assert said[2].startswith("Moved by +0.8")
-    np.testing.assert_allclose(mended.vertices, standing, atol=1e-9)
+    np.testing.assert_allclose(mended.vertices, standing, atol=0.005)  # the hips were pushed a little
     np.testing.assert_array_equal(np.stack(mended.polygons), np.stack(mesh.polygons))
     np.testing.assert_array_equal(np.stack(mended.polygon_uvs), np.stack(mesh.polygon_uvs))
 
 
 def test_faults_of_the_mesh_are_mended_without_a_body():
     mesh = triangle_tube()
-    faces = np.stack(mesh.polygons)
-    wrap = (faces % 40).max(axis=1) - (faces % 40).min(axis=1) > 2
-    first = np.arange(0, len(mesh.vertices), 40)
-    copy = np.zeros(len(mesh.vertices), dtype=np.int64)
-    copy[first] = len(mesh.vertices) + np.arange(len(first))
-    faces[wrap] = np.where(faces[wrap] % 40 == 0, copy[faces[wrap]], faces[wrap])
-    faces[11] = faces[11][::-1]
-    polygons = (*faces, faces[7], np.array([9, 9, 10]), np.array([], dtype=np.int64))[:-1]
-    broken = SourceMesh(np.concatenate([mesh.vertices, mesh.vertices[first], [[0.0, 0.7, 0.4]]]), polygons)
+    torn = with_open_seam(mesh)
+    polygons = list(torn.polygons)
+    polygons[11] = polygons[11][::-1]
+    polygons += [polygons[7], np.array([9, 9, 10])]
+    broken = SourceMesh(np.concatenate([torn.vertices, [[0.0, 0.7, 0.4]]]), tuple(polygons))
     assert {"unwelded", "duplicate", "degenerate", "orientation"} <= set(diagnose(broken).codes)
     mended, said = repair(broken)
     assert diagnose(mended).codes == ()
@@ -99,7 +95,7 @@ def test_cloth_is_pushed_out_smoothly_and_no_farther_than_it_must(woman):
 
 def test_a_garment_of_another_size_is_not_pushed(woman):
     garment = triangle_tube(low=1.0, high=1.2, radius=0.04)
-    garment = replace(garment, vertices=garment.vertices + [0.0, 0.0, 0.03])
+    garment = replace(garment, vertices=garment.vertices + np.array([0.0, 0.0, 0.03]))
     mended, said = repair(garment, woman)
     assert "too small" in said[-1]
     np.testing.assert_array_equal(mended.vertices, garment.vertices)

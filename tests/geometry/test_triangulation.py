@@ -26,7 +26,7 @@ def test_a_concave_polygon_in_any_plane_is_covered_once():
     radius = np.where(np.arange(10) % 2, 0.4, 1.0)
     flat = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(10)], axis=1)
     turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
-    star = flat @ turn.T + [1.0, 2.0, 3.0]
+    star = flat @ turn.T + np.array([1.0, 2.0, 3.0])
     corners, owner = triangulate(star, [np.arange(10)])
     assert corners.shape == (8, 3)
     assert owner.tolist() == [0] * 8

@@ -7,8 +7,8 @@ from pb4u.geometry.welding import coincident_border_vertices
 def test_vertices_on_top_of_each_other_find_the_lowest():
     # Two unit squares side by side, each with its own copy of the shared side.
     left = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
-    right = left + [1.0, 0, 0]
-    vertices = np.concatenate([left, right]) + [0.0, 0.0, 5e-6]
+    right = left + np.array([1.0, 0, 0])
+    vertices = np.concatenate([left, right]) + np.array([0.0, 0.0, 5e-6])
     faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
     target = coincident_border_vertices(vertices, Topology(faces, 8))
     assert target.tolist() == [0, 1, 2, 3, 1, 5, 6, 2]
