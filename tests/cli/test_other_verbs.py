@@ -17,9 +17,7 @@ CUBE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n
 @pytest.fixture
 def walk(pb4u: Callable, tmp_path: Path) -> Path:
     path = tmp_path / "walk.npz"
-    ended = pb4u(
-        "simulate", "--model", "skinning", "--triangles", 1000, "--lead-in", 0, "--frames", 6, "--out", path
-    )
+    ended = pb4u("simulate", "--model", "skinning", "--triangles", 1000, "--lead-in", 0, "--frames", 6, "--out", path)
     assert ended.code == 0, ended.err
     return path
 

@@ -79,7 +79,9 @@ def test_same_seed_same_bytes(pb4u: Callable, tmp_path: Path) -> None:
 def test_bad_values_are_refused_in_one_sentence(
     pb4u: Callable, tmp_path: Path, flags: tuple[object, ...], says: str
 ) -> None:
-    ended = pb4u("simulate", "--model", "skinning", "--frames", 1, "--triangles", 1000, *flags, "--out", tmp_path / "a.npz")
+    ended = pb4u(
+        "simulate", "--model", "skinning", "--frames", 1, "--triangles", 1000, *flags, "--out", tmp_path / "a.npz"
+    )
     assert ended.code == 1
     last = ended.err.strip().splitlines()[-1]
     assert last.startswith("pb4u: ")

@@ -7,11 +7,11 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 import trimesh
+from ball_scene import sheet
 
 from pb4u.evaluation.metrics import measure
 from pb4u.garment.material import Material
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
-from ball_scene import sheet
 
 MATERIAL = Material(density=0.2, lame_mu=23600.0, lame_lambda=44400.0, bending=4e-5)
 

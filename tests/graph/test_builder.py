@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tests.network_scenes import COTTON, DT, moment, sheet
 
 from pb4u.errors import InputError
 from pb4u.geometry.triangle_mesh import vertex_normals
@@ -21,7 +22,6 @@ from pb4u.graph.features import (
 from pb4u.graph.graph import NodeType
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.scene.packed import pack
-from tests.network_scenes import COTTON, DT, moment, sheet
 
 
 def built(at, layout=None, rule=None, **options):

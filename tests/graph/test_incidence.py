@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
+from tests.network_scenes import DT, moment, prepared_for, sheet
 
 from pb4u.graph.graph import Graph, receiver_runs
 from pb4u.graph.incidence import incidence
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.nn.acceleration_model import AccelerationModel
-from tests.network_scenes import DT, moment, prepared_for, sheet
 
 
 def graph_of(*garments) -> Graph:

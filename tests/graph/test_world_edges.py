@@ -33,3 +33,11 @@ def test_nothing_in_reach_is_no_edge(targets):
     index, found = nearest_within(torch.zeros(5, 3), targets, WorldEdgeRule())
     assert not bool(found.any())
     assert bool((index == 0).all())
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_a_point_that_is_not_finite_is_near_nothing_and_spoils_no_other(value):
+    points = torch.zeros(3, 3)
+    points[1, 2] = value
+    _, found = nearest_within(points, torch.tensor([[0.01, 0.0, 0.0]]), WorldEdgeRule())
+    assert found[:, 0].tolist() == [True, False, True]

@@ -13,6 +13,7 @@ import pytest
 import torch
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
+from tests.network_scenes import DT, Moment, accelerations, moment, prepared_for, sheet, sheet_of
 
 from pb4u.garment.garment import Garment
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
@@ -22,7 +23,6 @@ from pb4u.model.update_scaling import PerVertexScaling
 from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.presets.networks import NETWORKS, pb4u_paper
 from pb4u.scene.packed import pack
-from tests.network_scenes import DT, Moment, accelerations, moment, prepared_for, sheet, sheet_of
 
 TINY = Pb4uConfiguration(width=16, blocks=3)
 RELEASE = replace(TINY, propagation=RELEASED_PROPAGATION)

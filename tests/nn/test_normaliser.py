@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tests.network_scenes import DT, moment, prepared_for, sheet
 
 from pb4u.graph.features import Feature
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.nn.normaliser import Normaliser
-from tests.network_scenes import DT, moment, prepared_for, sheet
 
 COLUMNS = (Feature("a", 2, "m", True, 1.0, "test"), Feature("b", 1, "1", False, 1.0, "test"))
 

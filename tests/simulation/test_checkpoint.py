@@ -13,6 +13,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
+from tests.network_scenes import DT, moment, sheet
 
 from pb4u.errors import InputError, InputWarning
 from pb4u.graph.features import Feature, FeatureLayout
@@ -30,7 +31,6 @@ from pb4u.simulation.checkpoint import (
     save_checkpoint,
 )
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
-from tests.network_scenes import DT, moment, sheet
 
 TINY = Pb4uConfiguration(width=8, blocks=1)
 RECORD = TrainingRecord(DT, (0.012, 0.016), (1, 30), 1234, {"preset": "pb4u_small", "seed": 3})

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from ball_scene import ball_scene
 
 from pb4u.errors import InputError
 from pb4u.evaluation.metrics import measure
@@ -21,7 +22,6 @@ from pb4u.simulation.solver_simulator import SolverSimulator
 from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import BallisticPredictor, Predictor, Situation, StepParts, step
 from pb4u.simulation.stepwise_simulator import StepwiseSimulator, situation_at
-from ball_scene import ball_scene
 
 
 class FreeFall(StepwiseSimulator):

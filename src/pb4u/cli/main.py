@@ -34,7 +34,7 @@ def main() -> None:
     sys.argv = [argument for argument in sys.argv if argument != "--debug"]
     if not debug:
         warnings.simplefilter("ignore")
-        warnings.showwarning = _one_line_warning  # type: ignore[assignment]
+        warnings.showwarning = _one_line_warning
     warnings.simplefilter("always", InputWarning)
     try:
         app()

@@ -97,7 +97,7 @@ def simulate(
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="File to write, repeatable; the suffix chooses the format. Default: GARMENT_MOTION.npz, .gif, ... here.",
+            help="File to write, repeatable; the suffix chooses the format. Default: GARMENT_MOTION.npz, .gif here.",
         ),
     ] = None,
     json: Annotated[

@@ -137,8 +137,10 @@ class _Ruler:
         velocity = torch.from_numpy(np.array(self.trajectory.velocities[max(t - 1, 0)], dtype=np.float64))
         velocity = torch.nan_to_num(velocity)
         before = self._garment(t - 1) if t else x - self.dt * velocity
-        bodies = [self._body(max(s, 0)) for s in (t - 2, t - 1, t)]
-        collider = ColliderFrame(*bodies, self.body_faces, self.body_contact, self.body_owner, self.ground)
+        previous, now, following = (self._body(max(s, 0)) for s in (t - 2, t - 1, t))
+        collider = ColliderFrame(
+            previous, now, following, self.body_faces, self.body_contact, self.body_owner, self.ground
+        )
         return State(torch.nan_to_num(before), velocity, t - 1), collider
 
     def _garment(self, t: int) -> Tensor:

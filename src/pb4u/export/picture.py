@@ -54,7 +54,7 @@ class Studio:
 
         self._trajectory = trajectory
         self._view = view
-        self._plotter = pyvista.Plotter(off_screen=True, window_size=(view.width, view.height), lighting="none")
+        self._plotter = pyvista.Plotter(off_screen=True, window_size=[view.width, view.height], lighting="none")
         self._cloth = self._add(trajectory.positions[0], trajectory.faces, view.cloth, specular=0.06)
         self._body = None
         if view.show_body:
@@ -84,7 +84,7 @@ class Studio:
                 position=position, focal_point=(0, 1, 0), intensity=intensity, light_type="scene light"
             )
             self._plotter.add_light(light)
-        self._plotter.set_background(_GROUND, top="white")
+        self._plotter.renderer.set_background(_GROUND, top="white")
 
     def _add_ground(self) -> None:
         import pyvista

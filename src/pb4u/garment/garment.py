@@ -58,7 +58,7 @@ class Garment:
         vertices: (vertices, 3) float64 rest positions [m], where they sit on the resting body.
         faces: (faces, 3) int64, counter-clockwise from outside.
         material: cloth material.
-        pinned: (vertices,) bool, vertices that follow the body.
+        pinned: (vertices,) bool, vertices that follow the body; left out, none does.
         uvs: (uv points, 2) float64 of the simulated mesh, or None.
         uv_faces: (faces, 3) int64 into `uvs`, or None.
         source: map to the author's mesh, or None where that is the simulated mesh itself.
@@ -69,14 +69,14 @@ class Garment:
     vertices: np.ndarray
     faces: np.ndarray
     material: Material
-    pinned: np.ndarray = field(default=None)  # type: ignore[assignment]
+    pinned: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     uvs: np.ndarray | None = None
     uv_faces: np.ndarray | None = None
     source: SourceMap | None = None
     loose: bool = False
 
     def __post_init__(self) -> None:
-        if self.pinned is None:
+        if not len(self.pinned):
             object.__setattr__(self, "pinned", np.zeros(len(self.vertices), dtype=bool))
 
     @cached_property

@@ -189,9 +189,7 @@ def _warn_of_oddities(path: Path, surface: SourceSurface) -> None:
         )
     flip, orientable = surface.flipped
     if flip.any():
-        _warn(
-            f"{path.name}: {int(flip.sum())} face(s) are turned over against their neighbours, and are simulated turned."
-        )
+        _warn(f"{path.name}: {int(flip.sum())} face(s) are turned over against their neighbours; simulated turned.")
     if not orientable:
         _warn(f"{path.name}: the cloth has only one side, like a Moebius strip.")
     if source.uvs is not None and not np.isfinite(source.uvs).all():

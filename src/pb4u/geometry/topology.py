@@ -50,7 +50,7 @@ class Topology:
 
         Border edges have no hinge; an edge with more than two faces keeps its first two.
         """
-        edges, edge_of, counts, half_edges = self._half_edges
+        _, edge_of, counts, half_edges = self._half_edges
         opposite = np.concatenate([self.faces[:, 2], self.faces[:, 0], self.faces[:, 1]])
         order = np.argsort(edge_of, kind="stable")
         starts = np.concatenate([[0], np.cumsum(counts)[:-1]])

@@ -66,6 +66,7 @@ def make_scene(
     _check_counts(frames, lead_in, fps)
     figure = load_body(body, body_shape) if isinstance(body, str | Path) else body
     notes: list[str] = []
+    collider: AnimatedBody
     if isinstance(figure, ShapedBody):
         collider, frames = _animate(figure, motion, frames, lead_in, crop, fps, arms_away, seed, notes)
         motion_name = str(motion)

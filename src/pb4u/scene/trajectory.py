@@ -74,7 +74,7 @@ class TrajectoryHeader:
         return replace(self, metadata={**self.metadata, **entries})
 
     def _members(self) -> dict[str, np.ndarray]:
-        members = {
+        members: dict[str, np.ndarray] = {
             "format_version": np.array(FORMAT_VERSION, dtype=np.int64),
             "faces": self.faces.astype(np.int64),
             "rest_positions": self.rest_positions.astype(np.float32),

@@ -18,18 +18,22 @@ from pb4u.simulation.newton_material import hinge_stiffness, membrane_stiffness,
 FRICTION = 0.5
 """Coulomb coefficient, as in our friction energy."""
 
-EDGES_PER_SUBSTEP = 1.25
+EDGES_PER_SUBSTEP = 0.6
 """Mean edges that a stretch wave may cross in a sub-step.
 
-A pass over the vertices carries news about one edge far. Sheets of 1.3K and 5K triangles on a ball came within 15% of
-the converged strain at this length with 5 passes; at twice the length they stretched by half as much again, and the same
-number of passes in fewer, longer sub-steps is worse.
+A pass over the vertices carries news about one edge far, and many short sub-steps of few passes come nearer to the
+converged cloth than few long ones of many. A T-shirt of 2.5K triangles walking, 5 passes: at 1.2 edges its mean
+`strain_p95` is 0.116 and its worst face is stretched by 140%, at 0.6 these are 0.074 and 28%; our solver, to its
+tolerance, has 0.064 and 17%. At 1.2 edges 10 passes give 0.089, and leave the worst face as it is.
 """
 
 
 @dataclass(frozen=True)
 class NewtonOptions:
     """How Newton's cloth solver is run.
+
+    Its self-contact stays off: ours has none, and it would let a vertex move no farther than the contact distance in a
+    sub-step.
 
     Args:
         substeps: equal parts that a frame is divided into; None for as many as the garment's resolution needs.
@@ -38,15 +42,13 @@ class NewtonOptions:
         contact_stiffness: of the contact springs [N/m].
         search_distance: how much farther [m] than that a vertex may be from the body's surface, on either side, for
             the body to be looked for.
-        self_contact: whether the garment also collides with itself; ours does not.
     """
 
     substeps: int | None = None
     iterations: int = 5
     contact_distance: float = 2e-3
-    contact_stiffness: float = 1e3
+    contact_stiffness: float = 200.0
     search_distance: float = 3e-2
-    self_contact: bool = False
 
 
 class NewtonCloth:
@@ -67,6 +69,7 @@ class NewtonCloth:
     ) -> None:
         newton, self._warp = import_newton()
         self.substeps = options.substeps or needed_substeps(scene)
+        self._search_distance = options.search_distance
         self._pinned = np.flatnonzero(scene.garments[0].garment.pinned)
         with _quiet(self._warp), self._warp.ScopedDevice(device):
             self._body, self._model = _build(newton, self._warp, scene, body, options)
@@ -74,13 +77,7 @@ class NewtonCloth:
                 self._model, rigid_contact_max=1, max_triangle_pairs=1, soft_contact_gap=options.search_distance
             )
             self._contacts = self._pipeline.contacts()
-            self._solver = newton.solvers.SolverVBD(
-                self._model,
-                iterations=options.iterations,
-                particle_enable_self_contact=options.self_contact,
-                particle_self_contact_margin=options.contact_distance,
-                particle_self_contact_gap=options.contact_distance,
-            )
+            self._solver = newton.solvers.SolverVBD(self._model, iterations=options.iterations)
             self._state, self._next = self._model.state(), self._model.state()
             self._state.particle_q.assign(positions.astype(np.float32))
 
@@ -96,7 +93,9 @@ class NewtonCloth:
             body: (body vertices, 3) [m] before and after.
             pins: (pinned vertices, 3) [m] before and after.
         """
-        steps = self.substeps
+        moved = float(np.linalg.norm(body[1] - body[0], axis=1).max())
+        # A body that went farther than this in a sub-step could pass through the cloth unseen.
+        steps = max(self.substeps, math.ceil(moved / (0.5 * self._search_distance)))
         speed = (body[1] - body[0]) / seconds
         for step in range(1, steps + 1):
             share = step / steps
@@ -170,17 +169,15 @@ def _quiet(warp: Any) -> Iterator[None]:
 def _build(newton: Any, warp: Any, scene: Scene, body: np.ndarray, options: NewtonOptions) -> tuple[Any, Any]:
     """The body's `warp.Mesh`, and the `newton.Model`."""
 
-    class OpenMesh(newton.Mesh):
-        # Newton counts crossings to tell inside from outside of a watertight mesh, which is wrong where an arm sinks
-        # into the torso; the pseudo-normal that it takes for other meshes is right there too.
-        is_watertight = False
-
+    # Newton counts crossings to tell inside from outside of a watertight mesh, which is wrong where an arm sinks into
+    # the torso; the pseudo-normal that it takes for other meshes is right there too.
+    open_mesh = type("OpenMesh", (newton.Mesh,), {"is_watertight": False})
     garment = scene.garments[0].garment
     builder = newton.ModelBuilder(up_axis=newton.Axis.Y)
     surface = newton.ModelBuilder.ShapeConfig(
         density=0.0, ke=options.contact_stiffness, kd=0.0, mu=FRICTION, margin=0.0, has_shape_collision=False
     )
-    mesh = OpenMesh(body.astype(np.float32), scene.colliders[0].faces.reshape(-1), compute_inertia=False)
+    mesh = open_mesh(body.astype(np.float32), scene.colliders[0].faces.reshape(-1), compute_inertia=False)
     builder.add_shape_mesh(body=-1, mesh=mesh, cfg=surface)
     if scene.ground_height is not None:
         builder.add_ground_plane(height=scene.ground_height, cfg=surface)
