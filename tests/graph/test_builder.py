@@ -9,6 +9,7 @@ import torch
 from tests.network_scenes import COTTON, DT, moment, sheet
 
 from pb4u.errors import InputError
+from pb4u.garment.garment import Garment
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.graph.builder import graph_builder
 from pb4u.graph.features import (
@@ -100,7 +101,7 @@ def test_a_material_of_no_bending_at_all_still_gives_finite_features():
 def test_an_isolated_vertex_gets_finite_features_and_the_mean_scale():
     garment = sheet(5, 5)
     vertices = torch.cat([torch.as_tensor(garment.vertices), torch.tensor([[5.0, 5.0, 5.0]])]).numpy()
-    packed = pack([replace(garment, vertices=vertices, pinned=None)])
+    packed = pack([Garment("sheet", vertices, garment.faces, garment.material)])
     builder = graph_builder(packed, FeatureLayout(node=tuple(NODE_FEATURES)), WorldEdgeRule(), torch.float64)
     for part in ("areal_density", "vertex_mass", "node_material", "incident_length"):
         assert bool(torch.isfinite(getattr(builder.static, part)).all()), part

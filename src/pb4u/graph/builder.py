@@ -120,7 +120,7 @@ class GraphBuilder:
         vector = positions.index_select(0, edges.senders.index) - positions.index_select(0, edges.receivers.index)
         length = vector.norm(dim=1, keepdim=True)
         columns = {
-            "direction": vector / length.clamp_min(torch.finfo(self.dtype).tiny),
+            "direction": vector / length.clamp_min(torch.finfo(self.dtype).eps),
             "rest_direction": edges.rest_direction,
             "length_ratio": length * edges.inverse_rest_length,
             "dt": step_dt.expand(len(vector), 1),
@@ -155,23 +155,8 @@ class GraphBuilder:
         if len(kept) == 0 or len(body) == 0:
             return
 
-        velocity = (collider.now - collider.previous).to(self.dtype)[kept]
-        absent = velocity.new_full((1,), -1.0)
-        columns = {
-            "velocity": velocity,
-            "normal": vertex_normals(now, collider.faces)[kept],
-            "dt": step_dt.expand(len(kept), 1),
-            "areal_density": absent.expand(len(kept), 1),
-            "vertex_mass": absent.expand(len(kept), 1),
-            "material": absent.expand(len(kept), 3),
-        }
-        chosen = [columns[name] for name in self.layout.node]
-        chosen += [velocity.new_zeros(len(kept), feature.width) for feature in self.layout.extra]
-        types = torch.full((len(kept),), int(NodeType.BODY), device=body.device)
-        active = None
-        if self.fixed_shapes:
-            active = _any_at(body_node, mask, len(kept))
-        nodes[BODY] = NodeSet(torch.cat(chosen, dim=1), types, collider.vertex_garment[kept], active)
+        active = _any_at(body_node, mask, len(kept)) if self.fixed_shapes else None
+        nodes[BODY] = self._body_nodes(collider, now, kept, step_dt, active)
 
         relative_now = positions.index_select(0, garment) - now.index_select(0, body)
         relative_next = positions.index_select(0, garment) - following.index_select(0, body)
@@ -201,6 +186,24 @@ class GraphBuilder:
             None if edge_mask is None else edge_mask[order],
             receiver_runs(to_body.offsets),
         )
+
+    def _body_nodes(
+        self, collider: ColliderFrame, now: Tensor, kept: Tensor, step_dt: Tensor, active: Tensor | None
+    ) -> NodeSet:
+        velocity = (collider.now - collider.previous).to(self.dtype)[kept]
+        absent = velocity.new_full((1,), -1.0)
+        columns = {
+            "velocity": velocity,
+            "normal": vertex_normals(now, collider.faces)[kept],
+            "dt": step_dt.expand(len(kept), 1),
+            "areal_density": absent.expand(len(kept), 1),
+            "vertex_mass": absent.expand(len(kept), 1),
+            "material": absent.expand(len(kept), 3),
+        }
+        chosen = [columns[name] for name in self.layout.node]
+        chosen += [velocity.new_zeros(len(kept), feature.width) for feature in self.layout.extra]
+        types = torch.full((len(kept),), int(NodeType.BODY), device=kept.device)
+        return NodeSet(torch.cat(chosen, dim=1), types, collider.vertex_garment[kept], active)
 
     def _nearest(self, positions: Tensor, body: Tensor, collider: ColliderFrame) -> tuple[Tensor, Tensor]:
         """Packed body vertices (vertices, neighbours) near each garment vertex, of its own body and in contact only."""

@@ -49,7 +49,8 @@ def nearest_within(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tupl
 def _nearest_by_tree(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
     from scipy.spatial import cKDTree
 
-    cloud, queries = targets.numpy(), points.numpy()
+    # What has diverged is near nothing; the tree would refuse it.
+    cloud, queries = targets.numpy(), torch.where(torch.isfinite(points), points, 1e9).numpy()
     near = ((cloud >= queries.min(axis=0) - rule.radius) & (cloud <= queries.max(axis=0) + rule.radius)).all(axis=1)
     kept = near.nonzero()[0]
     wanted = list(range(1, rule.neighbours + 1))

@@ -35,6 +35,7 @@ class NetworkPredictor(Predictor):
     def __init__(self, model: AccelerationModel, prepared: PreparedGarments) -> None:
         self.model, self.prepared = model, prepared
         self.device = next(model.parameters()).device
+        self._static: tuple[ColliderFrame, ColliderFrame] | None = None
 
     @torch.inference_mode()
     def _accelerations(self, situation: Situation) -> Tensor:
@@ -43,9 +44,19 @@ class NetworkPredictor(Predictor):
             positions=situation.state.positions.to(self.device),
             velocities=situation.state.velocities.to(self.device),
         )
-        collider = _moved(situation.collider, self.device)
+        collider = self._on_device(situation.collider)
         graph = self.prepared.graph(state, collider, situation.dt, local_origin(situation.collider).to(self.device))
         return self.model(graph, self.prepared)
+
+    def _on_device(self, collider: ColliderFrame) -> ColliderFrame:
+        """The bodies where the network computes; what never changes is moved once."""
+        if collider.now.device == self.device:
+            return collider
+        fixed = ("faces", "contact", "vertex_garment")
+        if self._static is None or any(getattr(self._static[0], n) is not getattr(collider, n) for n in fixed):
+            self._static = collider, replace(collider, **{n: getattr(collider, n).to(self.device) for n in fixed})
+        moving = {n: getattr(collider, n).to(self.device) for n in ("previous", "now", "following")}
+        return replace(self._static[1], **moving)
 
     def predict(self, situation: Situation) -> State:
         acceleration = self._accelerations(situation).to(situation.state.positions).clone()
@@ -58,13 +69,6 @@ def local_origin(collider: ColliderFrame) -> Tensor:
     """(3,) [m] middle of the bodies, rounded so that float32 differences of positions stay exact."""
     middle = collider.now.mean(0)
     return (middle / _ORIGIN_GRID).round() * _ORIGIN_GRID
-
-
-def _moved(collider: ColliderFrame, device: torch.device) -> ColliderFrame:
-    if collider.now.device == device:
-        return collider
-    names = ("previous", "now", "following", "faces", "contact", "vertex_garment")
-    return replace(collider, **{name: getattr(collider, name).to(device) for name in names})
 
 
 class NetworkSimulator(StepwiseSimulator):

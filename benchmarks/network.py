@@ -1,0 +1,174 @@
+"""Time of one network step: the network, its readable twin, and the matrix products alone, in one run.
+
+    python benchmarks/network.py [--triangles 2500 11000 ..] [--networks pb4u_paper pb4u_small] [--json FILE]
+
+Everything is interleaved and the best of several rounds counts, so that a busy machine slows all three alike.
+"products" is the time that this machine needs for the very matrix products the network issues, shape by shape, with
+nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.network_scenes import DT, Moment, moment, sheet, sheet_of
+from tests.readable_network import readable_accelerations
+
+from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.presets.networks import network_preset
+from pb4u.scene.packed import ColliderFrame
+
+Shapes = Counter[tuple[int, int, int]]
+
+
+class MatrixProducts(TorchDispatchMode):
+    """Counts the matrix products issued inside, by (rows, inner, columns)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shapes: Shapes = Counter()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = func.overloadpacket.__name__
+        if name == "linear":
+            rows, columns = args[0], args[1].shape[0]
+            self.shapes[(rows.shape[0], rows.shape[1], columns)] += 1
+        elif name in ("mm", "addmm"):
+            a, b = args[-2:]
+            self.shapes[(a.shape[0], a.shape[1], b.shape[1])] += 1
+        return func(*args, **(kwargs or {}))
+
+
+def operations(shapes: Shapes) -> int:
+    """Floating point operations, a multiplication and an addition counting as two."""
+    return sum(2 * m * k * n * count for (m, k, n), count in shapes.items())
+
+
+def on_a_body(triangles: int) -> Moment:
+    """A garment all of whose vertices lie within reach of a body of 1 cm edges, as close-fitting clothes do."""
+    garment = sheet_of(triangles)
+    side = int(garment.vertices[:, 0].max() / 0.01) + 2
+    under = sheet(side, side, edge=0.01, seed=1)
+    now = torch.as_tensor(under.vertices, dtype=torch.float32) - torch.tensor([0.0, 0.012, 0.0])
+    collider = ColliderFrame(
+        previous=now - 0.002,
+        now=now,
+        following=now + 0.002,
+        faces=torch.as_tensor(under.faces),
+        contact=torch.ones(len(now), dtype=torch.bool),
+        vertex_garment=torch.zeros(len(now), dtype=torch.int64),
+    )
+    bare = moment([garment], body=False, dtype=torch.float32)
+    return Moment(bare.garments, bare.state, collider)
+
+
+def seconds(work: Callable[[], object], clock: Callable[[], float]) -> float:
+    start = clock()
+    work()
+    return clock() - start
+
+
+def replay(shapes: Shapes) -> Callable[[], None]:
+    """The same matrix products on ready operands, written to ready memory."""
+    operands = {(m, k, n): (torch.randn(m, k), torch.randn(n, k), torch.empty(m, n)) for m, k, n in shapes}
+
+    def run() -> None:
+        for shape, count in shapes.items():
+            a, b, out = operands[shape]
+            for _ in range(count):
+                torch.mm(a, b.t(), out=out)
+
+    return run
+
+
+def measure(network: str, repeats: int, at: Moment, clock: Callable[[], float]) -> dict[str, Any]:
+    torch.manual_seed(0)
+    model = AccelerationModel(network_preset(network).network()).eval()
+    prepared: PreparedGarments = model.prepare(at.garments)
+    with torch.inference_mode():
+        graph = prepared.graph(at.state, at.collider, DT)
+        with MatrixProducts() as products:
+            fast = model(graph, prepared)
+        with MatrixProducts() as twin_products:
+            readable = readable_accelerations(model, graph, prepared)
+        assert torch.allclose(fast, readable, rtol=0, atol=1e-5 * float(readable.abs().max()))
+        alone = replay(products.shapes)
+        times: dict[str, list[float]] = {"network": [], "twin": [], "products": [], "graph": []}
+        for _ in range(repeats):
+            times["products"].append(seconds(alone, clock))
+            times["network"].append(seconds(lambda: model(graph, prepared), clock))
+            times["twin"].append(seconds(lambda: readable_accelerations(model, graph, prepared), clock))
+            times["graph"].append(seconds(lambda: prepared.graph(at.state, at.collider, DT), clock))
+    ms = {name: 1e3 * min(values) for name, values in times.items()}
+    flops = operations(products.shapes)
+    return {
+        "network": network,
+        "triangles": at.garments.faces.shape[0],
+        "vertices": at.garments.vertex_count,
+        "mesh_edges": graph.edges["mesh"].edge_count,
+        "world_edges": 2 * graph.edges["body_to_garment"].edge_count,
+        "propagation_steps": prepared.steps[0],
+        "graph_ms": ms["graph"],
+        "network_ms": ms["network"],
+        "twin_ms": ms["twin"],
+        "products_ms": ms["products"],
+        "speed_over_twin": ms["twin"] / ms["network"],
+        "time_over_products": ms["network"] / ms["products"],
+        "gflop": flops / 1e9,
+        "twin_gflop": operations(twin_products.shapes) / 1e9,
+        "product_gflop_per_s": flops / 1e6 / ms["products"],
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--triangles", type=int, nargs="+", default=[2500, 11000, 18000, 25000, 38000])
+    parser.add_argument("--networks", nargs="+", default=["pb4u_paper", "pb4u_small"])
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument(
+        "--clock", choices=("wall", "cpu"), default="wall", help="cpu, with one thread, on a machine that others use"
+    )
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    clock = time.process_time if options.clock == "cpu" else time.perf_counter
+    rows = []
+    print(
+        "network       triangles  K  graph  network     twin  products [ms]  twin/net  net/products "
+        " Gflop (twin)  Gflop/s"
+    )
+    for triangles in options.triangles:
+        at = on_a_body(triangles)
+        for network in options.networks:
+            row = measure(network, options.repeats, at, clock)
+            rows.append(row)
+            print(
+                f"{network:12} {row['triangles']:10} {row['propagation_steps']:2} {row['graph_ms']:6.1f} "
+                f"{row['network_ms']:8.1f} {row['twin_ms']:8.1f} {row['products_ms']:9.1f}      "
+                f"{row['speed_over_twin']:9.2f} {row['time_over_products']:13.2f} "
+                f"{row['gflop']:7.1f} ({row['twin_gflop']:.1f}) {row['product_gflop_per_s']:8.0f}",
+                flush=True,
+            )
+    if options.json:
+        options.json.write_text(
+            json.dumps(
+                {"threads": options.threads, "clock": options.clock, "torch": torch.__version__, "rows": rows}, indent=1
+            )
+        )
+
+
+if __name__ == "__main__":
+    main()

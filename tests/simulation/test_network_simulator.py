@@ -1,0 +1,101 @@
+"""A network rolled out: by itself, refined, resampled, and at a resolution it has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from ball_scene import ball_scene
+
+from pb4u.errors import InputError, InputWarning
+from pb4u.evaluation.metrics import measure
+from pb4u.model.pb4u_gnet import Pb4uConfiguration
+from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
+from pb4u.simulation.contact import SurfaceContact
+from pb4u.simulation.models import load_simulator
+from pb4u.simulation.network_simulator import NetworkSimulator, local_origin
+from pb4u.simulation.simulator import RunRecord
+from pb4u.simulation.stage import Stage
+
+TINY = Pb4uConfiguration(width=16, blocks=2)
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    """A network that was never trained: what refinement has to survive."""
+    torch.manual_seed(0)
+    path = tmp_path / "tiny.safetensors"
+    record = TrainingRecord(1 / 30, (0.01, 0.06), (1, 30))
+    save_checkpoint(path, AccelerationModel(TINY.network()), TINY, record)
+    return path
+
+
+def test_untrained_network_with_solver_and_contact_does_not_diverge(weights: Path) -> None:
+    simulator = NetworkSimulator(load_checkpoint(weights), refine=5, contact=SurfaceContact())
+    trajectory = simulator.simulate(ball_scene(frames=12))
+    measured = measure(trajectory)
+    assert not measured["diverged"]
+    assert measured["metrics"]["strain_p95"]["max"] < 0.2
+    assert measured["metrics"]["penetration_depth_max"]["max"] < 2e-3
+
+
+def test_k_follows_the_resolution_and_can_be_overridden(weights: Path) -> None:
+    checkpoint = load_checkpoint(weights)
+    coarse, fine = ball_scene(cells=10), ball_scene(cells=20)
+    steps = [NetworkSimulator(checkpoint).propagation_steps(scene) for scene in (coarse, fine)]
+    lengths = [scene.garments[0].garment.mean_edge_length for scene in (coarse, fine)]
+    assert steps == [int(0.225 / length + 1e-6) for length in lengths]
+    assert NetworkSimulator(checkpoint, propagation_steps=7).simulate(coarse).metadata["propagation_steps"] == 7
+
+
+@pytest.mark.parametrize("steps", [0, 10_000])
+def test_impossible_k_is_refused(weights: Path, steps: int) -> None:
+    simulator = load_simulator(weights, propagation_steps=steps)
+    with pytest.raises(InputError, match="Propagation steps"):
+        simulator.simulate(ball_scene(frames=2))
+
+
+def test_resolution_outside_the_range_seen_is_warned_of(weights: Path) -> None:
+    checkpoint = load_checkpoint(weights)
+    narrow = replace(checkpoint, record=replace(checkpoint.record, mean_edge_lengths=(0.001, 0.002)))
+    with pytest.warns(InputWarning, match="coarser"):
+        NetworkSimulator(narrow).simulate(ball_scene(frames=2))
+
+
+def test_rollout_is_the_same_wherever_the_scene_stands(weights: Path) -> None:
+    simulator = NetworkSimulator(load_checkpoint(weights))
+    here = simulator.simulate(ball_scene(frames=5, speed=0.0))
+    there = ball_scene(frames=5, speed=0.0)
+    shift = np.array([8.0, 0.0, -6.0])
+    body, worn = there.colliders[0], there.garments[0]
+    body.rest_vertices = body.rest_vertices + shift
+    worn = replace(worn, garment=replace(worn.garment, vertices=worn.garment.vertices + shift))
+    from pb4u.garment.dressing import AttachedPlacement
+
+    worn = replace(worn, placement=AttachedPlacement(worn.garment, body))
+    moved = simulator.simulate(replace(there, garments=(worn,)))
+    np.testing.assert_allclose(moved.positions - shift, here.positions, atol=2e-5)
+    origin = local_origin(Stage(there).collider(0))
+    assert torch.equal(origin * 16, (origin * 16).round())
+
+
+def test_velocity_after_refinement_is_the_displacement(weights: Path) -> None:
+    simulator = NetworkSimulator(load_checkpoint(weights), refine=3)
+    trajectory = simulator.simulate(ball_scene(frames=4, lead_in=0))
+    displacement = (trajectory.positions[3] - trajectory.positions[2]) * 30.0
+    np.testing.assert_allclose(trajectory.velocities[3], displacement, atol=1e-3)
+
+
+def test_record_says_when_a_network_ran_away(weights: Path) -> None:
+    checkpoint = load_checkpoint(weights)
+    with torch.no_grad():
+        for parameter in checkpoint.model.network.decoder.parameters():
+            parameter.fill_(float("inf"))
+    record = RunRecord()
+    frames = list(NetworkSimulator(checkpoint).written_frames(ball_scene(frames=4, lead_in=0), record))
+    assert record.failed_at is not None
+    assert len(frames) == record.failed_at

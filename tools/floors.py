@@ -1,0 +1,65 @@
+"""Computes the floor of every catalogue test scene: the energies that the solver reaches at its tolerance.
+
+python tools/floors.py [--levels base,11K] [--recordings FOLDER] [--frames 60]
+
+Results go to src/pb4u/evaluation/floors.json, one entry a scene and level; entries already there are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+
+from pb4u.evaluation.floors import FLOORS_FILE
+from pb4u.evaluation.metrics import measure
+from pb4u.garment.library import LEVELS
+from pb4u.scene.catalogue import catalogue_scene, scene_names
+from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation.simulator import RunRecord
+from pb4u.simulation.solver_simulator import SolverSimulator
+
+
+def floor_of(name: str, triangles: int, frames: int, recordings: Path | None) -> dict[str, object]:
+    """What the solver reaches on one scene, contact response off so that nothing but the potential is at work."""
+    scene = catalogue_scene(name, triangles, frames, recordings=recordings)
+    simulator, record = SolverSimulator(), RunRecord()
+    trajectory = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record))
+    measured = measure(trajectory)
+    return {
+        "frames": trajectory.frame_count,
+        "triangles": len(trajectory.faces),
+        "energies": {
+            term: measured["metrics"][term]["mean"]
+            for term in ("stretch", "bending", "collision", "gravity", "friction", "inertia", "total")
+        },
+        "strain_p95": measured["metrics"]["strain_p95"]["mean"],
+        "unsolved_steps": record.unsolved,
+    }
+
+
+def main() -> None:
+    """Run what is missing."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--levels", default="base")
+    parser.add_argument("--recordings", type=Path)
+    parser.add_argument("--frames", type=int, default=60)
+    options = parser.parse_args()
+    floors = json.loads(FLOORS_FILE.read_text()) if FLOORS_FILE.exists() else {}
+    for level in options.levels.split(","):
+        for name in scene_names("test", recordings=options.recordings is not None):
+            key = f"{name}@{level}"
+            if key in floors:
+                continue
+            began = time.perf_counter()
+            floors[key] = floor_of(str(name), LEVELS[level], options.frames, options.recordings)
+            beside = FLOORS_FILE.with_suffix(".part")
+            beside.write_text(json.dumps(dict(sorted(floors.items())), indent=1) + "\n")
+            os.replace(beside, FLOORS_FILE)
+            print(f"{key}: {time.perf_counter() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
