@@ -98,7 +98,7 @@ def test_dressing_again_reads_the_cache_and_a_damaged_cache_is_rebuilt(woman, sm
     first = garment_weights(small, woman)
     (stored,) = (cache_folder() / "skinning").iterdir()
     with monkeypatch.context() as broken:
-        broken.setattr("pb4u.garment.weight_cache.borrow_weights", lambda *_: pytest.fail("the cache was not read"))
+        broken.setattr("pb4u.garment.weight_transfer.borrow_weights", lambda *_: pytest.fail("the cache was not read"))
         again = garment_weights(small, woman)
     np.testing.assert_array_equal(again.bones, first.bones)
     np.testing.assert_array_equal(again.weights, first.weights)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from pb4u.body.skeleton import PoseSequence, Skeleton
@@ -99,6 +98,8 @@ class SkinnedSurface:
     CHUNK = 16
 
     def __init__(self, rest_vertices: np.ndarray, weights: SkinningWeights, bone_count: int) -> None:
+        from scipy.sparse import csr_matrix
+
         vertex, influence = np.nonzero(weights.weights)
         bone, weight = weights.bones[vertex, influence], weights.weights[vertex, influence]
         starts = np.searchsorted(vertex, np.arange(len(rest_vertices) + 1))

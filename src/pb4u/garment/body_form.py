@@ -25,7 +25,7 @@ _BONE_NAMES: dict[str, dict[str, str]] = {
 }  # fmt: skip
 _SIDES = {"anny": ("L", "R"), "smpl": ("left", "right")}
 
-#: Angle between neighbouring support directions around a limb or the torso.
+#: Number of support directions around the torso or a leg.
 DIRECTIONS = 72
 _STEP = 0.01
 
@@ -72,6 +72,12 @@ class Sections:
     centres: np.ndarray
     support: np.ndarray
 
+    def reach(self, bottom: float, top: float) -> np.ndarray:
+        """Half extents in x and z (2,) [m], about the origin, of the part between two heights."""
+        part = slice(self.level(bottom), self.level(top) + 1)
+        widest = float(np.nanmax(self.support[part]))
+        return widest + np.abs(self.centres[part]).max(axis=0)
+
     def level(self, y: float) -> int:
         """Index of the level nearest to height y [m]."""
         return int(np.clip(round((y - self.heights[0]) / _STEP), 0, len(self.heights) - 1))
@@ -91,23 +97,38 @@ class BodyForm:
 
     def __init__(self, body: ShapedBody) -> None:
         self.body = body
-        names = _bone_names(body)
+        names, sides = _bone_names(body)
         skeleton = body.skeleton
-        self._moves = _weight_below(body)
-        self.neck = skeleton.joints[skeleton.index(names["neck"])]
-        self.head = self._moves(names["head"]) > 0.5
-        self.arms = tuple(self._limb(names, ("shoulder", "elbow", "wrist"), k) for k in (0, 1))
-        self.legs = tuple(self._limb(names, ("hip", "knee", "ankle"), k) for k in (0, 1))
+        self.neck: np.ndarray = skeleton.joints[skeleton.index(names["neck"])]
+        self.head: np.ndarray = _share_of_bone(body, names["head"]) > 0.5
+        self.arms = tuple(self._limb([names[k].format(side) for k in ("shoulder", "elbow", "wrist")]) for side in sides)
+        self.legs = tuple(self._limb([names[k].format(side) for k in ("hip", "knee", "ankle")]) for side in sides)
+        self._arm_share = sum(
+            (_share_of_bone(body, names["shoulder"].format(side)) for side in sides), np.zeros(len(body.vertices))
+        )
         #: Lengths that are not measured elsewhere scale with this, 1 for an adult of 1.75 m.
         self.scale = body.height / 1.75
 
-    def _limb(self, names: dict[str, str], chain: tuple[str, str, str], k: int) -> Limb:
-        sides = _SIDES["anny" if "{}.".format("") in names["hip"] or names["hip"].endswith(".{}") else "smpl"]
-        bones = [names[joint].format(sides[k]) for joint in chain]
+    def _limb(self, bones: list[str]) -> Limb:
         skeleton = self.body.skeleton
         joints = np.array([skeleton.joints[skeleton.index(bone)] for bone in bones])
         side = 1 if joints[:, 0].sum() > 0 else -1
-        return Limb(side, joints, self._moves(bones[0]) > 0.5, self._moves(bones[2]) > 0.5)
+        return Limb(side, joints, _share_of_bone(self.body, bones[0]) > 0.5, _share_of_bone(self.body, bones[2]) > 0.5)
+
+    @property
+    def arm_skin(self) -> np.ndarray:
+        """(vertices,) bool, skin of both arms and hands."""
+        return self.arms[0].belongs | self.arms[1].belongs
+
+    @property
+    def hand_skin(self) -> np.ndarray:
+        """(vertices,) bool, skin of both hands."""
+        return self.arms[0].tip | self.arms[1].tip
+
+    @property
+    def foot_skin(self) -> np.ndarray:
+        """(vertices,) bool, skin of both feet."""
+        return self.legs[0].tip | self.legs[1].tip
 
     @cached_property
     def samples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -163,7 +184,7 @@ class BodyForm:
     @cached_property
     def torso(self) -> Sections:
         """Sections of everything but head, arms and hands: both legs within one hull."""
-        return self.sections(~(self.head | self.arms[0].belongs | self.arms[1].belongs))
+        return self.sections(~(self.head | self.arm_skin))
 
     @cached_property
     def crotch(self) -> float:
@@ -171,7 +192,7 @@ class BodyForm:
         points, _, owner = self.samples
         knee = max(limb.joints[1, 1] for limb in self.legs)
         hip = max(limb.joints[0, 1] for limb in self.legs)
-        hand = (self.arms[0].belongs | self.arms[1].belongs)[owner]
+        hand = self.arm_skin[owner]
         middle = (np.abs(points[:, 0]) < 0.012 * self.scale) & (points[:, 1] > knee) & ~hand
         return float(min(points[middle, 1].min(), hip)) if middle.any() else 0.9 * float(hip)
 
@@ -179,15 +200,9 @@ class BodyForm:
     def armpit(self) -> float:
         """Height [m] of the underarm fold, the lower of the two sides."""
         points, _, owner = self.samples
-        blend = self._arm_weight[owner]
+        blend = self._arm_share[owner]
         fold = (blend > 0.35) & (blend < 0.65)
         return float(points[fold, 1].min()) if fold.any() else float(self.shoulder_height - 0.1 * self.scale)
-
-    @cached_property
-    def _arm_weight(self) -> np.ndarray:
-        names = _bone_names(self.body)
-        sides = _SIDES["anny" if names["hip"].endswith(".{}") else "smpl"]
-        return sum((self._moves(names["shoulder"].format(side)) for side in sides), np.zeros(len(self.body.vertices)))
 
     @property
     def shoulder_height(self) -> float:
@@ -221,13 +236,13 @@ class BodyForm:
         near = (np.abs(points[:, 1] - self.neck[1] - 0.03 * self.scale) < 0.012) & (
             np.abs(points[:, 0]) < 0.12 * self.scale
         )
-        near &= ~(self.arms[0].belongs | self.arms[1].belongs)[owner]
+        near &= ~self.arm_skin[owner]
         return float(np.abs(points[near, 0]).max()) if near.any() else 0.06 * self.scale
 
     def midline(self, y: float, front: bool) -> np.ndarray:
         """The skin point (3,) in the symmetry plane at height y, on the chest side or on the back."""
         points, _, owner = self.samples
-        arm = (self.arms[0].belongs | self.arms[1].belongs)[owner]
+        arm = self.arm_skin[owner]
         near = (np.abs(points[:, 0]) < 0.02 * self.scale) & (np.abs(points[:, 1] - y) < 0.008) & ~arm
         if not near.any():
             return np.array([0.0, y, self.neck[2]])
@@ -244,26 +259,23 @@ def _smooth_filled(values: np.ndarray, sigma: float) -> np.ndarray:
     return gaussian_filter1d(np.nan_to_num(filled), sigma, mode="nearest")
 
 
-def _bone_names(body: ShapedBody) -> dict[str, str]:
+def _bone_names(body: ShapedBody) -> tuple[dict[str, str], tuple[str, str]]:
+    """Bone names of the joints, with a place for the side, and the names of the sides."""
     for family, names in _BONE_NAMES.items():
         wanted = {name.format(side) for name in names.values() for side in _SIDES[family]}
         if wanted <= set(body.skeleton.names):
-            return names
+            return names, _SIDES[family]
     raise InputError(
-        f'The built-in garments cannot be fitted to body "{body.name}" (family "{body.family}"): its skeleton lacks the '
-        f"named shoulder, elbow, wrist, hip, knee, ankle and neck joints; give a garment file instead."
+        f'The built-in garments cannot be fitted to body "{body.name}" (family "{body.family}"): its skeleton lacks '
+        f"the named shoulder, elbow, wrist, hip, knee, ankle and neck joints; give a garment file instead."
     )
 
 
-def _weight_below(body: ShapedBody):  # type: ignore[no-untyped-def]
-    """Function from a bone name to the (vertices,) share of each vertex's skinning held by that bone and its children."""
+def _share_of_bone(body: ShapedBody, name: str) -> np.ndarray:
+    """(vertices,) share of each vertex's skinning that the bone `name` and the bones below it hold."""
     skeleton = body.skeleton
-
-    def weight(name: str) -> np.ndarray:
-        below = np.zeros(skeleton.bone_count, dtype=bool)
-        below[skeleton.index(name)] = True
-        for bone, parent in enumerate(skeleton.parents.tolist()):
-            below[bone] |= parent >= 0 and below[parent]
-        return (body.weights.weights * below[body.weights.bones]).sum(axis=1)
-
-    return weight
+    below = np.zeros(skeleton.bone_count, dtype=bool)
+    below[skeleton.index(name)] = True
+    for bone, parent in enumerate(skeleton.parents.tolist()):
+        below[bone] |= parent >= 0 and below[parent]
+    return (body.weights.weights * below[body.weights.bones]).sum(axis=1)

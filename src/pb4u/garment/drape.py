@@ -1,4 +1,4 @@
-"""Fields whose zero sets are pieces of clothing: a hanging tube around the torso or a leg, sleeves, the body's own skin.
+"""Fields whose zero sets are pieces of clothing: a hanging tube around the torso or a leg, sleeves, the skin itself.
 
 Every field is sampled on a lattice, in metres, negative inside the piece and about a distance near its surface.
 """
@@ -71,9 +71,7 @@ def tube_field(lattice: Lattice, sections: Sections) -> np.ndarray:
     """Field (nx, ny, nz) of an endless vertical tube with these sections."""
     x, y, z = (axis.reshape(-1) for axis in lattice.axes)
     units = directions()
-    support = np.column_stack(
-        [np.interp(y, sections.heights, sections.support[:, k]) for k in range(support_count(sections))]
-    )
+    support = np.column_stack([np.interp(y, sections.heights, column) for column in sections.support.T])
     centre = np.column_stack([np.interp(y, sections.heights, sections.centres[:, k]) for k in (0, 1)])
     field = np.full(lattice.shape, -np.inf, dtype=np.float32)
     for k, (ux, uz) in enumerate(units):
@@ -81,11 +79,6 @@ def tube_field(lattice: Lattice, sections: Sections) -> np.ndarray:
         reach = (x[:, None] * ux + z[None, :] * uz).astype(np.float32)
         np.maximum(field, reach[:, None, :] - level[None, :, None], out=field)
     return field.astype(np.float64)
-
-
-def support_count(sections: Sections) -> int:
-    """Number of directions of the support functions."""
-    return int(sections.support.shape[1])
 
 
 def sleeve_field(
@@ -136,11 +129,11 @@ def sleeve_field(
     centre = gaussian_filter1d(bone + offset, 2.0, axis=0, mode="nearest") + 0.75 * slack[:, None] * down
     radius = gaussian_filter1d(radius + slack, 2.0, mode="nearest")
 
-    return _cone_chain(lattice, centre, radius)
+    return cone_chain_field(lattice, centre, radius)
 
 
-def _cone_chain(lattice: Lattice, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Field of the union of cones between consecutive stations; flat beyond the last one."""
+def cone_chain_field(lattice: Lattice, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Field of the union of the cones between consecutive `centre` (n, 3) with `radius` (n,); capped far away."""
     field = np.full(lattice.shape, 0.1)
     x, y, z = lattice.axes
     reach = radius.max() + 0.1
@@ -165,7 +158,7 @@ def _filled(values: np.ndarray) -> np.ndarray:
 
 
 def skin_field(lattice: Lattice, form: BodyForm, left_out: np.ndarray) -> np.ndarray:
-    """Signed distance to the skin, exact within a few centimetres; +3 cm where the `left_out` skin (vertices,) is nearest."""
+    """Signed distance to the skin, exact within a few centimetres; +3 cm nearest to the `left_out` skin (vertices,)."""
     from scipy.ndimage import label
     from scipy.spatial import cKDTree
 

@@ -13,6 +13,7 @@ from pb4u.garment.body_form import BodyForm
 from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import MATERIALS
+from pb4u.garment.panels import flat_panels
 from pb4u.garment.patterns import PATTERNS
 from pb4u.garment.tailoring import tailor
 from pb4u.geometry.implicit_surface import ImplicitSurface
@@ -48,6 +49,8 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
     if name not in PATTERNS:
         near = get_close_matches(name.lower(), PATTERNS, n=3, cutoff=0.5) or list(PATTERNS)
         raise InputError(f'There is no garment "{name}"; did you mean {", ".join(near)}?')
+    if isinstance(triangles, bool) or not isinstance(triangles, (int, np.integer)):
+        raise InputError(f"The number of triangles must be a whole number, not {triangles!r}.")
     if not FEWEST_TRIANGLES <= triangles <= MOST_TRIANGLES:
         raise InputError(
             f"A built-in garment has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles, not {triangles}."
@@ -56,7 +59,8 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
     surface = _surface(name, body)
     vertices, faces = remesh(*surface.mesh, triangles, surface)
     vertices = clear_of_body(vertices, faces, body)
-    garment = Garment(name, vertices, faces, MATERIALS["default"], loose=pattern.loose)
+    uvs, uv_faces = flat_panels(vertices, faces, _form(body), pattern) or (None, None)
+    garment = Garment(name, vertices, faces, MATERIALS["default"], uvs=uvs, uv_faces=uv_faces, loose=pattern.loose)
     if pattern.top != "waist":
         return garment
     waist = max(garment.topology.boundary_loops, key=lambda loop: float(vertices[loop, 1].mean()))
@@ -65,10 +69,14 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
     return garment.with_pins(pinned)
 
 
+def _form(body: ShapedBody) -> BodyForm:
+    if body not in _forms:
+        _forms[body] = BodyForm(body)
+    return _forms[body]
+
+
 def _surface(name: str, body: ShapedBody) -> ImplicitSurface:
     surfaces = _surfaces.setdefault(body, {})
     if name not in surfaces:
-        if body not in _forms:
-            _forms[body] = BodyForm(body)
-        surfaces[name] = tailor(PATTERNS[name], _forms[body])
+        surfaces[name] = tailor(PATTERNS[name], _form(body))
     return surfaces[name]

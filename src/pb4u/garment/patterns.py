@@ -1,7 +1,7 @@
 """The cut of each built-in garment: where it hangs, how wide it is, and where it ends.
 
-Lengths are in metres for an adult of 1.75 m and grow with the body; places along limbs are fractions (0 shoulder or hip,
-1 elbow or knee, 2 wrist or ankle).
+Lengths are in metres for an adult of 1.75 m and grow with the body; places along arms are fractions (0 shoulder,
+1 elbow, 2 wrist).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Pattern:
 
     Args:
         top: "shoulder" (it hangs from the shoulders) or "waist" (its upper loop is pinned there).
-        hem: "hip", "crotch", "thigh", "knee", "calf" or "ankle".
+        hem: "crotch", "knee", "calf" or "ankle".
         hem_offset: how far above that height it ends.
         ease: slack of the torso part at chest (or waist), waist, hip and hem.
         taper: how much it may draw in per metre going down, above and below the waist; negative where it must flare.
@@ -81,7 +81,7 @@ PATTERNS: dict[str, Pattern] = {
     ),
     "fitted_dress": Pattern(
         "shoulder", "knee", 0.08, (0.010, 0.012, 0.016, 0.034), taper=(0.90, 0.08),
-        neckline=Neckline(0.085, 0.02, 0.034), sleeve=0.40, sleeve_ease=(0.007, 0.014),
+        neckline=Neckline(0.085, 0.02, 0.034), sleeve=0.40, sleeve_ease=(0.007, 0.014), loose=True,
     ),
     "cardigan": Pattern(
         "shoulder", "crotch", 0.02, (0.032, 0.036, 0.038, 0.040), taper=(0.06, 0.06),

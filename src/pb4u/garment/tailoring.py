@@ -8,6 +8,7 @@ import numpy as np
 
 from pb4u.garment.body_form import BodyForm, Limb
 from pb4u.garment.drape import (
+    cone_chain_field,
     hanging,
     skin_field,
     sleeve_field,
@@ -78,15 +79,13 @@ def _top(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
     hem = hem_height(pattern, form)
     chest_top = form.shoulder_height - 0.025 * form.scale
     sections = hanging(form.torso, _ease(pattern, form, hem), _taper(pattern, form), chest_top, hem)
-    lattice = _lattice(form, sections_reach(sections, hem, chest_top), hem, pattern)
+    lattice = _lattice(form, sections.reach(hem - 0.05, chest_top), hem, pattern)
     y = lattice.axes[1]
 
     tube = tube_field(lattice, sections)
     capped = smooth_intersection(tube, y - chest_top, 0.03 * form.scale)
     sleeved = pattern.sleeve > 0.0
-    arms = form.arms[0].belongs | form.arms[1].belongs
-    tips = form.arms[0].tip | form.arms[1].tip
-    left_out = form.head | (tips if sleeved else arms)
+    left_out = form.head | (form.hand_skin if sleeved else form.arm_skin)
     skin = skin_field(lattice, form, left_out)
     shape = smooth_union(capped, skin - REST_CLEARANCE, 0.02 * form.scale)
     sleeves = np.full(lattice.shape, 0.1)
@@ -111,7 +110,7 @@ def _top(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
         cuts.append(np.broadcast_to(hem - y, lattice.shape))
         cuts += [_armhole_cut(pattern, form, lattice, arm) for arm in form.arms]
         # The arm itself always comes out through the hole.
-        arm_skin = _distance_to(lattice, form, arms & ~_shoulder_skin(form))
+        arm_skin = _distance_to(lattice, form, form.arm_skin & ~_shoulder_skin(form))
         cuts.append(0.014 * form.scale - arm_skin)
     if pattern.front_gap > 0.0:
         cuts.append(_front_cut(pattern, form, lattice))
@@ -119,13 +118,6 @@ def _top(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
     for other in cuts[1:]:
         cut = smooth_intersection(cut, other, 0.02 * form.scale)
     return ImplicitSurface(lattice, shape, gaussian_filter(cut, 0.8, mode="nearest"))
-
-
-def sections_reach(sections, hem: float, top: float) -> np.ndarray:  # type: ignore[no-untyped-def]
-    """Half extents in x and z (2,) of the part of a tube between two heights."""
-    part = slice(sections.level(hem - 0.05), sections.level(top) + 1)
-    reach = np.nanmax(sections.support[part])
-    return np.array([reach, reach + np.abs(sections.centres[part, 1]).max()])
 
 
 def _lattice(form: BodyForm, reach: np.ndarray, hem: float, pattern: Pattern) -> Lattice:
@@ -142,14 +134,18 @@ def _lattice(form: BodyForm, reach: np.ndarray, hem: float, pattern: Pattern) ->
 
 def _arm_distance(lattice: Lattice, form: BodyForm) -> np.ndarray:
     """Distance to the nearer arm's bones less a typical arm radius: small on arms, large on the torso."""
-    from pb4u.garment.drape import _cone_chain
-
     field = np.full(lattice.shape, 1.0)
     for arm in form.arms:
         places = np.array([arm.along(s) for s in np.linspace(0.15, 2.0, 12)])
         places = np.concatenate([places, places[-1:] + 0.25 * form.scale * arm.direction(1.9)])
-        field = np.minimum(field, _cone_chain(lattice, places, np.full(len(places), 0.05 * form.scale)))
+        field = np.minimum(field, cone_chain_field(lattice, places, np.full(len(places), 0.05 * form.scale)))
     return field
+
+
+def _neck_width(pattern: Pattern, form: BodyForm) -> float:
+    """Half the width [m] of the neck hole, held clear of the ends of the shoulders."""
+    shoulder = min(abs(float(arm.joints[0, 0])) for arm in form.arms)
+    return min(form.neck_half_width + pattern.neckline.spread * form.scale, 0.58 * shoulder)
 
 
 def _neck_cut(pattern: Pattern, form: BodyForm, lattice: Lattice) -> np.ndarray:
@@ -159,8 +155,8 @@ def _neck_cut(pattern: Pattern, form: BodyForm, lattice: Lattice) -> np.ndarray:
     back = form.midline(float(form.neck[1]) - line.back * form.scale, front=False)
     way = (front - back)[1:] / np.linalg.norm((front - back)[1:])
     above = (y - back[1]) * way[1] - (z - back[2]) * way[0]
-    width = form.neck_half_width + line.spread * form.scale
-    return smooth_union(above, width - np.abs(x), 0.05 * form.scale)
+    width = _neck_width(pattern, form)
+    return smooth_union(above, width - np.abs(x), 0.08 * form.scale)
 
 
 def _cuff_cut(lattice: Lattice, arm: Limb, end: float, arm_side: np.ndarray, form: BodyForm) -> np.ndarray:
@@ -172,10 +168,10 @@ def _cuff_cut(lattice: Lattice, arm: Limb, end: float, arm_side: np.ndarray, for
 
 def _armhole_cut(pattern: Pattern, form: BodyForm, lattice: Lattice, arm: Limb) -> np.ndarray:
     x, y, _ = lattice.axes
-    strap = form.neck_half_width + (pattern.neckline.spread + pattern.strap) * form.scale
+    strap = _neck_width(pattern, form) + pattern.strap * form.scale
     low = form.armpit - pattern.armhole_depth * form.scale
     chest = form.torso.support[form.torso.level(form.armpit - 0.02), form.torso.support.shape[1] // 4]
-    inset = min(strap, abs(arm.joints[0, 0]) - 0.01)
+    inset = min(strap, 0.86 * abs(float(arm.joints[0, 0])))
     bottom = max(float(chest) - 0.02 * form.scale, inset)
     top = float(arm.joints[0, 1]) + 0.03 * form.scale
     edge = inset + (bottom - inset) * np.clip((top - y) / (top - low), 0.0, 1.5) ** 2
@@ -208,7 +204,7 @@ def _front_cut(pattern: Pattern, form: BodyForm, lattice: Lattice) -> np.ndarray
 def _skirt(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
     hem = hem_height(pattern, form)
     sections = hanging(form.torso, _ease(pattern, form, hem), _taper(pattern, form), form.waist + 0.02, hem)
-    reach = sections_reach(sections, hem, form.waist)
+    reach = sections.reach(hem - 0.05, form.waist)
     low, high = np.array([-reach[0], hem, -reach[1]]), np.array([reach[0], form.waist, reach[1]])
     lattice = Lattice.around(low - _MARGIN, high + _MARGIN, _spacing(form))
     y = lattice.axes[1]
@@ -221,24 +217,23 @@ def _trousers(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
 
     hem = hem_height(pattern, form)
     ease, taper = _ease(pattern, form, hem), _taper(pattern, form)
-    arms = form.arms[0].belongs | form.arms[1].belongs
-    feet = form.legs[0].tip | form.legs[1].tip
+    left_out = form.arm_skin | form.head | form.foot_skin
     pelvis = hanging(form.torso, ease, taper, form.waist + 0.02, form.crotch)
-    reach = sections_reach(pelvis, form.crotch, form.waist)
+    reach = pelvis.reach(form.crotch, form.waist)
     foot = max(abs(limb.joints[2, 0]) for limb in form.legs) + 0.12 * form.scale
     reach[0] = max(reach[0], foot)
     low, high = np.array([-reach[0], hem, -reach[1]]), np.array([reach[0], form.waist, reach[1]])
     lattice = Lattice.around(low - _MARGIN, high + _MARGIN, 0.85 * _spacing(form))
-    x, y, _ = lattice.axes
+    y = lattice.axes[1]
 
     shape = smooth_intersection(tube_field(lattice, pelvis), form.crotch + 0.02 * form.scale - y, 0.04 * form.scale)
     for limb in form.legs:
-        skin = (limb.side * form.body.vertices[:, 0] > 0) & ~(arms | form.head | feet)
+        skin = (limb.side * form.body.vertices[:, 0] > 0) & ~left_out
         leg = hanging(form.sections(skin, None), ease, taper, form.crotch + 0.06 * form.scale, hem)
         tube = smooth_intersection(tube_field(lattice, leg), y - form.crotch - 0.06 * form.scale, 0.03 * form.scale)
-        shape = smooth_union(shape, tube, 0.02 * form.scale)
+        shape = smooth_union(shape, tube, 0.04 * form.scale)
     shape = gaussian_filter(shape, 1.2, mode="nearest")
-    shape = smooth_union(shape, skin_field(lattice, form, arms | form.head | feet) - REST_CLEARANCE, 0.006)
+    shape = smooth_union(shape, skin_field(lattice, form, left_out) - REST_CLEARANCE, 0.006)
     shape = smooth_intersection(shape, _between_legs(lattice, form), 0.015 * form.scale)
     cut = np.maximum(np.broadcast_to(hem - y, lattice.shape), y - form.waist)
     return ImplicitSurface(lattice, shape, cut)
@@ -253,8 +248,11 @@ def _between_legs(lattice: Lattice, form: BodyForm) -> np.ndarray:
     heights = form.torso.heights
     level = form.torso.level
     room = np.full(len(heights), np.inf)
-    np.minimum.at(room, np.clip(np.rint(points[leg, 1] / (heights[1] - heights[0])).astype(int), 0, len(room) - 1),
-                  np.abs(points[leg, 0]))
+    np.minimum.at(
+        room,
+        np.clip(np.rint(points[leg, 1] / (heights[1] - heights[0])).astype(int), 0, len(room) - 1),
+        np.abs(points[leg, 0]),
+    )
     room[level(form.crotch) :] = 0.0
     half = np.clip(room - 0.005, 0.0, 0.03 * form.scale)
     half = np.minimum.reduce([half, np.roll(half, 1), np.roll(half, -1)])

@@ -14,7 +14,6 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skinning import SkinningWeights
 from pb4u.garment.garment import Garment
-from pb4u.garment.weight_transfer import borrow_weights
 
 ALGORITHM = 1
 """To be raised whenever `borrow_weights` gives different numbers."""
@@ -39,6 +38,8 @@ def garment_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
     path = cache_folder() / "skinning" / f"{_key(garment, body)}.npz"
     weights = _read(path, len(garment.vertices), body.skeleton.bone_count)
     if weights is None:
+        from pb4u.garment.weight_transfer import borrow_weights
+
         weights = borrow_weights(garment, body)
         _write(path, weights)
     return weights

@@ -67,7 +67,8 @@ def edge_table(faces: np.ndarray, vertex_count: int) -> EdgeTable:
 
 
 def _lengths(vertices: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1)
+    way = vertices[pairs[:, 0]] - vertices[pairs[:, 1]]
+    return np.sqrt(np.einsum("ij,ij->i", way, way))
 
 
 def _cross_products(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -78,8 +79,10 @@ def _cross_products(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _quality(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """1 for an equilateral triangle, 0 for a degenerate one."""
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    squares = ((b - a) ** 2).sum(1) + ((c - b) ** 2).sum(1) + ((a - c) ** 2).sum(1)
-    return 2.0 * np.sqrt(3.0) * np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.maximum(squares, 1e-300)
+    ab, bc, ca = b - a, c - b, a - c
+    squares = np.einsum("ij,ij->i", ab, ab) + np.einsum("ij,ij->i", bc, bc) + np.einsum("ij,ij->i", ca, ca)
+    cross = np.cross(ab, bc)
+    return 2.0 * np.sqrt(3.0) * np.sqrt(np.einsum("ij,ij->i", cross, cross)) / np.maximum(squares, 1e-300)
 
 
 def _ragged(starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -284,10 +287,18 @@ def _distinct(keys: np.ndarray) -> np.ndarray:
     return keys[np.concatenate([[True], keys[1:] != keys[:-1]])] if len(keys) else keys
 
 
-def flip_edges(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray) -> tuple[np.ndarray, int]:
+def flip_edges(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
     """One pass that flips edges where it brings valences nearer to 6 (4 on the border), or else fattens triangles."""
     table = edge_table(faces, len(vertices))
-    inner = np.flatnonzero(~table.on_border)
+    valence = np.bincount(table.edges.reshape(-1), minlength=len(vertices))
+    excess = valence - np.where(table.border_vertex, 4, 6)
+    gain = excess[table.edges].sum(axis=1) - excess[table.opposite].sum(axis=1) - 2
+    face_quality = _quality(vertices, faces)
+    quality_old = face_quality[table.faces].min(axis=1)
+    inner = np.flatnonzero(~table.on_border & ((gain > 0) | ((gain > -2) & (quality_old < 0.6))))
+    if not len(inner):
+        return faces, 0
+    gain, quality_old = gain[inner], quality_old[inner]
     a, b = table.edges[inner].T
     c, d = table.opposite[inner].T
     # Orient: the first face runs a -> b (then its third vertex is c).
@@ -295,14 +306,10 @@ def flip_edges(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray) -> t
     runs = ((first_face == a[:, None]) & (np.roll(first_face, -1, axis=1) == b[:, None])).any(axis=1)
     a, b = np.where(runs, a, b), np.where(runs, b, a)
 
-    valence = np.bincount(table.edges.reshape(-1), minlength=len(vertices))
-    excess = valence - np.where(table.border_vertex, 4, 6)
-    gain = excess[a] + excess[b] - excess[c] - excess[d] - 2
-    old_one, old_two = np.column_stack([a, b, c]), np.column_stack([b, a, d])
     new_one, new_two = np.column_stack([c, d, b]), np.column_stack([d, c, a])
-    quality_old = np.minimum(_quality(vertices, old_one), _quality(vertices, old_two))
     quality_new = np.minimum(_quality(vertices, new_one), _quality(vertices, new_two))
-    normal_old = _cross_products(vertices, old_one) + _cross_products(vertices, old_two)
+    normal_old = _cross_products(vertices, np.column_stack([a, b, c]))
+    normal_old += _cross_products(vertices, np.column_stack([b, a, d]))
     aligned = np.ones(len(a), dtype=bool)
     for new in (new_one, new_two):
         cross = _cross_products(vertices, new)
@@ -327,7 +334,7 @@ def flip_edges(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray) -> t
     faces = faces.copy()
     faces[table.faces[inner[won], 0]] = new_one[won]
     faces[table.faces[inner[won], 1]] = new_two[won]
-    return faces, int(len(won))
+    return faces, len(won)
 
 
 def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray, step: float = 0.7) -> np.ndarray:

@@ -59,9 +59,7 @@ class _SmoothField:
         from scipy.ndimage import map_coordinates
 
         place = ((points - self.lattice.origin) / self.lattice.spacing).T
-        value = map_coordinates(
-            self._coefficients, place, order=3, mode="nearest", prefilter=False, output=np.float64
-        )
+        value = map_coordinates(self._coefficients, place, order=3, mode="nearest", prefilter=False, output=np.float64)
         slopes = [map_coordinates(g, place, order=1, mode="nearest", output=np.float64) for g in self._gradient]
         return value, np.column_stack(slopes)
 

@@ -1,13 +1,15 @@
 """Nearest points on a moving triangle surface, with sign: negative inside.
 
-The nearest triangle is exact (a bounding-box tree on the CPU, certified candidates on other devices). The sign comes
-from angle-weighted pseudo-normals (Baerentzen and Aanaes 2005), which are right at edges and corners too.
+The nearest triangle is exact: a bounding-box tree on the CPU, certified candidates on other devices and without libigl.
+The sign comes from angle-weighted pseudo-normals (Baerentzen and Aanaes 2005), which are right at edges and corners
+too.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -194,7 +196,7 @@ class PosedSurface:
         return normal / normal.norm(dim=1, keepdim=True).clamp_min(1e-300), zeros == 0, beyond
 
     def _nearest_triangle(self, points: Tensor) -> Tensor:
-        if self.vertices.device.type == "cpu":
+        if self.vertices.device.type == "cpu" and _has_igl():
             tree, vertices = self._tree
             _, triangle, _ = tree.squared_distance(vertices, self.surface.faces, np.ascontiguousarray(points.numpy()))
             return torch.from_numpy(np.asarray(triangle, dtype=np.int64).reshape(-1))
@@ -240,6 +242,12 @@ class PosedSurface:
 
         a, b, c = self._corners
         return cKDTree(((a + b + c) / 3.0).numpy(), balanced_tree=False, compact_nodes=False)
+
+
+@cache
+def _has_igl() -> bool:
+    """Whether the tree is installed; machines that only train make do without."""
+    return find_spec("igl") is not None
 
 
 def _closest_of(points: Tensor, faces: Tensor, corners: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:

@@ -55,6 +55,8 @@ def remesh(
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int64)
+    if triangles < 4:
+        raise InputError(f"A surface cannot be remeshed to {triangles} triangles: ask for more.")
     source = Topology(faces, len(vertices))
     _require_manifold(source)
     used = np.unique(faces)
@@ -68,7 +70,8 @@ def remesh(
 
         surface = MeshSurface(vertices, faces)
     area = float(face_areas(vertices, faces).sum())
-    length = float(np.sqrt(4.0 / np.sqrt(3.0) * area / triangles))
+    # The mean edge of a good mesh is a little shorter than that of as many equilateral triangles.
+    length = 0.985 * float(np.sqrt(4.0 / np.sqrt(3.0) * area / triangles))
 
     vertices, faces, locked = _isotropic(vertices, faces, locked, length, surface, rounds=8)
     for _ in range(8):
@@ -81,8 +84,8 @@ def remesh(
     result = Topology(faces, len(vertices))
     if len(result.boundary_loops) != len(source.boundary_loops):
         raise InputError(
-            f"{triangles} triangles are too few to keep the {len(source.boundary_loops)} borders of this surface apart: "
-            f"ask for more triangles."
+            f"{triangles} triangles are too few to keep the {len(source.boundary_loops)} borders of the surface: "
+            "ask for more triangles."
         )
     if abs(len(faces) / triangles - 1.0) > 0.05:
         raise InputError(
@@ -96,8 +99,8 @@ def _require_manifold(topology: Topology) -> None:
     if len(topology.non_manifold_edges):
         a, b = topology.non_manifold_edges[0].tolist()
         raise InputError(
-            f"{len(topology.non_manifold_edges)} edges have three or more faces (the first joins vertices {a} and {b}): "
-            f"remeshing needs a manifold surface, so separate or delete the extra faces."
+            f"{len(topology.non_manifold_edges)} edges have three or more faces (the first joins {a} and {b}); "
+            "remeshing needs a manifold surface: separate or delete the extra faces."
         )
     if not topology.is_consistently_oriented:
         raise InputError("Neighbouring faces are wound in opposite ways: make the normals consistent before remeshing.")
@@ -137,15 +140,15 @@ def _isotropic(
             vertices, faces, locked, removed = collapse_short_edges(vertices, faces, shortest, longest, locked, turn)
             if removed <= 0.01 * len(vertices):
                 break
-        faces = _flip_until_settled(vertices, faces, locked)
+        faces = _flip_until_settled(vertices, faces)
         vertices = _relax_on(vertices, faces, locked, surface, passes=2)
     return vertices, faces, locked
 
 
-def _flip_until_settled(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray) -> np.ndarray:
+def _flip_until_settled(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     for _ in range(8):
-        faces, flipped = flip_edges(vertices, faces, locked)
-        if flipped <= 0.001 * len(faces):
+        faces, flipped = flip_edges(vertices, faces)
+        if flipped <= 0.002 * len(faces):
             break
     return faces
 
@@ -168,6 +171,6 @@ def _polish(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Relaxes and flips at a constant number of triangles."""
     for _ in range(3):
-        faces = _flip_until_settled(vertices, faces, locked)
+        faces = _flip_until_settled(vertices, faces)
         vertices = _relax_on(vertices, faces, locked, surface, passes=3)
     return vertices, faces

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +99,9 @@ class Topology:
     @cached_property
     def piece_of_vertex(self) -> np.ndarray:
         """(vertices,) int32 label of the connected piece; an isolated vertex is a piece of its own."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
         a, b = self.edges[:, 0], self.edges[:, 1]
         graph = coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(self.vertex_count, self.vertex_count))
         return connected_components(graph, directed=False)[1]

@@ -1,0 +1,55 @@
+"""Prints a Markdown table of every built-in garment at every level: counts, evenness, angles, borders, clearance.
+
+Run: python benchmarks/garment_table.py [woman|man] [--levels 2500,11000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.library import load_body
+from pb4u.garment.clearance import rest_distances
+from pb4u.garment.library import LEVELS, build_garment, garment_names
+from pb4u.geometry.triangle_mesh import smallest_angles
+
+HEADER = (
+    "| garment | asked | triangles | vertices | mean edge [mm] | edge variation | smallest angle [deg] "
+    "| boundary loops | vertices inside | least clearance [mm] | build [s] |"
+)
+
+
+def row(name: str, body: ShapedBody, triangles: int) -> str:
+    begin = time.process_time()
+    garment = build_garment(name, body, triangles)
+    seconds = time.process_time() - begin
+    distance = rest_distances(garment.vertices, body)
+    centres = rest_distances(garment.vertices[garment.faces].mean(axis=1), body)
+    lengths = garment.edge_lengths
+    angle = np.degrees(smallest_angles(garment.vertices, garment.faces).min())
+    return (
+        f"| {name} | {triangles} | {garment.triangle_count} | {len(garment.vertices)} "
+        f"| {1e3 * lengths.mean():.1f} | {lengths.std() / lengths.mean():.3f} | {angle:.1f} "
+        f"| {len(garment.topology.boundary_loops)} | {int((distance < 0).sum())} "
+        f"| {1e3 * min(distance.min(), centres.min()):.1f} | {seconds:.1f} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("body", nargs="?", default="woman")
+    parser.add_argument("--levels", default=",".join(str(count) for count in LEVELS.values()))
+    arguments = parser.parse_args()
+    body = load_body(arguments.body)
+    print(HEADER)
+    print("|" + "---|" * (HEADER.count("|") - 1))
+    for name in garment_names():
+        for count in arguments.levels.split(","):
+            print(row(name, body, int(count)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
