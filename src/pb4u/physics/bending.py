@@ -38,7 +38,7 @@ class Bending(EnergyTerm):
         gradient.index_add_(0, garments.hinges.T.reshape(-1), torch.cat([pull[:, None] * d for d in derivative]))
         return self._energies(garments, bend), gradient
 
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks:
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
         """Gauss-Newton: stiffness times the outer product of the derivative of l (theta - theta0)."""
         garments = step.garments
         _, derivative = self._bend_and_derivative(garments, x)

@@ -55,7 +55,7 @@ class Collision(EnergyTerm):
             gradient = gradient - (3.0 * weight * depth * depth)[:, None] * normal
         return sum_by_garment(energy, step.garments.vertex_garment, step.garments.garment_count), gradient
 
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks | None:
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
         """Exact to a depth of half a millimetre; beyond it softer, so that one Newton step surfaces, not halves."""
         weight = self._vertex_weight(step, x)
         blocks = x.new_zeros((len(x), 3, 3))
@@ -90,11 +90,10 @@ class ReleasedCollision(EnergyTerm):
     name = "collision"
 
     def energies(self, step: TimeStep, x: Tensor) -> Tensor:
-        garments, planes, collider = step.garments, step.contact_now, step.collider
-        if planes is None or collider is None:
+        garments, planes, collider, normal = step.garments, step.contact_now, step.collider, step.carried_normals
+        if planes is None or collider is None or normal is None:
             return x.new_zeros(garments.garment_count)
         centre = planes.carried(collider.following, collider.faces).to(x)
-        normal = planes.carried_normals(collider.following, collider.faces).to(x)
         depth = (self.clearance - dot(x - centre, normal)).clamp_min(0.0)
         energy = torch.where(planes.touchable, self.weight * depth**3, 0.0)
         return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
@@ -102,5 +101,5 @@ class ReleasedCollision(EnergyTerm):
     def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
         return gradient_by_autograd(self, step, x)
 
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks | None:
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
         return None

@@ -48,8 +48,8 @@ def conjugate_gradient(
         if not curvature > 0:
             return LinearSolution(solution, iteration, direction)
         step = measure / curvature
-        solution += step * direction
-        residual -= step * product
+        solution = solution + step * direction
+        residual = residual - step * product
         conditioned = precondition(residual)
         new_measure = residual @ conditioned
         if new_measure <= target:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from pb4u.scene.packed import ColliderFrame, PackedGarments
 
 _POSES_KEPT = 3
 _SURFACES_KEPT = 4
+_BODIES_KEPT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +71,7 @@ class ColliderSurfaces:
                 continue
             first, stop = int(vertices[0]), int(vertices[-1]) + 1
             own_faces = np.flatnonzero(face_owner == g)
-            surface = TriangleSurface(faces[own_faces] - first, stop - first, contact[first:stop])
+            surface = _triangle_surface(faces[own_faces] - first, contact[first:stop])
             self.parts.append((surface, slice(first, stop), torch.from_numpy(own_faces).to(collider.faces.device)))
 
     def fits(self, garments: PackedGarments, collider: ColliderFrame, whole: bool) -> bool:
@@ -91,6 +93,19 @@ class ColliderSurfaces:
         posed = PosedColliders(surfaces, [None if p is None else p[2] for p in self.parts], self._offsets)
         self._posed = [(vertices, posed), *self._posed[: _POSES_KEPT - 1]]
         return posed
+
+
+_triangle_surfaces: dict[bytes, TriangleSurface] = {}
+
+
+def _triangle_surface(faces: np.ndarray, contact: np.ndarray) -> TriangleSurface:
+    """The surface of one body; kept, because the same bodies return with other garments, batch after batch."""
+    key = hashlib.blake2b(contact.tobytes() + np.ascontiguousarray(faces).tobytes()).digest()
+    if key not in _triangle_surfaces:
+        while len(_triangle_surfaces) >= _BODIES_KEPT:
+            del _triangle_surfaces[next(iter(_triangle_surfaces))]
+        _triangle_surfaces[key] = TriangleSurface(faces, len(contact), contact)
+    return _triangle_surfaces[key]
 
 
 _surfaces_kept: list[ColliderSurfaces] = []
@@ -138,6 +153,21 @@ class PosedColliders:
             planes.triangle[rows] = face_ids[found.triangle]
             planes.barycentric[rows] = found.barycentric
         return planes
+
+    def clearance(self, points: Tensor, garment: Tensor) -> tuple[Tensor, Tensor]:
+        """Signed distance (points,) [m] and outward normal (points, 3) of points on given garments (points,).
+
+        Where there is no body, or only a region left out of contact, the distance is infinite.
+        """
+        distance, normals = points.new_full((len(points),), torch.inf), torch.zeros_like(points)
+        for g, surface in enumerate(self._surfaces):
+            rows = torch.nonzero(garment == g)[:, 0]
+            if surface is None or not len(rows):
+                continue
+            found = surface.nearest(points[rows])
+            distance[rows] = torch.where(found.beyond_border, torch.inf, found.signed_distance)
+            normals[rows] = found.normals
+        return distance, normals
 
     def nearest_face_centres(self, x: Tensor) -> ContactPlanes:
         """Planes of the faces whose centres are nearest, with the distance to the centre: the family's convention."""

@@ -27,6 +27,8 @@ class TimeStep:
         contact_now: for each vertex at frame t, the plane of the body that it may slide on, or None.
         contact_next: for each vertex at frame t+1, the plane of the body that it may enter, or None.
         contact_opposite: a second plane for vertices caught between two parts of the body, or None.
+        carried: (vertices, 3) where the body under each vertex takes it over the step [m], or None.
+        carried_normals: (vertices, 3) the body's normals there, or None.
     """
 
     garments: PackedGarments
@@ -38,6 +40,8 @@ class TimeStep:
     contact_now: ContactPlanes | None = field(default=None)
     contact_next: ContactPlanes | None = field(default=None)
     contact_opposite: ContactPlanes | None = field(default=None)
+    carried: Tensor | None = field(default=None)
+    carried_normals: Tensor | None = field(default=None)
 
     @property
     def ground_height(self) -> float | None:
@@ -71,13 +75,12 @@ class EnergyTerm(ABC):
         """The energies and the gradient (vertices, 3) [N] of their sum, by hand, without autograd."""
 
     @abstractmethod
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks | None:
-        """The second derivative, or a good approximation of it; None where it is zero.
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
+        """The second derivative or a good approximation, positive semi-definite; None where it is zero."""
 
-        Args:
-            step: the time step. x: next positions (vertices, 3) [m].
-            definite: leave out what makes a block indefinite.
-        """
+    def buckling(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
+        """What `curvature` leaves out for being negative; None where that is nothing."""
+        return None
 
 
 class NullTerm(EnergyTerm):
@@ -92,7 +95,7 @@ class NullTerm(EnergyTerm):
     def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
         return self.energies(step, x), torch.zeros_like(x)
 
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks | None:
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
         return None
 
 

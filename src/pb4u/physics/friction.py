@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact_planes import ContactPlanes
+from pb4u.physics.collision import REFERENCE_AREA, Collision
 from pb4u.physics.energy_term import (
     ElementBlocks,
     EnergyTerm,
@@ -17,7 +17,6 @@ from pb4u.physics.energy_term import (
     outer,
     sum_by_garment,
 )
-from pb4u.scene.packed import ColliderFrame
 
 _STANDARD_GRAVITY = 9.81
 _FLOOR = 1e-4
@@ -37,11 +36,14 @@ class Friction(EnergyTerm):
         coefficient: mu.
         radius: distance below which a vertex touches [m].
         smoothing: slip speed below which the vertex sticks [m/s].
+        load: None for m g as the normal force. Given the collision term, the force with which the body carried the
+            vertex at the step's start, where that is more: shoulders then hold the weight of a dress.
     """
 
     coefficient: float = 0.5
     radius: float = 3e-3
     smoothing: float = 1e-3
+    load: Collision | None = None
     name = "friction"
 
     def energies(self, step: TimeStep, x: Tensor) -> Tensor:
@@ -56,7 +58,7 @@ class Friction(EnergyTerm):
         pull = slip * _directional(x) * (limit / magnitude)[:, None]
         return self._sum(step, limit, magnitude), pull - dot(pull, normal)[:, None] * normal
 
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks:
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
         """Exact: the smoothed norm is convex."""
         limit, carried, normal = self._contact(step, x)
         slip = _slip(x, carried, normal)
@@ -81,18 +83,22 @@ class Friction(EnergyTerm):
         carried, normal = before, torch.zeros_like(before)
         touching = torch.zeros(len(before), dtype=torch.bool, device=before.device)
         distance = torch.full_like(before[:, 0], torch.inf)
-        if step.contact_now is not None and step.collider is not None:
+        if step.contact_now is not None and step.carried is not None and step.carried_normals is not None:
             distance = torch.where(step.contact_now.touchable, step.contact_now.distance, torch.inf)
             touching = distance < self.radius
-            carried, normal = _carried_by_body(step.contact_now, step.collider, before)
+            carried, normal = step.carried, step.carried_normals
         if step.ground_height is not None:
             height = before[:, 1] - step.ground_height
             on_ground = (height < self.radius) & (height < distance)
             touching = touching | on_ground
             carried = torch.where(on_ground[:, None], before, carried)
             normal = torch.where(on_ground[:, None], before.new_tensor([0.0, 1.0, 0.0]), normal)
-        limit = self.coefficient * _STANDARD_GRAVITY * step.garments.vertex_masses
-        return torch.where(touching, limit, 0.0), carried, normal
+        force = _STANDARD_GRAVITY * step.garments.vertex_masses
+        if self.load is not None and step.contact_now is not None:
+            depth = (self.load.clearance - distance).clamp_min(0.0)
+            carried_load = 3.0 * self.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
+            force = torch.maximum(force, carried_load)
+        return torch.where(touching, self.coefficient * force, 0.0), carried, normal
 
 
 @dataclass(frozen=True)
@@ -109,11 +115,10 @@ class ReleasedFriction(EnergyTerm):
 
     def energies(self, step: TimeStep, x: Tensor) -> Tensor:
         garments, now, following = step.garments, step.contact_now, step.contact_next
-        if now is None or following is None or step.collider is None:
+        if now is None or following is None or step.carried is None:
             return x.new_zeros(garments.garment_count)
-        carried, _ = _carried_by_body(now, step.collider, step.state.positions)
         mean = now.normals + following.normals
-        slip = _slip(x, carried, mean / mean.norm(dim=1, keepdim=True).clamp_min(torch.finfo(x.dtype).tiny))
+        slip = _slip(x, step.carried, mean / mean.norm(dim=1, keepdim=True).clamp_min(torch.finfo(x.dtype).tiny))
         squared = dot(slip, slip)
         safe = squared.clamp_min(torch.finfo(x.dtype).tiny)
         length = torch.where(squared > 0, (safe * (1.0 + _FLOOR) - slip[:, 2] ** 2).clamp_min(0.0).sqrt(), 0.0)
@@ -125,7 +130,7 @@ class ReleasedFriction(EnergyTerm):
     def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
         return gradient_by_autograd(self, step, x)
 
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks | None:
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
         return None
 
 
@@ -137,9 +142,3 @@ def _directional(x: Tensor) -> Tensor:
 def _slip(x: Tensor, carried: Tensor, normal: Tensor) -> Tensor:
     moved = x - carried
     return moved - dot(moved, normal)[:, None] * normal
-
-
-def _carried_by_body(planes: ContactPlanes, collider: ColliderFrame, before: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the body under each vertex takes it over the step, and the body's normal there."""
-    motion = planes.carried(collider.following - collider.now, collider.faces)
-    return before + motion.to(before), planes.carried_normals(collider.following, collider.faces).to(before)

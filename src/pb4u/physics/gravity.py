@@ -29,5 +29,5 @@ class Gravity(EnergyTerm):
     def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
         return self.energies(step, x), -step.garments.vertex_masses[:, None] * step.gravity
 
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks | None:
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
         return None

@@ -111,7 +111,10 @@ class IncrementalPotential:
         surfaces = collider_surfaces(garments, collider, whole=self.face_centres)
         if contact_now is None:
             contact_now = self.find(surfaces.at(collider.now), x.detach())
-        return StepPotential(self, replace(step, contact_now=contact_now), surfaces.at(collider.following))
+        motion = contact_now.carried(collider.following - collider.now, collider.faces)
+        normals = contact_now.carried_normals(collider.following, collider.faces)
+        step = replace(step, contact_now=contact_now, carried=x + motion.to(x), carried_normals=normals.to(x))
+        return StepPotential(self, step, surfaces.at(collider.following))
 
     def find(self, posed: PosedColliders, x: Tensor) -> ContactPlanes:
         """Contacts of the vertices `x` (vertices, 3) [m] with posed bodies."""
@@ -161,10 +164,16 @@ class StepPotential:
             gradient = gradient + part
         return Energies(energies), gradient
 
-    def curvature(self, x: Tensor, definite: bool = True) -> list[ElementBlocks]:
-        """Second derivatives, term by term; `definite` leaves out what could make them indefinite."""
+    def curvature(self, x: Tensor) -> list[ElementBlocks]:
+        """Positive semi-definite second derivatives, term by term."""
         step = self._step_at(x)
-        blocks = [term.curvature(step, x, definite) for term in self.potential.terms]
+        blocks = [term.curvature(step, x) for term in self.potential.terms]
+        return [b for b in blocks if b is not None]
+
+    def buckling(self, x: Tensor) -> list[ElementBlocks]:
+        """What `curvature` leaves out of the second derivatives for being negative."""
+        step = self._step_at(x)
+        blocks = [term.buckling(step, x) for term in self.potential.terms]
         return [b for b in blocks if b is not None]
 
     def _step_at(self, x: Tensor) -> TimeStep:

@@ -24,7 +24,7 @@ class Inertia(EnergyTerm):
         change = self._change(step, x)
         return self._energies(step, change), (step.garments.vertex_masses / step.dt**2)[:, None] * change
 
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks:
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
         garments = step.garments
         stiffness = garments.vertex_masses / step.dt**2
         blocks = stiffness[:, None, None, None, None] * torch.eye(3, dtype=x.dtype, device=x.device)

@@ -69,13 +69,11 @@ class TwoLevelPreconditioner:
         self._coarse_inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
 
     def refresh_diagonal(self, diagonal: np.ndarray) -> None:
-        """Take the fine part from the 3x3 blocks of `diagonal`, lifted where they are not positive."""
+        """Take the fine part from the positive definite 3x3 blocks of `diagonal`."""
         from scipy.sparse import bsr_matrix
 
-        values, vectors = np.linalg.eigh(diagonal)
-        values = np.maximum(values, 1e-3 * values[:, 2:])
-        inverse = np.einsum("nij,nj,nkj->nik", vectors, 1.0 / values, vectors)
         count = len(diagonal)
+        inverse = np.linalg.inv(diagonal)
         self._fine = bsr_matrix((inverse, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count))
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:

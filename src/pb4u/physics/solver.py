@@ -28,7 +28,9 @@ _STANDARD_GRAVITY = 9.81
 _SUFFICIENT_DECREASE = 1e-4
 _LARGEST_MOVE = 0.2
 _BUCKLING_MOVE = 1e-4
-_INDEFINITE_BELOW = 1.0
+# Share of the compressive curvature and extra mass, from safest to exact: an iteration starts one level above the last
+# and falls back while the curvature is negative. The extra mass holds back what is about to buckle.
+_LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
 _START_CLEARANCE = 2e-3
 
 
@@ -57,7 +59,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Progress:
-    """One iteration, for whoever watches: energies and residual before it, milliseconds not included."""
+    """One iteration, for whoever watches: total energy [J] and residual before it."""
 
     iteration: int
     total: float
@@ -75,7 +77,7 @@ class Solver:
         forcing: relative tolerance of the linear solves.
     """
 
-    def __init__(self, tolerance: float = 1e-3, max_iterations: int = 60, forcing: float = 0.02) -> None:
+    def __init__(self, tolerance: float = 1e-3, max_iterations: int = 60, forcing: float = 0.05) -> None:
         self.tolerance, self.max_iterations, self.forcing = tolerance, max_iterations, forcing
         self._garments: PackedGarments | None = None
         self._pattern: StiffnessPattern
@@ -94,6 +96,12 @@ class Solver:
     ) -> Solution:
         """Minimise `potential` from `start` (vertices, 3) float64 [m], where pinned vertices stay.
 
+        Args:
+            potential: of the step.
+            start: any prediction, pinned vertices where they will be.
+            iterations: Newton iterations after which it stops; `max_iterations` by default.
+            watch: called before every iteration, and at the end.
+
         Raises DivergedError when `start` or its energy is not finite.
         """
         garments = potential.step.garments
@@ -101,8 +109,8 @@ class Solver:
         limit = self.max_iterations if iterations is None else iterations
         start = _better_start(potential, start, self._pattern.free)
         contact = TrackedContact(potential, start)
-        preconditioner: TwoLevelPreconditioner | None = None
-        x, inner, iteration, previous_inner = start, 0, 0, 0
+        preconditioner = _StepPreconditioner(self._basis)
+        x, inner, iteration, level = start, 0, 0, -1
         while True:
             frozen = contact.potential_at(x)
             energies, gradient = frozen.energies_and_gradient(x)
@@ -115,8 +123,8 @@ class Solver:
             if residual <= self.tolerance or iteration >= limit:
                 solved = residual <= self.tolerance
                 return Solution(x, energies, residual, iteration, inner, solved, frozen.step.contact_next)
-            newton, preconditioner = self._direction(frozen, x, gradient, residual, preconditioner, previous_inner)
-            previous_inner = newton.iterations
+            highest = min(level + 1, len(_LEVELS) - 1)
+            newton, level = self._direction(frozen, x, gradient, highest, preconditioner)
             inner += newton.iterations
             moved = self._line_search(frozen, x, gradient, total, newton)
             if moved is None:
@@ -126,6 +134,8 @@ class Solver:
 
     def _prepare(self, garments: PackedGarments) -> None:
         if self._garments is not garments:
+            if garments.dtype != torch.float64 or garments.device.type != "cpu":
+                raise ValueError(f"the solver needs garments packed in float64 on the CPU, not {garments.dtype}")
             self._pattern = StiffnessPattern(garments)
             self._basis = PatchBasis(garments, self._pattern.free.numpy())
             self._garments = garments
@@ -138,32 +148,27 @@ class Solver:
         return float(acceleration.square().sum(1).mean().sqrt()) / _STANDARD_GRAVITY
 
     def _direction(
-        self,
-        frozen: StepPotential,
-        x: Tensor,
-        gradient: Tensor,
-        residual: float,
-        preconditioner: TwoLevelPreconditioner | None,
-        previous_inner: int,
-    ) -> tuple[LinearSolution, TwoLevelPreconditioner]:
-        """The Newton direction, with a direction of negative curvature where there is one."""
+        self, frozen: StepPotential, x: Tensor, gradient: Tensor, level: int, preconditioner: _StepPreconditioner
+    ) -> tuple[LinearSolution, int]:
+        """The Newton direction, a direction of negative curvature where there is one, and the level that worked."""
         right = -gradient.reshape(-1).numpy()
+        positive = self._pattern.assemble(frozen.curvature(x))
+        preconditioner.update(self._pattern, positive)
+        missing = self._pattern.assemble(frozen.buckling(x)) if level else positive
         negative, spent = None, 0
-        for definite in (False, True) if residual < _INDEFINITE_BELOW else (True,):
-            matrix, diagonal = self._pattern.assemble(frozen.curvature(x, definite))
-            if preconditioner is None:
-                preconditioner = TwoLevelPreconditioner(self._basis, matrix, diagonal)
-            else:
-                preconditioner.refresh_diagonal(diagonal)
-                if previous_inner > 50:
-                    preconditioner.refresh_patches(matrix)
-            solved = conjugate_gradient(matrix, right, preconditioner, self.forcing, 2000)
+        own = self._pattern.own_entries
+        mass = (frozen.step.garments.vertex_masses / frozen.step.dt**2).numpy()[:, None, None] * np.eye(3)
+        while True:
+            compression, extra_mass = _LEVELS[level]
+            entries = positive + compression * missing
+            entries[own] += extra_mass * mass
+            solved = conjugate_gradient(self._pattern.matrix(entries), right, preconditioner, self.forcing, 300)
             spent += solved.iterations
-            if solved.negative is None:
-                break
+            if solved.negative is None or level == 0:
+                preconditioner.last_iterations = solved.iterations
+                return LinearSolution(solved.solution, spent, negative), level
             negative = solved.negative
-        assert preconditioner is not None
-        return LinearSolution(solved.solution, spent, negative), preconditioner
+            level -= 1
 
     def _line_search(
         self, frozen: StepPotential, x: Tensor, gradient: Tensor, total: float, solved: LinearSolution
@@ -199,6 +204,32 @@ class Solver:
         return result
 
 
+class _StepPreconditioner:
+    """The preconditioner of one minimisation: its diagonal is always new, its patches when they have aged."""
+
+    def __init__(self, basis: PatchBasis) -> None:
+        self._basis = basis
+        self._current: TwoLevelPreconditioner | None = None
+        self._age = 0
+        self.last_iterations = 0
+
+    def update(self, pattern: StiffnessPattern, entries: np.ndarray) -> None:
+        """Follow a new stiffness matrix."""
+        diagonal = pattern.diagonal(entries)
+        self._age += 1
+        if self._current is None:
+            self._current = TwoLevelPreconditioner(self._basis, pattern.matrix(entries), diagonal)
+            return
+        self._current.refresh_diagonal(diagonal)
+        if self._age >= 4 and self.last_iterations > 50:
+            self._current.refresh_patches(pattern.matrix(entries))
+            self._age = 0
+
+    def __call__(self, residual: np.ndarray) -> np.ndarray:
+        assert self._current is not None
+        return self._current(residual)
+
+
 def _better_start(potential: StepPotential, start: Tensor, free: Tensor) -> Tensor:
     """`start`, with what the moving body has overrun lifted back to the side of the body that it was on."""
     step = potential.step
@@ -210,6 +241,8 @@ def _better_start(potential: StepPotential, start: Tensor, free: Tensor) -> Tens
     height = ((start - point) * normal).sum(1)
     wanted = planes.distance.clamp(0.0, _START_CLEARANCE)
     overrun = planes.touchable & free & (planes.distance.abs() < REACH) & (height < wanted)
+    if not bool(overrun.any()):
+        return start
     lifted = torch.where(overrun[:, None], start + (wanted - height)[:, None] * normal, start)
     if float(potential.energies(lifted).total) < float(potential.energies(start).total):
         return lifted

@@ -20,6 +20,10 @@ class StiffnessPattern:
 
     Args:
         garments: static quantities on the CPU.
+
+    Attributes:
+        free: (vertices,) bool, whether a vertex moves.
+        own_entries: (vertices,) which entry is the diagonal block of each vertex.
     """
 
     def __init__(self, garments: PackedGarments) -> None:
@@ -30,6 +34,7 @@ class StiffnessPattern:
         keys = [own, *(self._pair_keys(e) for e in self._elements)]
         self._keys = torch.unique(torch.cat(keys))
         self._slots = [torch.searchsorted(self._keys, key) for key in keys]
+        self.own_entries = self._slots[0].numpy()
         rows = torch.div(self._keys, self.vertex_count, rounding_mode="floor")
         columns = self._keys % self.vertex_count
         self._indices = columns.to(torch.int32).numpy()
@@ -37,23 +42,26 @@ class StiffnessPattern:
         self._indptr = torch.searchsorted(self._keys, starts).to(torch.int32).numpy()
         self._moves = (self.free[rows] & self.free[columns]).to(torch.float64)
 
-    def assemble(self, elements: Sequence[ElementBlocks]) -> tuple[Any, np.ndarray]:
-        """Sum of element blocks as a scipy BSR matrix, and its diagonal blocks (vertices, 3, 3).
-
-        Rows and columns of vertices that do not move are those of the identity.
-        """
-        from scipy.sparse import bsr_matrix
-
+    def assemble(self, elements: Sequence[ElementBlocks]) -> np.ndarray:
+        """(entries, 3, 3) sum of element blocks; those of a vertex that does not move are zero."""
         data = torch.zeros((len(self._keys), 9), dtype=torch.float64)
         for element in elements:
             data.index_add_(0, self._slots_of(element.vertices), element.blocks.reshape(-1, 9))
         data *= self._moves[:, None]
-        identity = torch.eye(3, dtype=torch.float64).reshape(9)
-        data[self._slots[0]] += (~self.free).to(torch.float64)[:, None] * identity
-        blocks = data.reshape(-1, 3, 3).numpy()
+        return data.reshape(-1, 3, 3).numpy()
+
+    def matrix(self, entries: np.ndarray) -> Any:
+        """Assembled `entries` as a scipy BSR matrix (3 vertices, 3 vertices)."""
+        from scipy.sparse import bsr_matrix
+
         size = 3 * self.vertex_count
-        matrix = bsr_matrix((blocks, self._indices, self._indptr), shape=(size, size))
-        return matrix, blocks[self._slots[0].numpy()]
+        return bsr_matrix((entries, self._indices, self._indptr), shape=(size, size))
+
+    def diagonal(self, entries: np.ndarray) -> np.ndarray:
+        """(vertices, 3, 3) diagonal blocks of assembled `entries`; the identity where a vertex does not move."""
+        blocks = entries[self.own_entries]
+        blocks[~self.free.numpy()] = np.eye(3)
+        return blocks
 
     def _pair_keys(self, element: Tensor) -> Tensor:
         k = element.shape[1]

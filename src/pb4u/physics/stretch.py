@@ -39,13 +39,11 @@ class Stretch(EnergyTerm):
         gradient.index_add_(0, garments.faces.T.reshape(-1), torch.cat([-on_b - on_c, on_b, on_c]))
         return _energies(garments, g11, g22, g12), gradient
 
-    def curvature(self, step: TimeStep, x: Tensor, definite: bool = True) -> ElementBlocks:
-        """Exact, or without the buckling curvature of the compressive part of the stress, which is negative."""
+    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
+        """Exact where the stress is tensile; compressive stress is left to `buckling`."""
         garments = step.garments
         f = _columns(garments, x)
-        g11, g22, g12 = 0.5 * (dot(f[0], f[0]) - 1.0), 0.5 * (dot(f[1], f[1]) - 1.0), 0.5 * dot(f[0], f[1])
-        stress = _stress(garments, g11, g22, g12)
-        tension = _tensile_part(*stress) if definite else stress
+        tension = _tensile_part(*self._stress_at(garments, f))
         weight = garments.face_areas * garments.thickness
         mu, lam = (weight * garments.lame_mu)[:, None, None], (weight * garments.lame_lambda)[:, None, None]
         identity = torch.eye(3, dtype=x.dtype, device=x.device)
@@ -55,18 +53,37 @@ class Stretch(EnergyTerm):
         h00 = tension[0][:, None, None] * identity + (mu + lam) * squares[0] + shared
         h11 = tension[1][:, None, None] * identity + (mu + lam) * squares[1] + shared
         h01 = tension[2][:, None, None] * identity + mu * cross.transpose(1, 2) + lam * cross
-        h = ((h00, h01), (h01.transpose(1, 2), h11))
-        d = garments.inverse_rest_shape
-        # Edges b-a and c-a move the columns of F through the inverse rest shape; corner a moves both edges back.
-        blocks = x.new_empty((len(garments.faces), 3, 3, 3, 3))
-        half = [[d[:, p, 0, None, None] * h[0][k] + d[:, p, 1, None, None] * h[1][k] for k in (0, 1)] for p in (0, 1)]
-        for p in (0, 1):
-            for q in (0, 1):
-                blocks[:, p + 1, q + 1] = half[p][0] * d[:, q, 0, None, None] + half[p][1] * d[:, q, 1, None, None]
-        blocks[:, 0, 1:] = -blocks[:, 1, 1:] - blocks[:, 2, 1:]
-        blocks[:, :, 0] = -blocks[:, :, 1] - blocks[:, :, 2]
-        blocks[:, 0, 0] = -blocks[:, 1, 0] - blocks[:, 2, 0]
-        return ElementBlocks(garments.faces, blocks)
+        return _by_corners(garments, h00, h01, h11)
+
+    def buckling(self, step: TimeStep, x: Tensor) -> ElementBlocks:
+        """The curvature of compressive stress."""
+        garments = step.garments
+        stress = self._stress_at(garments, _columns(garments, x))
+        identity = torch.eye(3, dtype=x.dtype, device=x.device)
+        pressed = [s - t for s, t in zip(stress, _tensile_part(*stress), strict=True)]
+        h00, h11, h01 = (p[:, None, None] * identity for p in pressed)
+        return _by_corners(garments, h00, h01, h11)
+
+    def _stress_at(self, garments: PackedGarments, f: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        g11, g22, g12 = 0.5 * (dot(f[0], f[0]) - 1.0), 0.5 * (dot(f[1], f[1]) - 1.0), 0.5 * dot(f[0], f[1])
+        return _stress(garments, g11, g22, g12)
+
+
+def _by_corners(garments: PackedGarments, h00: Tensor, h01: Tensor, h11: Tensor) -> ElementBlocks:
+    """Second derivatives by the columns of F (faces, 3, 3) turned into those by the corners.
+
+    Edges b-a and c-a move the columns through the inverse rest shape; corner a moves both edges back.
+    """
+    h = ((h00, h01), (h01.transpose(1, 2), h11))
+    d = garments.inverse_rest_shape
+    blocks = h00.new_empty((len(garments.faces), 3, 3, 3, 3))
+    half = [[d[:, p, 0, None, None] * h[0][k] + d[:, p, 1, None, None] * h[1][k] for k in (0, 1)] for p in (0, 1)]
+    for p in (0, 1):
+        for q in (0, 1):
+            blocks[:, p + 1, q + 1] = half[p][0] * d[:, q, 0, None, None] + half[p][1] * d[:, q, 1, None, None]
+    blocks[:, 0, 1:] = -blocks[:, 1, 1:] - blocks[:, 2, 1:]
+    blocks[:, :, 0] = -blocks[:, :, 1] - blocks[:, :, 2]
+    return ElementBlocks(garments.faces, blocks)
 
 
 def _columns(garments: PackedGarments, x: Tensor) -> tuple[Tensor, Tensor]:

@@ -41,6 +41,7 @@ def advance(
     dt: float,
     gravity: Tensor | None = None,
     pin_positions: Tensor | None = None,
+    iterations: int | None = None,
 ) -> tuple[State, Solution]:
     """The state one frame later, from free flight, and the solution of its last implicit step.
 
@@ -51,6 +52,7 @@ def advance(
         state: at the start of the frame. collider: the bodies around it. dt: length of the frame [s].
         gravity: (3,) [m/s^2], standard by default.
         pin_positions: (vertices, 3) [m] where pinned vertices are at the end of the frame.
+        iterations: at most this many in each implicit step; None goes to the solver's tolerance.
 
     Raises DivergedError when the state is not finite.
     """
@@ -65,10 +67,8 @@ def advance(
         if pin_positions is not None:
             pins = torch.lerp(state.positions, pin_positions, (k + 1) / count)
             start = torch.where(garments.pinned[:, None], pins, start)
-        solution = solver.minimise(current, start)
-        now = replace(
-            now, positions=solution.positions, velocities=(solution.positions - now.positions) / current_dt
-        )
+        solution = solver.minimise(current, start, iterations)
+        now = replace(now, positions=solution.positions, velocities=(solution.positions - now.positions) / current_dt)
     return replace(now, frame=state.frame + 1), solution
 
 

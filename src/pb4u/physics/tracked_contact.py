@@ -11,7 +11,9 @@ from pb4u.physics.incremental_potential import StepPotential
 REACH = 0.03
 """Distance [m] from the body beyond which a vertex is not looked up again."""
 
+_FREE_ITERATIONS = 8
 _OPPOSED = 0.8
+_DISTINCT = 0.999
 _CAUGHT_WITHIN = 0.01
 
 
@@ -32,6 +34,7 @@ class TrackedContact:
         self._planes = potential.contact_at(start)
         self._opposite: ContactPlanes | None = None
         self._found_at = start
+        self._iteration = 0
 
     def potential_at(self, x: Tensor) -> StepPotential:
         """The potential with the bodies near `x` frozen."""
@@ -40,19 +43,27 @@ class TrackedContact:
             return self._potential
         moved = (x - self._found_at).norm(dim=1)
         # A distance changes by no more than the vertex moved, so the others are still out of reach.
-        stale = (moved > 0) & (planes.distance - moved < REACH)
+        stale = (moved > self._patience()) & (planes.distance - moved < REACH)
+        self._iteration += 1
         if bool(stale.any()):
             self._planes = body.nearest(x, stale, planes)
-            self._opposite = _left_behind(planes, self._planes, self._opposite, x)
+            opposed = _OPPOSED if self._iteration < _FREE_ITERATIONS else _DISTINCT
+            self._opposite = _left_behind(planes, self._planes, self._opposite, x, opposed)
             self._found_at = torch.where(stale[:, None], x, self._found_at)
         return self._potential.with_contact(self._planes, self._opposite)
 
+    def _patience(self) -> float:
+        """How far [m] a vertex moves before it is looked up again: the distance to a crease has a kink, on which
+        iterations would never end."""
+        late = self._iteration - _FREE_ITERATIONS
+        return 0.0 if late < 0 else min(2e-5 * 1.15**late, 2e-3)
+
 
 def _left_behind(
-    old: ContactPlanes, new: ContactPlanes, opposite: ContactPlanes | None, x: Tensor
+    old: ContactPlanes, new: ContactPlanes, opposite: ContactPlanes | None, x: Tensor, opposed: float
 ) -> ContactPlanes | None:
     """For each vertex the plane that it was at before it jumped to another part of the body."""
-    jumped = old.touchable & new.touchable & ((old.normals * new.normals).sum(1) < _OPPOSED)
+    jumped = old.touchable & new.touchable & ((old.normals * new.normals).sum(1) < opposed)
     if opposite is None:
         if not bool(jumped.any()):
             return None
@@ -62,6 +73,6 @@ def _left_behind(
         for name, value in vars(old).items()
     }
     caught = ((x - taken["points"]).norm(dim=1) < _CAUGHT_WITHIN) & new.touchable
-    apart = (taken["normals"] * new.normals).sum(1) < _OPPOSED
+    apart = (taken["normals"] * new.normals).sum(1) < opposed
     taken["touchable"] = taken["touchable"] & caught & apart
     return ContactPlanes(**taken)

@@ -2,19 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution, Solver
+from pb4u.physics.substeps import advance
+from pb4u.scene.state import State
 from pb4u.simulation.first_frame import FirstFrame, Relaxed
-from pb4u.simulation.refinement import SolverRefinement
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stage import Stage
-from pb4u.simulation.step import BallisticPredictor, Contact, NoContact, StepParts
+from pb4u.simulation.step import Contact, NoContact, Predictor, Situation, StepParts
 from pb4u.simulation.stepwise_simulator import StepwiseSimulator
 
 
+class SolverPredictor(Predictor):
+    """From free flight to the minimum of the potential, in as many implicit steps as the body's motion needs.
+
+    Args:
+        iterations: at most this many in each implicit step; None goes to the tolerance.
+        watch: called with the solution of each frame.
+    """
+
+    def __init__(self, iterations: int | None = None, watch: Callable[[Solution], None] | None = None) -> None:
+        self.iterations, self.watch = iterations, watch
+        self.solver, self.potential = Solver(), IncrementalPotential()
+
+    def predict(self, situation: Situation) -> State:
+        state, solution = advance(
+            self.potential,
+            self.solver,
+            situation.garments,
+            situation.state,
+            situation.collider,
+            situation.dt,
+            situation.gravity,
+            situation.pin_positions,
+            self.iterations,
+        )
+        if self.watch:
+            self.watch(solution)
+        return state
+
+
 class SolverSimulator(StepwiseSimulator):
-    """Free flight, then the solver, then contact response.
+    """The solver from free flight, then contact response.
 
     Args:
         iterations: a fixed number of solver iterations a step; None goes to the tolerance.
@@ -35,8 +67,7 @@ class SolverSimulator(StepwiseSimulator):
             record.solver_iterations.append(solution.iterations)
             record.unsolved += not solution.converged
 
-        refinement = SolverRefinement(self.iterations, Solver(), watch=note)
-        return StepParts(BallisticPredictor(), refinement, self.contact)
+        return StepParts(SolverPredictor(self.iterations, note), contact=self.contact)
 
     def first_frame(self, parts: StepParts) -> FirstFrame:
         return Relaxed(contact=self.contact)

@@ -76,11 +76,18 @@ class Contact(ABC):
     def respond(self, state: State, situation: Situation) -> State:
         """The state with vertices pushed out; push-out depth never becomes speed."""
 
+    @abstractmethod
+    def present(self, state: State, garments: PackedGarments, collider: ColliderFrame) -> State:
+        """The state as it is written, at the instant of `collider.following`; the simulation goes on from `state`."""
+
 
 class NoContact(Contact):
     """Leaves states as they are."""
 
     def respond(self, state: State, situation: Situation) -> State:
+        return state
+
+    def present(self, state: State, garments: PackedGarments, collider: ColliderFrame) -> State:
         return state
 
 

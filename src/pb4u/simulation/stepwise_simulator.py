@@ -30,12 +30,19 @@ class StepwiseSimulator(Simulator):
         parts = self.parts(stage, record)
         try:
             state = self.first_frame(parts).start(stage)
-            yield state
+            yield presented(stage, state, parts)
             for frame in range(scene.total_frames - 1):
                 state = require_finite(step(situation_at(stage, state, frame), parts))
-                yield state
+                yield presented(stage, state, parts)
         except DivergedError as error:
             record.failed_at = error.frame - scene.lead_in
+
+
+def presented(stage: Stage, state: State, parts: StepParts) -> State:
+    """The state as it is written; frames of the lead-in are not, and are left as they are."""
+    if state.frame < stage.scene.lead_in:
+        return state
+    return parts.contact.present(state, stage.garments, stage.held_collider(state.frame))
 
 
 def situation_at(stage: Stage, state: State, frame: int) -> Situation:

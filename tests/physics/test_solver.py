@@ -1,0 +1,197 @@
+"""The solver reaches the tolerance, as fast on fine meshes as on coarse ones, and survives what is thrown at it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from tests.physics.shapes import at_rest, capsule, collider, packed, sheet, tube
+
+from pb4u.errors import InputError
+from pb4u.physics.conjugate_gradient import conjugate_gradient
+from pb4u.physics.divergence import DivergedError, require_finite
+from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.integrator import integrate
+from pb4u.physics.solver import Progress, Solver
+from pb4u.physics.substeps import advance, substep_count
+from pb4u.scene.packed import PackedGarments
+from pb4u.scene.state import State
+
+DT = 1.0 / 30.0
+
+
+def hanging_sheet(n: int) -> tuple[PackedGarments, StepPotential, torch.Tensor]:
+    """A sheet held by two corners, started with a wave in its velocity."""
+    mesh = sheet(n, n, 0.5, 0.5)
+    pinned = np.zeros(len(mesh.vertices), dtype=bool)
+    pinned[np.flatnonzero((mesh.vertices[:, 1] == 0.5) & np.isin(mesh.vertices[:, 0], [0.0, 0.5]))] = True
+    garments = packed(mesh.with_pins(pinned))
+    x = garments.rest_positions
+    v = torch.zeros_like(x)
+    v[:, 2] = torch.sin(7 * x[:, 0]) + x[:, 1]
+    step = IncrementalPotential().prepare(garments, State(x, v, 0), None, DT)
+    return garments, step, torch.where(garments.pinned[:, None], x, x + DT * v)
+
+
+def dressed_capsule(around: int, along: int) -> tuple[PackedGarments, StepPotential, torch.Tensor]:
+    """A tube on a capsule that starts to move."""
+    garments = packed(tube(around, along, 0.155, 0.5))
+    body = capsule(count=40)
+    frame = collider(body.vertices + [0, 0.25, 0], body.faces, np.array([0.02, 0.0, 0.01]))
+    step = IncrementalPotential().prepare(garments, at_rest(garments), frame, DT)
+    return garments, step, garments.rest_positions
+
+
+@pytest.mark.parametrize("scene", ["sheet", "tube"])
+def test_iterations_do_not_depend_on_resolution(scene: str) -> None:
+    """A sixteenth of the triangle area takes less than twice the iterations, and costs the same energy."""
+    coarse = hanging_sheet(12) if scene == "sheet" else dressed_capsule(24, 12)
+    fine = hanging_sheet(48) if scene == "sheet" else dressed_capsule(96, 48)
+    solutions = [Solver().minimise(step, start) for _, step, start in (coarse, fine)]
+    assert all(s.converged and s.residual <= 1e-3 for s in solutions)
+    assert solutions[1].iterations < 2 * solutions[0].iterations
+    # Weight on its own is no measure: it depends on where the origin is.
+    energies = [float(s.energies.total) - float(s.energies.terms["gravity"].sum()) for s in solutions]
+    assert energies[0] == pytest.approx(energies[1], rel=0.3)
+
+
+def test_the_energy_falls_and_pins_stay() -> None:
+    garments, step, start = hanging_sheet(16)
+    seen: list[Progress] = []
+    solution = Solver().minimise(step, start, watch=seen.append)
+    totals = [p.total for p in seen]
+    assert all(b <= a + 1e-12 for a, b in pairwise(totals))
+    assert torch.equal(solution.positions[garments.pinned], start[garments.pinned])
+    assert solution.iterations == len(seen) - 1
+
+
+def test_the_solution_is_a_stationary_point() -> None:
+    _, step, start = hanging_sheet(8)
+    solution = Solver(tolerance=1e-7, max_iterations=100).minimise(step, start)
+    assert solution.converged
+    direction = torch.randn(start.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    direction[step.step.garments.pinned] = 0.0
+    for size in (1e-4, -1e-4):
+        assert float(step.energies(solution.positions + size * direction).total) > float(solution.energies.total)
+
+
+def test_refine_makes_the_iterations_asked_for() -> None:
+    _, step, start = dressed_capsule(24, 12)
+    noise = 0.003 * torch.randn(start.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    before = float(step.energies(start + noise).total)
+    refined = Solver().refine(step, start + noise, 3)
+    assert refined.iterations == 3
+    assert float(refined.energies.total) < 0.05 * before
+
+
+def test_free_fall_is_found() -> None:
+    garments = packed(sheet(6, 6))
+    step = IncrementalPotential().prepare(garments, at_rest(garments), None, DT)
+    solution = Solver().minimise(step, garments.rest_positions)
+    fall = torch.tensor([0.0, -9.81 * DT**2, 0.0], dtype=torch.float64)
+    torch.testing.assert_close(solution.positions, garments.rest_positions + fall, rtol=0, atol=1e-5)
+    assert solution.iterations <= 5
+
+
+def test_cloth_between_two_surfaces_comes_to_rest() -> None:
+    """Nearest points jump from one wall to the other; the iterations must end all the same."""
+    garments = packed(sheet(6, 6, 0.1, 0.1))
+    wall = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    vertices = np.concatenate([wall - [0, 0, 1e-3], wall + [0, 0, 1e-3]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]])
+    x = garments.rest_positions.clone()
+    x[:, 2] += 4e-4 * torch.sin(100 * x[:, 0])
+    frame = collider(vertices, faces)
+    step = IncrementalPotential().prepare(garments, at_rest(garments, x), frame, DT)
+    solution = Solver().minimise(step, x)
+    assert solution.converged
+    assert float(solution.positions[:, 2].abs().max()) < 5e-4
+
+
+def test_a_body_that_moves_a_metre_in_a_frame_is_followed() -> None:
+    garments = packed(tube(20, 10, 0.155, 0.4))
+    body = capsule(count=24)
+    frame = collider(body.vertices + [0, 0.2, 0], body.faces, np.array([1.0, 0.0, 0.0]))
+    state = at_rest(garments)
+    assert substep_count(IncrementalPotential().prepare(garments, state, frame, DT).step) >= 6
+    after, _ = advance(IncrementalPotential(), Solver(), garments, state, frame, DT)
+    assert after.frame == 1
+    assert torch.isfinite(after.positions).all()
+    inside = IncrementalPotential().prepare(garments, state, frame, DT).contact_at(after.positions)
+    assert inside is not None
+    assert float((inside.distance < -5e-3).double().mean()) < 0.02
+
+
+def test_one_step_is_enough_for_a_slow_body() -> None:
+    garments, step, _ = dressed_capsule(20, 10)
+    assert substep_count(step.step) == 1
+    after, solution = advance(
+        IncrementalPotential(),
+        Solver(),
+        garments,
+        step.step.state,
+        step.step.collider,
+        DT,  # type: ignore[arg-type]
+    )
+    torch.testing.assert_close(after.velocities, (solution.positions - garments.rest_positions) / DT)
+
+
+def test_a_state_that_is_not_finite_is_named_with_its_frame() -> None:
+    garments = packed(sheet(3, 3))
+    x = garments.rest_positions.clone()
+    x[5, 1] = torch.nan
+    with pytest.raises(DivergedError, match=r"frame 7.*first vertex 5.*kept") as caught:
+        require_finite(State(x, torch.zeros_like(x), 7))
+    assert caught.value.frame == 7
+    step = IncrementalPotential().prepare(garments, at_rest(garments, frame=6), None, DT)
+    with pytest.raises(DivergedError, match="frame 7"):
+        Solver().minimise(step, x)
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.1, float("nan"), float("inf")])
+def test_a_time_step_must_be_positive(dt: float) -> None:
+    garments = packed(sheet(2, 2))
+    state = at_rest(garments)
+    with pytest.raises(InputError, match="time step"):
+        IncrementalPotential().prepare(garments, state, None, dt)
+    with pytest.raises(InputError, match="time step"):
+        integrate(state, torch.zeros_like(state.positions), dt)
+
+
+def test_isolated_vertices_stay_where_they_are() -> None:
+    mesh = sheet(3, 3)
+    garments = packed(replace(mesh, vertices=np.vstack([mesh.vertices, [[5.0, 5.0, 5.0]]]), pinned=np.zeros(17, bool)))
+    step = IncrementalPotential().prepare(garments, at_rest(garments), None, DT)
+    solution = Solver().minimise(step, garments.rest_positions)
+    assert solution.converged
+    assert solution.positions[16].tolist() == [5.0, 5.0, 5.0]
+
+
+def test_integrator() -> None:
+    state = State(torch.zeros(2, 3), torch.tensor([[3.0, 0, 0], [0, 0, 0]]), 4)
+    acceleration = torch.tensor([[0.0, -0.01, 0], [0, -0.01, 0]], requires_grad=True)
+    pins = torch.tensor([[9.0, 9, 9], [0.1, 0.2, 0.3]])
+    after = integrate(state, acceleration, 0.1, torch.tensor([False, True]), pins)
+    torch.testing.assert_close(after.positions[0], torch.tensor([0.3, -0.01, 0.0]))
+    torch.testing.assert_close(after.velocities[0], torch.tensor([3.0, -0.1, 0.0]))
+    torch.testing.assert_close(after.positions[1], pins[1])
+    torch.testing.assert_close(after.velocities[1], pins[1] / 0.1)
+    assert after.frame == 5
+    after.positions.sum().backward()
+    assert acceleration.grad is not None
+    assert acceleration.grad.tolist() == [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
+
+
+def test_conjugate_gradient_solves_and_notices_negative_curvature() -> None:
+    matrix = np.diag([1.0, 4.0, 9.0])
+    right = np.array([1.0, 2.0, 3.0])
+    solved = conjugate_gradient(matrix, right, lambda r: r, 1e-12, 10)
+    np.testing.assert_allclose(solved.solution, right / np.diag(matrix))
+    assert solved.negative is None
+    indefinite = np.diag([1.0, -4.0, 9.0])
+    found = conjugate_gradient(indefinite, right, lambda r: r, 1e-12, 10).negative
+    assert found is not None
+    assert found @ indefinite @ found <= 0
