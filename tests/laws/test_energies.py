@@ -117,13 +117,13 @@ def test_a_sliding_vertex(motion: tuple[float, float, float], slip: float, groun
     body = collider(FLOOR, FLOOR_FACES, np.array(motion))
     if ground:
         body, slip = collider(FLOOR - [0, 5, 0], FLOOR_FACES, ground_height=0.0), 0.02
-    step = IncrementalPotential().prepare(garments, at_rest(garments, x), body, DT)
+    step = alone(Friction()).prepare(garments, at_rest(garments, x), body, DT)
     smoothing = 1e-3 * DT
     length = np.sqrt((1 + 1e-4) * slip**2 + smoothing**2) - smoothing
     expected = 0.5 * EVALUATION.density * 9.81 * length
     moved = x + vector(0.02, 0.0, 0.0)
     assert value(step, moved, "friction") == pytest.approx(expected, rel=1e-10, abs=1e-15)
-    lifted = IncrementalPotential().prepare(garments, at_rest(garments, x + vector(0, 3e-3, 0)), body, DT)
+    lifted = alone(Friction()).prepare(garments, at_rest(garments, x + vector(0, 3e-3, 0)), body, DT)
     assert value(lifted, moved, "friction") == 0.0
 
 
@@ -138,14 +138,14 @@ def test_sliding_down_is_nearly_free() -> None:
     assert down == pytest.approx(0.01 * aside, rel=0.2)
 
 
-def test_friction_may_carry_the_load_of_the_step_before() -> None:
+def test_friction_carries_the_load_of_the_step_before() -> None:
     garments = packed(sheet(3, 3))
     x = garments.rest_positions[:, [0, 2, 1]] + vector(-0.5, 1e-3, -0.5)
     body = collider(FLOOR, FLOOR_FACES)
     moved = x + vector(0.02, 0.0, 0.0)
-    potential = alone(Friction(load=Collision()))
+    potential = IncrementalPotential()
     loaded = potential.prepare(garments, at_rest(garments, x), body, DT)
-    usual = IncrementalPotential().prepare(garments, at_rest(garments, x), body, DT)
+    usual = alone(Friction()).prepare(garments, at_rest(garments, x), body, DT)
     ratio = 3 * 5e3 / REFERENCE_AREA * 1e-3**2 / (EVALUATION.density * 9.81)
     assert ratio > 1
     assert value(loaded, moved, "friction") == pytest.approx(ratio * value(usual, moved, "friction"), rel=1e-9)

@@ -199,7 +199,8 @@ def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: 
         "fps": trajectory.fps,
         "device": simulator.settings().get("device", "cpu"),
         "ms_per_step": record.ms_per_step,
-        "left_inside": max(record.left_inside, default=0),
+        "solver_iterations": record.solver_iterations,
+        "unsolved_steps": record.unsolved,
         "notes": list(scene.notes),
         **measured,
     }

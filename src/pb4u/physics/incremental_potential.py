@@ -62,7 +62,7 @@ class IncrementalPotential:
     gravity: EnergyTerm = field(default_factory=Gravity)
     inertia: EnergyTerm = field(default_factory=Inertia)
     collision: EnergyTerm = field(default_factory=Collision)
-    friction: EnergyTerm = field(default_factory=Friction)
+    friction: EnergyTerm = field(default_factory=lambda: Friction(load=Collision()))
     face_centres: bool = False
 
     @staticmethod

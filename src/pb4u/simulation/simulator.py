@@ -29,14 +29,12 @@ class RunRecord:
     Args:
         step_seconds: wall time of every simulated step, file writing and metrics left out.
         failed_at: written frame at which the state stopped being finite, or None.
-        left_inside: vertices that contact response had to leave inside the body, per step.
         solver_iterations: iterations the solver made, per step.
         unsolved: steps that the solver left above its tolerance.
     """
 
     step_seconds: list[float] = field(default_factory=list)
     failed_at: int | None = None
-    left_inside: list[int] = field(default_factory=list)
     solver_iterations: list[int] = field(default_factory=list)
     unsolved: int = 0
 
