@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 import warnings
 
 import typer
 
-from pb4u.cli import assets, check, convert, info, simulate
+from pb4u.cli import assets, check, convert, info, simulate, train
 from pb4u.errors import InputWarning, Pb4uError
 
 app = typer.Typer(
@@ -19,7 +20,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for verb in (simulate, check, convert, assets, info):
+for verb in (simulate, check, convert, train, assets, info):
     verb.register(app)
 
 
@@ -30,6 +31,8 @@ def _one_line_warning(message: Warning | str, category: type[Warning], *_: objec
 
 def main() -> None:
     """Entry point. Exit code 0; 1 failed or refused, with one plain sentence; 2 a flag was not understood."""
+    # Set before numpy is first imported: its matrices are small here, and idle BLAS threads slow everything else down.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     debug = "--debug" in sys.argv
     sys.argv = [argument for argument in sys.argv if argument != "--debug"]
     if not debug:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from pb4u.errors import MissingExtraError, Pb4uError
 from pb4u.export.picture import View, render
+from pb4u.export.progress import Progress
 from pb4u.scene.trajectory import Trajectory
-
-Progress = Callable[[int, int], None]
-"""Called with (frames done, frames in all)."""
 
 
 def write_gif(

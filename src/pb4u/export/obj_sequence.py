@@ -6,7 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.export.finite_frames import held_frames
+from pb4u.export.progress import Progress
 from pb4u.scene.trajectory import Trajectory
+
+SIGNATURE = "# Written by pb4u"
+"""First line of every OBJ file written here; a file with another first line is somebody's own."""
 
 
 def frame_path(path: Path, frame: int) -> Path:
@@ -14,19 +19,31 @@ def frame_path(path: Path, frame: int) -> Path:
     return path.with_name(f"{path.stem}_{frame:04d}{path.suffix}")
 
 
-def write_obj_sequence(trajectory: Trajectory, path: Path) -> None:
-    """Write every frame, vertex order and UVs kept; metres, Y up."""
-    header = trajectory.header
-    if header.uvs is not None and header.uv_faces is not None:
-        uv_lines = "".join(f"vt {u:.6f} {v:.6f}\n" for u, v in header.uvs)
-        corners = np.stack([header.faces + 1, header.uv_faces + 1], axis=-1).reshape(-1, 6)
-        face_lines = "".join(f"f {a}/{ua} {b}/{ub} {c}/{uc}\n" for a, ua, b, ub, c, uc in corners.tolist())
-    else:
-        uv_lines = ""
-        face_lines = "".join(f"f {a} {b} {c}\n" for a, b, c in (header.faces + 1).tolist())
+def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress | None = None) -> None:
+    """Write every frame of the garment, vertex order and UVs kept; metres, Y up."""
+    topology = _topology(trajectory)
+    held = set(held_frames(trajectory))
     for t, positions in enumerate(trajectory.positions):
-        vertex_lines = "".join(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in positions.tolist())
-        target = frame_path(path, t)
-        beside = target.with_name(f".{target.name}.part")
-        beside.write_text(vertex_lines + uv_lines + face_lines, encoding="ascii")
-        beside.replace(target)
+        remark = "not finite, the last whole frame before it" if t in held else ""
+        frame_path(path, t).write_text(_text(t, positions, topology, remark), encoding="ascii")
+        if progress:
+            progress(t + 1, trajectory.frame_count)
+
+
+def write_obj(trajectory: Trajectory, path: Path, frame: int = 0) -> None:
+    """Write one frame of the garment, vertex order and UVs kept; metres, Y up."""
+    path.write_text(_text(frame, trajectory.positions[frame], _topology(trajectory)), encoding="ascii")
+
+
+def _topology(trajectory: Trajectory) -> str:
+    header = trajectory.header
+    if header.uvs is None or header.uv_faces is None:
+        return "".join(f"f {a} {b} {c}\n" for a, b, c in (header.faces + 1).tolist())
+    uv_lines = "".join(f"vt {u:.6f} {v:.6f}\n" for u, v in header.uvs.tolist())
+    corners = np.stack([header.faces + 1, header.uv_faces + 1], axis=-1).reshape(-1, 6)
+    return uv_lines + "".join(f"f {a}/{ua} {b}/{ub} {c}/{uc}\n" for a, ua, b, ub, c, uc in corners.tolist())
+
+
+def _text(frame: int, positions: np.ndarray, topology: str, remark: str = "") -> str:
+    head = f"{SIGNATURE}: frame {frame}{f' ({remark})' if remark else ''}; metres, Y up\n"
+    return head + "".join(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in positions.tolist()) + topology

@@ -11,6 +11,8 @@ import numpy as np
 import torch
 
 from pb4u.errors import Pb4uError
+from pb4u.export.finite_frames import held_frames
+from pb4u.export.shading import CLOTH, SKIN
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.scene.trajectory import Trajectory
 
@@ -37,10 +39,9 @@ class View:
     elevation: float = 8.0
     turntable: float = 0.0
     show_body: bool = True
-    cloth: tuple[float, float, float] = (0.16, 0.36, 0.62)
+    cloth: tuple[float, float, float] = CLOTH
 
 
-_SKIN = (0.93, 0.87, 0.83)
 _GROUND = (0.93, 0.935, 0.94)
 _MARGIN = 1.12
 _FIELD_OF_VIEW = 24.0
@@ -56,9 +57,10 @@ class Studio:
         self._view = view
         self._plotter = pyvista.Plotter(off_screen=True, window_size=[view.width, view.height], lighting="none")
         self._cloth = self._add(trajectory.positions[0], trajectory.faces, view.cloth, specular=0.06)
+        self._held = frozenset(held_frames(trajectory))
         self._body = None
         if view.show_body:
-            self._body = self._add(trajectory.body_positions[0], trajectory.header.body_faces, _SKIN, specular=0.12)
+            self._body = self._add(trajectory.body_positions[0], trajectory.header.body_faces, SKIN, specular=0.12)
         self._light()
         self._add_ground()
         self._frame_size = self._extent()
@@ -126,12 +128,19 @@ class Studio:
         if self._body is not None:
             _move(self._body, trajectory.body_positions[t], trajectory.header.body_faces)
         self._cast_shadow(t)
+        self._mark_held(t)
         self._aim(t)
         self._plotter.render()
         image = self._plotter.screenshot(return_img=True)
         if image is None:
             raise Pb4uError("The off-screen renderer returned no picture.")
         return np.asarray(image)
+
+    def _mark_held(self, t: int) -> None:
+        """Say so in the picture where a frame only stands in for one that is not finite."""
+        if self._held:
+            text = f"frame {t} is not finite" if t in self._held else ""
+            self._plotter.add_text(text, name="held", font_size=10, color="red")
 
     def _cast_shadow(self, t: int) -> None:
         """A soft patch under the body, without which feet seem to float."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.export.lazy_frames import LazyFrames
 from pb4u.scene.trajectory import Trajectory
 
 
@@ -27,22 +29,28 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
 
 
 def on_source(trajectory: Trajectory) -> Trajectory:
-    """The same motion on the author's mesh; the trajectory itself where that is the simulated mesh."""
+    """The same motion on the author's mesh, carried frame by frame; the trajectory itself where the meshes are one."""
     track = trajectory.header.source
     if track is None:
         return trajectory
 
-    def carry(values: np.ndarray) -> np.ndarray:
-        corners = values[..., trajectory.faces[track.triangle], :]
-        return np.einsum("sk,...skd->...sd", track.barycentric.astype(np.float32), corners)
+    corners = trajectory.faces[track.triangle]
+    weights = track.barycentric.astype(np.float32)
 
-    owner = trajectory.header.vertex_garment[trajectory.faces[track.triangle, 0]]
+    def carry(values: np.ndarray) -> np.ndarray:
+        def compute(frames: Any, vertices: Any) -> np.ndarray:
+            asked, weight = corners[vertices], weights[vertices]
+            at = values[frames][..., asked.ravel(), :]
+            return np.einsum("...k,...kd->...d", weight, at.reshape(*at.shape[:-2], *asked.shape, 3))
+
+        return LazyFrames(len(values), len(weights), compute).as_array()
+
     header = replace(
         trajectory.header,
         faces=track.faces,
-        rest_positions=carry(trajectory.header.rest_positions),
-        pinned=trajectory.header.pinned[trajectory.faces[track.triangle]].all(axis=1),
-        vertex_garment=owner,
+        rest_positions=carry(trajectory.header.rest_positions[None])[0],
+        pinned=trajectory.header.pinned[corners].all(axis=1),
+        vertex_garment=trajectory.header.vertex_garment[corners[:, 0]],
         uvs=track.uvs,
         uv_faces=track.uv_faces,
         source=None,

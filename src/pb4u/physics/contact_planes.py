@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 from dataclasses import dataclass
 
@@ -109,6 +110,8 @@ def _triangle_surface(faces: np.ndarray, contact: np.ndarray) -> TriangleSurface
 
 
 _surfaces_kept: list[ColliderSurfaces] = []
+# Search trees that outlive the interpreter's end make their library complain.
+atexit.register(_surfaces_kept.clear)
 
 
 def collider_surfaces(garments: PackedGarments, collider: ColliderFrame, whole: bool = False) -> ColliderSurfaces:

@@ -95,7 +95,8 @@ class Friction(EnergyTerm):
             normal = torch.where(on_ground[:, None], before.new_tensor([0.0, 1.0, 0.0]), normal)
         force = _STANDARD_GRAVITY * step.garments.vertex_masses
         if self.load is not None and step.contact_now is not None:
-            depth = (self.load.clearance - distance).clamp_min(0.0)
+            # Cloth deep inside is a fault to be mended, not a load: its force would freeze it there.
+            depth = (self.load.clearance - distance).clamp(0.0, 2.0 * self.load.clearance)
             carried_load = 3.0 * self.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
             force = torch.maximum(force, carried_load)
         return torch.where(touching, self.coefficient * force, 0.0), carried, normal

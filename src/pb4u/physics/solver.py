@@ -8,7 +8,8 @@ depend on the resolution.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,6 +67,17 @@ class Progress:
     residual: float
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Tensors of cloth are small: threads gain little, and wait for one another wherever another process is at work."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 class Solver:
     """Minimises step potentials; keeps what depends on the garments alone from one step to the next.
 
@@ -104,6 +116,16 @@ class Solver:
 
         Raises DivergedError when `start` or its energy is not finite.
         """
+        with _one_thread():
+            return self._minimise(potential, start, iterations, watch)
+
+    def _minimise(
+        self,
+        potential: StepPotential,
+        start: Tensor,
+        iterations: int | None,
+        watch: Callable[[Progress], None] | None,
+    ) -> Solution:
         garments = potential.step.garments
         self._prepare(garments)
         limit = self.max_iterations if iterations is None else iterations

@@ -1,0 +1,75 @@
+"""Frames that are not finite: found, reported, and replaced by the frame before them."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pb4u.errors import InputError, InputWarning
+from pb4u.export.lazy_frames import LazyFrames
+from pb4u.scene.trajectory import Trajectory
+
+HELD_FRAMES = "held_frames"
+"""Metadata entry that lists the frames which stand still because their own values are not finite."""
+
+
+def hold_finite(trajectory: Trajectory) -> Trajectory:
+    """The trajectory with each frame that holds NaN or infinity replaced by the last whole frame before it.
+
+    No scene format has a place for NaN: tools drop the mesh or crash. The frames concerned are named in an
+    InputWarning and under `held_frames` in the metadata, from which writers mark them. Frames before the first
+    whole one repeat that one. Raises InputError when no frame is whole.
+    """
+    whole = np.array([bool(np.isfinite(positions).all()) for positions in trajectory.positions])
+    body_whole = np.array([bool(np.isfinite(positions).all()) for positions in trajectory.body_positions])
+    if whole.all() and body_whole.all():
+        return trajectory
+    if not whole.any() or not body_whole.any():
+        raise InputError("No frame of the trajectory is finite, so there is nothing to write; simulate it again.")
+    held = np.flatnonzero(~(whole & body_whole)).tolist()
+    warnings.warn(
+        f"{len(held)} of {len(whole)} frames are not finite ({spans(held)}); each is written as the last whole frame "
+        "before it, and marked where the format allows.",
+        InputWarning,
+        stacklevel=2,
+    )
+    return replace(
+        trajectory,
+        header=trajectory.header.with_metadata(**{HELD_FRAMES: held}),
+        positions=_repeat(trajectory.positions, whole),
+        body_positions=_repeat(trajectory.body_positions, body_whole),
+    )
+
+
+def held_frames(trajectory: Trajectory) -> list[int]:
+    """Frames that `hold_finite` replaced."""
+    return [int(t) for t in trajectory.metadata.get(HELD_FRAMES, [])]
+
+
+def spans(frames: list[int]) -> str:
+    """Frame numbers as text, runs joined: "3, 7-12"."""
+    runs: list[list[int]] = []
+    for t in frames:
+        if runs and t == runs[-1][1] + 1:
+            runs[-1][1] = t
+        else:
+            runs.append([t, t])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs)
+
+
+def _repeat(positions: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    if whole.all():
+        return positions
+    last = np.maximum.accumulate(np.where(whole, np.arange(len(whole)), -1))
+    shown = np.where(last < 0, int(np.argmax(whole)), last)
+
+    def compute(frames: Any, vertices: Any) -> np.ndarray:
+        # Two steps, because numpy would pair an array of frames with an array of vertices.
+        return np.stack([positions[t, vertices] for t in np.atleast_1d(shown[frames])]).reshape(
+            np.shape(shown[frames]) + positions[0, vertices].shape
+        )
+
+    return LazyFrames(len(positions), positions.shape[1], compute).as_array()

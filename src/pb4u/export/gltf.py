@@ -1,0 +1,210 @@
+"""GLB (glTF 2.0): garment and body as two meshes whose morph targets are animated by weights.
+
+One target a frame would be exact, but grow with the clip beyond what viewers take (a texture layer each in most).
+Instead each surface gets the few targets that reproduce all of its frames to within a millimetre (`shape_basis`),
+and a weight for each at every frame, interpolated in straight lines. The error is stated in the `extras` of the mesh.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import warnings
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from pb4u.errors import InputWarning
+from pb4u.export.finite_frames import HELD_FRAMES, held_frames
+from pb4u.export.progress import Progress
+from pb4u.export.shading import CLOTH, SKIN
+from pb4u.export.shape_basis import fit_shapes
+from pb4u.scene.trajectory import Trajectory
+
+_TOLERANCE = 1e-3
+_MOST_TARGETS = 256
+"""Texture layers that every WebGL 2 device has."""
+_FLOAT, _UNSIGNED_INT = 5126, 5125
+_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
+
+
+def write_glb(trajectory: Trajectory, path: Path, progress: Progress | None = None, body: bool = True) -> None:
+    """One GLB file; vertices keep their order, copies with a second UV at a seam follow after the last.
+
+    The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning tells where
+    256 targets do not reach a millimetre.
+    """
+    header, frames = trajectory.header, trajectory.frame_count
+    passes = 2 if body else 1
+    binary = path.with_name(f"{path.name}.bin")
+    try:
+        with binary.open("wb") as file:
+            document = _Document(file, trajectory)
+            uv = (header.uvs, header.uv_faces)
+            document.add_surface("garment", trajectory.positions, header.faces, uv, CLOTH, _part(progress, 0, passes))
+            if body:
+                document.add_surface(
+                    "body", trajectory.body_positions, header.body_faces, (None, None), SKIN,
+                    _part(progress, frames, passes),
+                )  # fmt: skip
+            described = document.finished()
+        _assemble(described, binary, path)
+    finally:
+        binary.unlink(missing_ok=True)
+
+
+def _part(progress: Progress | None, before: int, passes: int) -> Progress | None:
+    return None if progress is None else lambda done, total: progress(before + done, passes * total)
+
+
+def _assemble(document: dict[str, Any], binary: Path, path: Path) -> None:
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    size = binary.stat().st_size
+    with path.open("wb") as out, binary.open("rb") as data:
+        out.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + size))
+        out.write(struct.pack("<I4s", len(text), b"JSON") + text)
+        out.write(struct.pack("<I4s", size, b"BIN\0"))
+        shutil.copyfileobj(data, out, 1 << 20)
+
+
+class _Document:
+    """The JSON of a glTF file, while its arrays go to a binary file."""
+
+    def __init__(self, file: BinaryIO, trajectory: Trajectory) -> None:
+        self._file = file
+        self._frames = trajectory.frame_count
+        self._times: int | None = None
+        self._seconds = (np.arange(self._frames) / trajectory.fps).astype(np.float32)
+        asset: dict[str, Any] = {"version": "2.0", "generator": "pb4u"}
+        if held := held_frames(trajectory):
+            asset["extras"] = {HELD_FRAMES: held}
+        self._json: dict[str, Any] = {
+            "asset": asset,
+            "scene": 0,
+            "scenes": [{"nodes": []}],
+            "nodes": [],
+            "meshes": [],
+            "materials": [],
+            "accessors": [],
+            "bufferViews": [],
+        }
+        self._samplers: list[dict[str, Any]] = []
+        self._channels: list[dict[str, Any]] = []
+
+    def add_surface(
+        self,
+        name: str,
+        positions: np.ndarray,
+        faces: np.ndarray,
+        uv: tuple[np.ndarray | None, np.ndarray | None],
+        colour: tuple[float, float, float],
+        progress: Progress | None,
+    ) -> None:
+        """A node with a mesh, its targets and their weights over time."""
+        basis = fit_shapes(positions, faces, _TOLERANCE, _MOST_TARGETS, progress)
+        if basis.error > _TOLERANCE:
+            warnings.warn(
+                f"{_MOST_TARGETS} morph targets leave the {name} up to {1000 * basis.error:.1f} mm from the "
+                "trajectory; write a shorter range, or USD, which is exact.",
+                InputWarning,
+                stacklevel=2,
+            )
+        of_vertex, corners, uvs = _split_seams(len(basis.start), faces, *uv)
+        attributes = {
+            "POSITION": self._vectors(basis.start[of_vertex], bounded=True),
+            "NORMAL": self._vectors(basis.start_normals[of_vertex]),
+        }
+        if uvs is not None:
+            attributes["TEXCOORD_0"] = self._vectors(uvs)
+        primitive: dict[str, Any] = {
+            "attributes": attributes,
+            "indices": self._add(corners.reshape(-1).astype("<u4"), "SCALAR", _UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER),
+            "material": self._material(name, colour),
+        }
+        mesh: dict[str, Any] = {"name": name, "primitives": [primitive], "extras": {"largest_error": basis.error}}
+        node = len(self._json["nodes"])
+        if len(basis.shapes):
+            primitive["targets"] = [
+                {
+                    "POSITION": self._vectors(shape[of_vertex], bounded=True),
+                    "NORMAL": self._vectors(normals[of_vertex]),
+                }
+                for shape, normals in zip(basis.shapes, basis.normal_shapes, strict=True)
+            ]
+            mesh["weights"] = [0.0] * len(basis.shapes)
+            mesh["extras"]["targetNames"] = [f"shape {k}" for k in range(len(basis.shapes))]
+            self._animate(node, basis.weights)
+        self._json["nodes"].append({"name": name, "mesh": len(self._json["meshes"])})
+        self._json["scenes"][0]["nodes"].append(node)
+        self._json["meshes"].append(mesh)
+
+    def finished(self) -> dict[str, Any]:
+        """The whole document; nothing can be added after."""
+        self._json["buffers"] = [{"byteLength": self._file.tell()}]
+        if self._channels:
+            self._json["animations"] = [{"name": "cloth", "samplers": self._samplers, "channels": self._channels}]
+        return self._json
+
+    def _animate(self, node: int, weights: np.ndarray) -> None:
+        if self._times is None:
+            self._times = self._add(self._seconds, "SCALAR", _FLOAT)
+            self._json["accessors"][self._times] |= {"min": [0.0], "max": [float(self._seconds[-1])]}
+        output = self._add(weights.reshape(-1), "SCALAR", _FLOAT)
+        target = {"node": node, "path": "weights"}
+        self._channels.append({"sampler": len(self._samplers), "target": target})
+        self._samplers.append({"input": self._times, "output": output, "interpolation": "LINEAR"})
+
+    def _material(self, name: str, colour: tuple[float, float, float]) -> int:
+        # glTF colours are linear; the constants are as seen on a screen.
+        linear = [round(channel**2.2, 4) for channel in colour]
+        surface = {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.85}
+        self._json["materials"].append({"name": name, "pbrMetallicRoughness": surface, "doubleSided": True})
+        return len(self._json["materials"]) - 1
+
+    def _vectors(self, values: np.ndarray, bounded: bool = False) -> int:
+        values = np.ascontiguousarray(values, dtype="<f4")
+        accessor = self._add(values, f"VEC{values.shape[1]}", _FLOAT, _ARRAY_BUFFER)
+        if bounded:
+            bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+            self._json["accessors"][accessor] |= bounds
+        return accessor
+
+    def _add(self, values: np.ndarray, kind: str, component: int, target: int | None = None) -> int:
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": self._file.tell(), "byteLength": values.nbytes}
+        if target is not None:
+            view["target"] = target
+        self._file.write(values.tobytes())
+        self._json["bufferViews"].append(view)
+        self._json["accessors"].append(
+            {
+                "bufferView": len(self._json["bufferViews"]) - 1,
+                "componentType": component,
+                "count": len(values),
+                "type": kind,
+            }
+        )
+        return len(self._json["accessors"]) - 1
+
+
+def _split_seams(
+    vertices: int, faces: np.ndarray, uvs: np.ndarray | None, uv_faces: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """glTF has one UV a vertex: vertices at a seam are copied.
+
+    Returns (written,) the vertex behind each written one, which begins 0, 1, ..., vertices-1; (faces, 3) corners as
+    written ones; (written, 2) UVs with v downward as glTF has it, or None.
+    """
+    if uvs is None or uv_faces is None:
+        return np.arange(vertices), faces, None
+    pairs, corner = np.unique(np.column_stack([faces.ravel(), uv_faces.ravel()]), axis=0, return_inverse=True)
+    first = np.r_[True, pairs[1:, 0] != pairs[:-1, 0]]
+    written = np.empty(len(pairs), dtype=np.int64)
+    written[first] = pairs[first, 0]
+    written[~first] = vertices + np.arange(np.count_nonzero(~first))
+    of_vertex = np.r_[np.arange(vertices), pairs[~first, 0]]
+    coordinates = np.zeros((len(of_vertex), 2), dtype=np.float32)
+    coordinates[written] = uvs[pairs[:, 1]] * (1.0, -1.0) + (0.0, 1.0)
+    return of_vertex, written[corner.reshape(-1)].reshape(faces.shape), coordinates

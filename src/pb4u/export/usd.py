@@ -1,0 +1,149 @@
+"""USD (.usdc, .usda, .usdz): garment and body as two meshes with time samples, through the "usd" extra."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pb4u.errors import InputError, MissingExtraError
+from pb4u.export.finite_frames import HELD_FRAMES, held_frames
+from pb4u.export.progress import Progress
+from pb4u.export.shading import CLOTH, SKIN, unit_normals
+from pb4u.scene.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from pxr import Usd, UsdGeom
+
+_FRAMES_BETWEEN_SAVES = 100
+"""Saving empties the stage's memory of time samples, so it is done before they amount to much."""
+
+
+def check_usd(path: Path) -> None:
+    """Raises MissingExtraError without the "usd" extra."""
+    try:
+        import pxr.Usd  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("usd", f"Writing {path.suffix}") from error
+
+
+def write_usd(trajectory: Trajectory, path: Path, progress: Progress | None = None) -> None:
+    """One stage: /Scene with the meshes Garment and Body, no transforms; metres, Y up, one time code a frame.
+
+    Points, normals and extent are sampled at every frame; UVs are the face-varying `primvars:st`. The frames that
+    `hold_finite` replaced are listed in the custom layer data. A .usdz is a package of one .usdc.
+
+    Raises MissingExtraError without the "usd" extra, InputError when USD cannot write the file.
+    """
+    check_usd(path)
+    from pxr import Tf
+
+    try:
+        # Text has to be written in one go, so it is converted from a binary stage that was written in portions.
+        with tempfile.TemporaryDirectory(prefix=".usd.", dir=path.parent) as folder:
+            suffix = path.suffix.lower()
+            binary = path if suffix == ".usdc" else Path(folder) / f"{path.stem}.usdc"
+            _write_binary(trajectory, binary, progress)
+            if suffix == ".usda":
+                _to_text(binary, path)
+            elif suffix == ".usdz":
+                _package(binary, path)
+    except Tf.ErrorException as error:
+        raise InputError(f"Cannot write {path.name}: {_reason(error)}.") from error
+
+
+def _write_binary(trajectory: Trajectory, path: Path, progress: Progress | None) -> None:
+    from pxr import Usd, UsdGeom
+
+    header = trajectory.header
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.SetTimeCodesPerSecond(trajectory.fps)
+    stage.SetFramesPerSecond(trajectory.fps)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(trajectory.frame_count - 1)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Scene").GetPrim())
+    held = held_frames(trajectory)
+    if held:
+        stage.GetRootLayer().customLayerData = {"pb4u": {HELD_FRAMES: _ints(held)}}
+    garment = _AnimatedMesh(_define(stage, "/Scene/Garment", header.faces, CLOTH), header.faces)
+    _add_uvs(garment.mesh, header.uvs, header.uv_faces)
+    body = _AnimatedMesh(_define(stage, "/Scene/Body", header.body_faces, SKIN), header.body_faces)
+    for t, (positions, body_positions) in enumerate(zip(trajectory.positions, trajectory.body_positions, strict=True)):
+        garment.sample(t, positions)
+        body.sample(t, body_positions)
+        if t % _FRAMES_BETWEEN_SAVES == _FRAMES_BETWEEN_SAVES - 1:
+            stage.Save()
+        if progress:
+            progress(t + 1, trajectory.frame_count)
+    stage.Save()
+
+
+@dataclass(frozen=True)
+class _AnimatedMesh:
+    mesh: UsdGeom.Mesh
+    faces: np.ndarray
+
+    def sample(self, t: int, positions: np.ndarray) -> None:
+        from pxr import UsdGeom, Vt
+
+        # A copy, because frames mapped from a file may lie at odd addresses, which USD refuses.
+        points = Vt.Vec3fArray.FromNumpy(np.array(positions, dtype=np.float32))
+        self.mesh.GetPointsAttr().Set(points, t)
+        self.mesh.GetNormalsAttr().Set(Vt.Vec3fArray.FromNumpy(unit_normals(positions, self.faces)), t)
+        self.mesh.GetExtentAttr().Set(UsdGeom.PointBased.ComputeExtent(points), t)
+
+
+def _define(stage: Usd.Stage, name: str, faces: np.ndarray, colour: tuple[float, float, float]) -> UsdGeom.Mesh:
+    from pxr import UsdGeom, Vt
+
+    mesh = UsdGeom.Mesh.Define(stage, name)
+    mesh.CreateFaceVertexCountsAttr(_ints(np.full(len(faces), 3)))
+    mesh.CreateFaceVertexIndicesAttr(_ints(faces))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreatePointsAttr()
+    mesh.CreateNormalsAttr()
+    mesh.CreateExtentAttr()
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    mesh.CreateDisplayColorAttr(Vt.Vec3fArray([colour]))
+    return mesh
+
+
+def _add_uvs(mesh: UsdGeom.Mesh, uvs: np.ndarray | None, uv_faces: np.ndarray | None) -> None:
+    if uvs is None or uv_faces is None:
+        return
+    from pxr import Sdf, UsdGeom, Vt
+
+    st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
+    st.Set(Vt.Vec2fArray.FromNumpy(np.array(uvs, dtype=np.float32)))
+    st.SetIndices(_ints(uv_faces))
+
+
+def _to_text(binary: Path, path: Path) -> None:
+    from pxr import Sdf
+
+    if not Sdf.Layer.FindOrOpen(str(binary)).Export(str(path)):
+        raise InputError(f"Cannot write {path.name}: USD gave no reason.")
+
+
+def _package(binary: Path, path: Path) -> None:
+    from pxr import UsdUtils
+
+    if not UsdUtils.CreateNewUsdzPackage(str(binary), str(path)):
+        raise InputError(f"Cannot write {path.name}: USD gave no reason.")
+
+
+def _ints(values: Any) -> Any:
+    from pxr import Vt
+
+    return Vt.IntArray.FromNumpy(np.array(np.ravel(values), dtype=np.int32))
+
+
+def _reason(error: Exception) -> str:
+    return str(error).strip().splitlines()[-1].strip(" '\t.")

@@ -1,0 +1,134 @@
+"""What holds for every format: names, failures that leave nothing, frames that are not finite."""
+
+from __future__ import annotations
+
+import resource
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.export.readers import pc2_frames
+
+from pb4u.errors import InputError, InputWarning, MissingExtraError
+from pb4u.export.finite_frames import hold_finite
+from pb4u.export.picture import View, render
+from pb4u.export.registry import WRITERS, check_target, export
+from pb4u.scene.trajectory import Trajectory
+
+DATA_SUFFIXES = [".npz", ".obj", ".pc2", ".mdd", ".usdc", ".usda", ".usdz", ".glb"]
+
+
+@pytest.fixture
+def small_disk() -> Iterator[None]:
+    """No file can grow beyond 4 KB, as on a disk that runs full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def skip_without_usd(suffix: str) -> None:
+    if suffix.startswith(".usd"):
+        pytest.importorskip("pxr", reason='the "usd" extra is not installed')
+
+
+def test_an_unknown_suffix_lists_the_known(trajectory: Trajectory, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        export(trajectory, tmp_path / "walk.abc")
+    assert all(suffix in str(refused.value) for suffix in (*DATA_SUFFIXES, ".png", ".jpg", ".gif", ".mp4"))
+
+
+def test_suffixes_may_be_in_capitals(trajectory: Trajectory, tmp_path: Path) -> None:
+    export(trajectory, tmp_path / "WALK.PC2")
+    assert (tmp_path / "WALK.PC2").stat().st_size > 32
+
+
+@pytest.mark.parametrize("suffix", sorted(WRITERS))
+def test_an_absent_folder_and_a_folder_in_the_way_are_refused(tmp_path: Path, suffix: str) -> None:
+    skip_without_usd(suffix)
+    with pytest.raises(InputError, match="does not exist"):
+        check_target(tmp_path / "absent" / f"walk{suffix}")
+    (tmp_path / f"walk{suffix}").mkdir()
+    with pytest.raises(InputError, match="is a folder"):
+        check_target(tmp_path / f"walk{suffix}")
+
+
+@pytest.mark.parametrize("suffix", DATA_SUFFIXES)
+def test_a_full_disk_leaves_nothing(trajectory: Trajectory, tmp_path: Path, small_disk: None, suffix: str) -> None:
+    skip_without_usd(suffix)
+    with pytest.raises(InputError, match="Cannot write"):
+        export(trajectory, tmp_path / f"walk{suffix}")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", DATA_SUFFIXES)
+def test_a_failure_keeps_the_file_that_was_there(trajectory: Trajectory, tmp_path: Path, suffix: str) -> None:
+    skip_without_usd(suffix)
+    target = tmp_path / f"walk{suffix}"
+    target.write_text("before")
+
+    def stop(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    if suffix == ".npz":
+        trajectory = replace(trajectory, velocities=trajectory.velocities[:3])
+    with pytest.raises((KeyboardInterrupt, ValueError)):
+        export(trajectory, target, stop)
+    assert target.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("suffix", [".usdc", ".usda", ".usdz"])
+def test_usd_without_its_extra_is_refused_in_one_sentence(
+    trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    monkeypatch.delitem(sys.modules, "pxr.Usd", raising=False)
+    with pytest.raises(MissingExtraError, match=r'"usd" extra: pip install "pb4u\[usd\]"'):
+        export(trajectory, tmp_path / f"walk{suffix}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_that_are_not_finite_stand_still_and_are_told(broken: Trajectory, tmp_path: Path) -> None:
+    with pytest.warns(InputWarning, match=r"3 of 12 frames are not finite \(0, 5-6\)"):
+        export(broken, tmp_path / "walk.pc2")
+    shown = [1, 1, 2, 3, 4, 4, 4, 7, 8, 9, 10, 11]
+    np.testing.assert_array_equal(pc2_frames(tmp_path / "walk.pc2"), broken.positions[shown])
+
+
+def test_the_obj_of_such_a_frame_says_so(broken: Trajectory, tmp_path: Path) -> None:
+    with pytest.warns(InputWarning):
+        export(broken, tmp_path / "walk.obj")
+    marked = [t for t in range(12) if "not finite" in (tmp_path / f"walk_{t:04d}.obj").read_text()]
+    assert marked == [0, 5, 6]
+
+
+def test_npz_keeps_what_was_simulated(broken: Trajectory, tmp_path: Path) -> None:
+    export(broken, tmp_path / "copy.npz")
+    np.testing.assert_array_equal(Trajectory.open(tmp_path / "copy.npz").positions, broken.positions)
+
+
+def test_no_finite_frame_at_all_is_refused(trajectory: Trajectory, tmp_path: Path) -> None:
+    empty = replace(trajectory, positions=np.full_like(trajectory.positions, np.nan))
+    with pytest.raises(InputError, match="No frame"):
+        export(empty, tmp_path / "walk.glb")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_trajectory_cut_short_is_refused(saved: Path) -> None:
+    saved.write_bytes(saved.read_bytes()[:-3000])
+    with pytest.raises(InputError, match="cut short"):
+        Trajectory.open(saved)
+
+
+def test_a_picture_of_such_a_frame_says_so(broken: Trajectory, tmp_path: Path) -> None:
+    with pytest.warns(InputWarning):
+        held = hold_finite(broken)
+    silent = replace(held, header=held.header.with_metadata(held_frames=[]))
+    marked, plain = (list(render(each, [4, 6], View(width=160, height=200))) for each in (held, silent))
+    red = [int(((p[..., 0] > 200) & (p[..., 1] < 60)).sum()) for p in (*marked, *plain)]
+    assert red[1] > 0
+    assert red[0] == red[2] == red[3] == 0
