@@ -1,6 +1,6 @@
 """Computes the floor of every catalogue test scene: the energies that the solver reaches at its tolerance.
 
-python tools/floors.py [--levels base,11K] [--recordings FOLDER] [--frames 60]
+python tools/floors.py [--levels base,11K] [--recordings FOLDER] [--frames 30]
 
 Results go to src/pb4u/evaluation/floors.json, one entry a scene and level; entries already there are kept.
 """
@@ -45,11 +45,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--levels", default="base")
     parser.add_argument("--recordings", type=Path)
-    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--frames", type=int, default=30)
     options = parser.parse_args()
     floors = json.loads(FLOORS_FILE.read_text()) if FLOORS_FILE.exists() else {}
     for level in options.levels.split(","):
-        for name in scene_names("test", recordings=options.recordings is not None):
+        names = scene_names("test", recordings=options.recordings is not None)
+        for name in sorted(names, key=lambda name: name.needs_recording):
             key = f"{name}@{level}"
             if key in floors:
                 continue

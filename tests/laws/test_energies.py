@@ -9,7 +9,7 @@ import pytest
 import torch
 from tests.physics.shapes import EVALUATION, at_rest, capsule, collider, packed, sheet, tube
 
-from pb4u.physics.collision import REFERENCE_AREA, Collision
+from pb4u.physics.collision import REFERENCE_AREA
 from pb4u.physics.energy_term import EnergyTerm, NullTerm, TimeStep
 from pb4u.physics.friction import Friction
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import parse_shape, write_json
+from pb4u.cli.console import parse_shape, progress_bar, write_json
 from pb4u.errors import InputError
 
 if TYPE_CHECKING:
@@ -147,6 +147,38 @@ def write(
         write_obj(out, SourceMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces))
     else:
         write_obj(out, SourceMesh(figure.vertices, tuple(figure.faces)))
+
+
+@group.command("pack")
+def pack(
+    out: Annotated[Path, typer.Argument(help="The .npz to write.", show_default=False)],
+    preset: Annotated[str, typer.Option(help="Training whose garments, bodies and motions are packed.")] = "small",
+    recordings: Annotated[
+        Path | None, typer.Option(help="Folder of CMU recordings to pack as well, SUBJECT/TRIAL.amc.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Replace a field of the preset, as in data.shapes=8."),
+    ] = None,
+) -> None:
+    """Write what a training machine needs: it then needs torch, numpy and safetensors only."""
+    from pb4u.training.collection import collect
+    from pb4u.training.configuration import with_settings
+    from pb4u.training.packed_data import save_training_data
+    from pb4u.training.presets import training_preset
+
+    if out.suffix.lower() != ".npz":
+        raise InputError(f"A training pack is an .npz; {out} ends otherwise.")
+    if not out.parent.is_dir():
+        raise InputError(f"The folder {out.parent} does not exist; make it first.")
+    configuration = with_settings(training_preset(preset), set_ or ())
+    with progress_bar("pack") as progress:
+        data = collect(configuration.data, recordings, configuration.seed, progress)
+    save_training_data(data, out)
+    print(
+        f"{out}: {len(data.bodies)} bodies, {len(data.outfits)} garments, {len(data.clips)} clips, "
+        f"{out.stat().st_size / 1e6:.1f} MB; train with `python -m pb4u.training --pack {out.name} --out RUN`."
+    )
 
 
 @group.command("bake")

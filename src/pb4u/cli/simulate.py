@@ -97,7 +97,7 @@ def simulate(
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="File to write, repeatable; the suffix chooses the format. Default: GARMENT_MOTION.npz, .gif here.",
+            help="File to write, repeatable; the suffix chooses the format. Default: GARMENT_MOTION.npz, .glb, .mp4.",
         ),
     ] = None,
     json: Annotated[
@@ -146,7 +146,7 @@ def _default_targets(garment: str, motion: str, quiet: bool) -> list[Path]:
     from importlib.util import find_spec
 
     stem = f"{Path(garment).stem}_{Path(motion).stem}"
-    suffixes = [".npz", ".gif", ".png"] + ([".mp4"] if find_spec("cv2") else [])
+    suffixes = [".npz", ".glb", ".png", ".mp4" if find_spec("cv2") else ".gif"]
     targets = [Path(stem + suffix) for suffix in suffixes]
     if not quiet:
         print(f"Writing {', '.join(str(t) for t in targets)}")

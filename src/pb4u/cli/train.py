@@ -1,0 +1,51 @@
+"""`pb4u train`: a network from the physics alone, in a folder that it can always go on from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pb4u.cli.console import write_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("train")(train)
+
+
+def train(
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            help="Which training: small (two cores), paper (an accelerator), smoke (seconds). Default: small."
+        ),
+    ] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Optimiser steps; default the preset's own number.")] = None,
+    minutes: Annotated[float | None, typer.Option(help="Wall time in minutes, instead of steps or besides.")] = None,
+    out: Annotated[Path | None, typer.Option(help="New folder to keep the training in.")] = None,
+    resume: Annotated[Path | None, typer.Option(help="Folder of a training to go on with, instead of --out.")] = None,
+    pack: Annotated[
+        Path | None, typer.Option(help="Training data that `pb4u assets pack` wrote; default: made from the preset.")
+    ] = None,
+    recordings: Annotated[
+        Path | None,
+        typer.Option(help="Folder of CMU recordings to train on as well, SUBJECT/TRIAL.amc beside SUBJECT.asf."),
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Replace a field of the preset, as in network.width=64."),
+    ] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    json: Annotated[str | None, typer.Option(help="Write how it ended as JSON to a file, or '-'.")] = None,
+) -> None:
+    """Train a network. Killed at any instant it goes on with --resume; an interrupt saves and ends."""
+    from pb4u.training.session import Request
+    from pb4u.training.session import train as run
+
+    result = run(Request(preset, steps, minutes, out, resume, pack, recordings, tuple(set_ or ()), device))
+    if json:
+        write_json(result, json)
+    if json != "-":
+        print(result["sentence"] + (f" Weights: {result['weights']}" if result["weights"] else ""))
