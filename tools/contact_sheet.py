@@ -17,7 +17,7 @@ from pb4u.export.picture import View, render
 from pb4u.export.selection import select_frames
 from pb4u.garment.library import garment_names
 
-MOMENTS = (("walk", 12), ("arms", 20), ("squat", 22))
+MOMENTS = (("walk", 4), ("arms", 12), ("squat", 14))
 """A motion and the frame of it that is drawn."""
 
 COLOURS = (
@@ -31,7 +31,7 @@ def draw_row(garment: str, colour: tuple[float, float, float], model: str, trian
     pictures = []
     for body in ("woman", "man"):
         for motion, moment in MOMENTS:
-            scene = make_scene(garment, body, motion, triangles=triangles, frames=moment + 1, lead_in=15)
+            scene = make_scene(garment, body, motion, triangles=triangles, frames=moment + 1, lead_in=12)
             trajectory = load_simulator(model).simulate(scene)
             last = select_frames(trajectory, (trajectory.frame_count - 1, trajectory.frame_count), 1)
             view = View(width=size * 3 // 4, height=size, cloth=colour, azimuth=0.0)

@@ -41,7 +41,7 @@ def measure(
 
     Args:
         trajectory: frames as written; the energies of a frame are those of the step that led to it. The first frame
-            counts as reached in free flight, so its inertia is 0.
+            has none and is judged standing still: its inertia and friction are 0.
         skinned: (frames, 3) centre of mass [m] where skinning alone would put the garment; without it falling off
             is not judged.
         progress: called with (frames done, frames in all).
@@ -133,10 +133,8 @@ class _Ruler:
         return ours, paper
 
     def _before(self, t: int, x: Tensor) -> tuple[State, ColliderFrame]:
-        """The state and bodies that the step to frame t started from."""
-        velocity = torch.from_numpy(np.array(self.trajectory.velocities[max(t - 1, 0)], dtype=np.float64))
-        velocity = torch.nan_to_num(velocity)
-        before = self._garment(t - 1) if t else x - self.dt * velocity
+        """The state and bodies that the step to frame t started from; frame 0 is judged standing still."""
+        before, velocity = (x, torch.zeros_like(x)) if t == 0 else (self._garment(t - 1), self._velocity(t - 1))
         previous, now, following = (self._body(max(s, 0)) for s in (t - 2, t - 1, t))
         collider = ColliderFrame(
             previous, now, following, self.body_faces, self.body_contact, self.body_owner, self.ground
@@ -145,6 +143,9 @@ class _Ruler:
 
     def _garment(self, t: int) -> Tensor:
         return torch.from_numpy(np.array(self.trajectory.positions[t], dtype=np.float64))
+
+    def _velocity(self, t: int) -> Tensor:
+        return torch.nan_to_num(torch.from_numpy(np.array(self.trajectory.velocities[t], dtype=np.float64)))
 
     def _body(self, t: int) -> Tensor:
         return torch.from_numpy(np.array(self.trajectory.body_positions[t], dtype=np.float64))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
 
 import torch
 from torch import Tensor
@@ -35,15 +37,21 @@ def nearest_within(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tupl
     """The nearest `targets` (n, 3) of each of `points` (m, 3) [m].
 
     Returns indices (m, neighbours) int64, nearest first, and whether each lies within the radius; absent ones index 0.
-    A tree on the CPU, exact distances in chunks on an accelerator.
+    A tree on the CPU, exact distances in chunks on an accelerator and without scipy.
     """
     count, neighbours = points.shape[0], rule.neighbours
     if targets.shape[0] == 0:
         index = torch.zeros(count, neighbours, dtype=torch.int64, device=points.device)
         return index, torch.zeros_like(index, dtype=torch.bool)
-    if points.device.type == "cpu":
+    if points.device.type == "cpu" and _has_scipy():
         return _nearest_by_tree(points, targets, rule)
     return _nearest_by_chunks(points, targets, rule)
+
+
+@cache
+def _has_scipy() -> bool:
+    """Whether the tree is installed; machines that only train make do without."""
+    return find_spec("scipy") is not None
 
 
 def _nearest_by_tree(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:

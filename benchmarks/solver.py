@@ -1,0 +1,234 @@
+"""The implicit solver on built-in garments: iterations, milliseconds, strain, penetration, and how the energy falls.
+
+    python benchmarks/solver.py --garments tshirt,dress --triangles 2500,11000,25000 --motion walk --frames 10
+
+Prints a table of rollouts, then the energy above its floor against iterations and milliseconds from a ballistic
+start, for the solver and for L-BFGS preconditioned by mass and Laplacian factorised once; saves both as a plot.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse.linalg import splu
+from torch import Tensor
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.library import load_body
+from pb4u.garment.dressing import SkinnedPlacement
+from pb4u.garment.library import build_garment
+from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
+from pb4u.motion.library import load_motion
+from pb4u.physics.contact_response import ContactResponse
+from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.solver import Progress, Solver
+from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
+from pb4u.scene.state import State
+
+DT = 1.0 / 30.0
+SETTLING_STEPS = 6
+
+
+class Case:
+    """A garment on a moving body."""
+
+    def __init__(self, garment: str, triangles: int, motion: str, frames: int) -> None:
+        body = load_body("woman")
+        assert isinstance(body, ShapedBody)
+        posed = body.posed(load_motion(motion).poses(body, 30.0, frames + 1))
+        made = build_garment(garment, body, triangles)
+        self.garments: PackedGarments = pack([made])
+        self._body = posed.positions(0, frames + 1).double()
+        skinned = SkinnedPlacement(made, posed).positions(0, 2).double()
+        self.start, self.velocity = skinned[0], (skinned[1] - skinned[0]) / DT
+        self._faces, self._contact = torch.as_tensor(posed.faces), torch.as_tensor(posed.contact)
+
+    def collider(self, frame: int, following: int) -> ColliderFrame:
+        owner = torch.zeros(len(self._contact), dtype=torch.int64)
+        body = self._body
+        return ColliderFrame(body[max(frame - 1, 0)], body[frame], body[following], self._faces, self._contact, owner)
+
+    def step(self, state: State) -> StepPotential:
+        return IncrementalPotential().prepare(self.garments, state, self.collider(state.frame, state.frame + 1), DT)
+
+    def settled(self, solver: Solver) -> State:
+        x, still = self.start, torch.zeros_like(self.start)
+        for _ in range(SETTLING_STEPS):
+            step = IncrementalPotential().prepare(self.garments, State(x, still, 0), self.collider(0, 0), 1.0 / 3.0)
+            x = solver.refine(step, x, 12).positions
+        return State(x, self.velocity, 0)
+
+
+def roll_out(case: Case, frames: int) -> tuple[list[dict[str, float]], State]:
+    """Measurements of each frame, and the state before the last."""
+    solver, response = Solver(), ContactResponse()
+    state = before = case.settled(solver)
+    rows = []
+    for _ in range(frames):
+        began, cpu_began = time.perf_counter(), time.process_time()
+        step = case.step(state)
+        solution = solver.minimise(step, state.positions + DT * state.velocities)
+        moved = State(solution.positions, (solution.positions - state.positions) / DT, state.frame + 1)
+        frame = case.collider(state.frame, state.frame + 1)
+        answered, _ = response.respond(case.garments, moved, frame, DT, state)
+        spent, cpu = time.perf_counter() - began, time.process_time() - cpu_began
+        before, state = state, answered
+        effort = {
+            "iterations": solution.iterations,
+            "converged": solution.converged,
+            "ms": 1e3 * spent,
+            "cpu_ms": 1e3 * cpu,
+        }
+        rows.append({**effort, **measures(case, step, answered.positions)})
+    return rows, before
+
+
+def measures(case: Case, step: StepPotential, x: Tensor) -> dict[str, float]:
+    planes = step.contact_at(x)
+    assert planes is not None
+    strain = face_strains(x, case.garments.faces, case.garments.inverse_rest_shape)
+    depth = torch.where(planes.touchable, -planes.distance, 0.0)
+    return {
+        "strain_p95": float(weighted_percentile(strain, case.garments.face_areas, 95.0)),
+        "penetration_percent": 100.0 * float((depth > 1e-3).double().mean()),
+        "depth_mm": 1e3 * max(0.0, float(depth.max())),
+        **step.energies(x).floats(),
+    }
+
+
+def newton_curve(step: StepPotential, start: Tensor, iterations: int) -> tuple[list[float], list[float]]:
+    totals, times = [], []
+    began = time.perf_counter()
+
+    def watch(progress: Progress) -> None:
+        totals.append(progress.total)
+        times.append(1e3 * (time.perf_counter() - began))
+
+    Solver(max_iterations=iterations).minimise(step, start, watch=watch)
+    return totals, times
+
+
+def quasi_newton_curve(
+    step: StepPotential, start: Tensor, iterations: int, memory: int = 8
+) -> tuple[list[float], list[float]]:
+    """L-BFGS with (mass / dt^2 + membrane Laplacian) factorised once; contacts are looked up every ten iterations."""
+    garments = step.step.garments
+    factor = splu(csc_matrix(_laplacian(garments, step.step.dt)))
+    x, began = start, time.perf_counter()
+    frozen = step.with_contact_at(x)
+    energies, gradient = frozen.energies_and_gradient(x)
+    totals, times = [float(energies.total)], [0.0]
+    pairs: list[tuple[Tensor, Tensor]] = []
+    for k in range(iterations):
+        if k % 10 == 9:
+            frozen, pairs = step.with_contact_at(x), []
+            energies, gradient = frozen.energies_and_gradient(x)
+        direction, alphas = -gradient, []
+        for s, y in reversed(pairs):
+            alphas.append(float((s * direction).sum() / (s * y).sum()))
+            direction = direction - alphas[-1] * y
+        direction = torch.from_numpy(factor.solve(direction.numpy()))
+        for (s, y), a in zip(pairs, reversed(alphas), strict=True):
+            direction = direction + (a - float((y * direction).sum() / (s * y).sum())) * s
+        slope, total, length = float((gradient * direction).sum()), float(energies.total), 1.0
+        while length > 1e-6:
+            if float(frozen.energies(x + length * direction).total) <= total + 1e-4 * length * slope:
+                break
+            length *= 0.5
+        moved = x + length * direction
+        energies, new_gradient = frozen.energies_and_gradient(moved)
+        pair = moved - x, new_gradient - gradient
+        if float((pair[0] * pair[1]).sum()) > 0:
+            pairs = [*pairs, pair][-memory:]
+        x, gradient = moved, new_gradient
+        totals.append(float(energies.total))
+        times.append(1e3 * (time.perf_counter() - began))
+    return totals, times
+
+
+def _laplacian(garments: PackedGarments, dt: float) -> coo_matrix:
+    edges, count = garments.edges.numpy(), garments.vertex_count
+    stiffness = float((garments.lame_mu * garments.thickness).mean()) * 2.0
+    a, b = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
+    degree = np.bincount(a, minlength=count) * stiffness + garments.vertex_masses.numpy() / dt**2
+    rows, columns = np.concatenate([a, np.arange(count)]), np.concatenate([b, np.arange(count)])
+    return coo_matrix((np.concatenate([np.full(len(a), -stiffness), degree]), (rows, columns)), shape=(count, count))
+
+
+def plot(curves: dict[str, tuple[list[float], list[float]]], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), sharey=True)
+    for name, (totals, times) in curves.items():
+        floor = min(min(t) for n, (t, _) in curves.items() if n.split(",")[0] == name.split(",")[0])
+        above = np.maximum(np.asarray(totals) - floor, 1e-9)
+        axes[0].semilogy(above, label=name)
+        axes[1].semilogy(times, above, label=name)
+    axes[0].set(xlabel="iterations", ylabel="energy above the floor [J]")
+    axes[1].set(xlabel="milliseconds")
+    axes[0].legend(fontsize=7)
+    figure.tight_layout()
+    figure.savefig(path, dpi=130)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--garments", default="tshirt,dress")
+    parser.add_argument("--triangles", default="2500,11000,25000")
+    parser.add_argument("--motion", default="walk")
+    parser.add_argument("--frames", type=int, default=10)
+    parser.add_argument("--curve-iterations", type=int, default=100, help="iterations of the curves; 0 leaves them out")
+    parser.add_argument(
+        "--out", type=Path, default=Path("solver_benchmark"), help="folder for the plot and the numbers"
+    )
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    names = [
+        "iterations",
+        "converged",
+        "ms",
+        "cpu_ms",
+        "strain_p95",
+        "penetration_percent",
+        "depth_mm",
+        "stretch",
+        "bending",
+        "collision",
+    ]
+    names += ["friction", "inertia"]
+    print(f"{'':>18} " + " ".join(f"{n[:11]:>11}" for n in names))
+    curves: dict[str, tuple[list[float], list[float]]] = {}
+    results = {}
+    for garment in options.garments.split(","):
+        for triangles in map(int, options.triangles.split(",")):
+            case = Case(garment, triangles, options.motion, options.frames)
+            rows, before = roll_out(case, options.frames)
+            label = f"{garment} {triangles}"
+            results[label] = rows
+            summary = [f"{np.mean([r[n] for r in rows]):>11.4g}" for n in names]
+            print(f"{label:>18} " + " ".join(summary), flush=True)
+            if options.curve_iterations:
+                step, start = case.step(before), before.positions + DT * before.velocities
+                curves[f"{label}, Newton"] = newton_curve(step, start, options.curve_iterations)
+                curves[f"{label}, L-BFGS"] = quasi_newton_curve(step, start, options.curve_iterations)
+    (options.out / "frames.json").write_text(json.dumps({"frames": results, "curves": curves}))
+    if curves:
+        plot(curves, options.out / "energy.png")
+        for name, (totals, times) in curves.items():
+            floor = min(min(t) for n, (t, _) in curves.items() if n.split(",")[0] == name.split(",")[0])
+            picks = [k for k in (1, 5, 10, 30, 100) if k < len(totals)] + [len(totals) - 1]
+            falls = "  ".join(f"{k}: {totals[k] - floor:.2e} J {times[k]:.0f} ms" for k in picks)
+            print(f"{name:>26}  {falls}")
+
+
+if __name__ == "__main__":
+    main()
