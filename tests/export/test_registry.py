@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import resource
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,13 +21,16 @@ from pb4u.scene.trajectory import Trajectory
 DATA_SUFFIXES = [".npz", ".obj", ".pc2", ".mdd", ".usdc", ".usda", ".usdz", ".glb"]
 
 
-@pytest.fixture
+@contextmanager
 def small_disk() -> Iterator[None]:
-    """No file can grow beyond 4 KB, as on a disk that runs full."""
+    """No file can grow beyond 4 KB, as on a disk that runs full; not even a log that the tests print to."""
+    resource = pytest.importorskip("resource", reason="file size limits are a POSIX notion")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def skip_without_usd(suffix: str) -> None:
@@ -57,9 +60,9 @@ def test_an_absent_folder_and_a_folder_in_the_way_are_refused(tmp_path: Path, su
 
 
 @pytest.mark.parametrize("suffix", DATA_SUFFIXES)
-def test_a_full_disk_leaves_nothing(trajectory: Trajectory, tmp_path: Path, small_disk: None, suffix: str) -> None:
+def test_a_full_disk_leaves_nothing(trajectory: Trajectory, tmp_path: Path, suffix: str) -> None:
     skip_without_usd(suffix)
-    with pytest.raises(InputError, match="Cannot write"):
+    with small_disk(), pytest.raises(InputError, match="Cannot write"):
         export(trajectory, tmp_path / f"walk{suffix}")
     assert list(tmp_path.iterdir()) == []
 
