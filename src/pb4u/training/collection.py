@@ -1,0 +1,121 @@
+"""Makes training data from the built-in bodies, garments and motions, and from a folder of recordings."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.library import body_names, load_body
+from pb4u.errors import InputError, InputWarning
+from pb4u.garment.library import build_garment
+from pb4u.garment.weight_cache import garment_weights
+from pb4u.motion.library import load_motion, motion_names
+from pb4u.motion.motion import Motion
+from pb4u.scene.catalogue import RECORDINGS, SEEDS
+from pb4u.training.configuration import DataSelection
+from pb4u.training.packed_data import Clip, Outfit, TrainingData, rounded_poses
+
+Progress = Callable[[int, int], None]
+
+
+def collect(
+    selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress | None = None
+) -> TrainingData:
+    """The data that `selection` describes.
+
+    Args:
+        selection: garments, bodies and motions.
+        recordings: folder of CMU files, SUBJECT/TRIAL.amc; those of the training and validation splits are taken.
+        seed: of body shapes and of the choice of clips.
+        progress: called with (parts made, parts in all).
+
+    Raises InputError for an unknown name, or a folder without any of the recordings.
+    """
+    rng = np.random.default_rng([seed, 17])
+    bodies = _bodies(selection, rng)
+    total = len(bodies) * (len(selection.garments) * len(selection.triangles) + 1)
+    done = 0
+    trials = {} if recordings is None else _trials(recordings)
+    outfits, clips = [], []
+    for index, body in enumerate(bodies):
+        for name in selection.garments:
+            for triangles in selection.triangles:
+                garment = build_garment(name, body, triangles)
+                outfits.append(Outfit(garment, garment_weights(garment, body), index))
+                done += 1
+                if progress:
+                    progress(done, total)
+        clips += _built_in_clips(selection, body, index, rng)
+        for split, motions in trials.items():
+            clips += [_clip(motion, motion.name, split, body, index, selection.fps) for motion in motions]
+        done += 1
+        if progress:
+            progress(done, total)
+    return TrainingData(tuple(bodies), tuple(outfits), tuple(clips))
+
+
+def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBody]:
+    """So many shapes, taking the bodies in turn; the first of each is its default."""
+    unknown = sorted(set(selection.bodies) - set(body_names()))
+    if unknown:
+        raise InputError(f"Training is on built-in bodies, {', '.join(body_names())}; {unknown[0]!r} is none.")
+    bodies = []
+    for i in range(selection.shapes):
+        name = selection.bodies[i % len(selection.bodies)]
+        drawn: dict[str, float] = {}
+        default = load_body(name)
+        if not isinstance(default, ShapedBody):
+            raise InputError(f"{name} is a sequence of vertices; training needs bodies with bones.")
+        if i >= len(selection.bodies):
+            drawn = {key: float(np.round(rng.uniform(0.1, 0.9), 3)) for key in default.shape}
+        shaped = load_body(name, drawn)
+        assert isinstance(shaped, ShapedBody)
+        bodies.append(shaped)
+    return bodies
+
+
+def _built_in_clips(selection: DataSelection, body: ShapedBody, index: int, rng: np.random.Generator) -> list[Clip]:
+    unknown = sorted(set(selection.motions) - set(motion_names()))
+    if unknown:
+        raise InputError(f"There is no built-in motion {unknown[0]!r}; there are {', '.join(motion_names())}.")
+    if not selection.motions:
+        return []
+    clips = []
+    offset = int(rng.integers(len(selection.motions)))
+    for split, count in (("train", selection.clips), ("validation", min(selection.clips, len(selection.motions)))):
+        for i in range(count):
+            name = selection.motions[(offset + i) % len(selection.motions)]
+            seed = int(rng.choice(list(SEEDS[split])))
+            start = int(rng.integers(0, 60)) if split == "train" else 0
+            poses = load_motion(name, seed=seed).poses(body, selection.fps, selection.clip_frames, start)
+            clips.append(Clip(f"{name}-{seed}", split, index, rounded_poses(poses)))
+    return clips
+
+
+def _trials(folder: Path) -> dict[str, list[Motion]]:
+    found: dict[str, list[Motion]] = {}
+    missing = 0
+    for split in ("train", "validation"):
+        for trial in RECORDINGS[split]:
+            file = folder / trial.split("_")[0] / f"{trial}.amc"
+            if file.is_file():
+                found.setdefault(split, []).append(load_motion(file))
+            else:
+                missing += 1
+    if "train" not in found:
+        raise InputError(
+            f"The folder {folder} holds none of the recordings of the catalogue, such as "
+            f"{RECORDINGS['train'][0].split('_')[0]}/{RECORDINGS['train'][0]}.amc."
+        )
+    if missing:
+        warnings.warn(f"{missing} recordings of the catalogue are not in {folder}.", InputWarning, stacklevel=3)
+    return found
+
+
+def _clip(motion: Motion, name: str, split: str, body: ShapedBody, index: int, fps: float) -> Clip:
+    frames = motion.available_frames(fps) or 1
+    return Clip(name, split, index, rounded_poses(motion.poses(body, fps, frames)))

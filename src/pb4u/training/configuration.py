@@ -1,0 +1,213 @@
+"""Everything that decides a training, as one typed record; as JSON, and with single fields replaced by name."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from difflib import get_close_matches
+from typing import Any
+
+from pb4u.errors import InputError
+from pb4u.model.pb4u_gnet import Pb4uConfiguration
+from pb4u.simulation.network_configuration import (
+    NetworkConfiguration,
+    configuration_from_json,
+    configuration_to_json,
+)
+from pb4u.training.curriculum import Curriculum
+
+AFTER_SETTLING = ("skinned", "zero", "carried")
+
+
+@dataclass(frozen=True)
+class DataSelection:
+    """What there is to train on.
+
+    Args:
+        garments: names of built-in garments.
+        triangles: triangle counts of each.
+        bodies: names of built-in bodies.
+        shapes: body shapes, the first of each body its default and the others drawn.
+        motions: names of built-in motions; none for recordings alone.
+        clips: clips for each body shape, drawn from the built-in motions and their seeds, besides the recordings.
+        clip_frames: length of a built-in clip [frames].
+        fps: frames per second.
+    """
+
+    garments: tuple[str, ...] = ("tshirt", "tanktop", "longsleeve", "dress")
+    triangles: tuple[int, ...] = (11000,)
+    bodies: tuple[str, ...] = ("woman", "man")
+    shapes: int = 6
+    motions: tuple[str, ...] = ("walk", "run", "jump", "arms", "twist", "squat", "turn", "dance")
+    clips: int = 48
+    clip_frames: int = 90
+    fps: float = 30.0
+
+    def __post_init__(self) -> None:
+        if not self.garments or not self.triangles or not self.bodies:
+            raise InputError("A training needs at least one garment, one triangle count and one body.")
+        if self.shapes < 1 or self.clips < 0 or self.clip_frames < 8 or not 1.0 <= self.fps <= 1000.0:
+            raise InputError(
+                "A training needs 1 body shape or more, 0 clips or more, clips of 8 frames or more and 1 to 1000 fps."
+            )
+
+
+@dataclass(frozen=True)
+class MaterialSampling:
+    """Ranges that materials are drawn from (reference 1.7); bending and mu evenly in their logarithm.
+
+    Args:
+        density: [kg/m^2]. lame_mu: [Pa]. lame_lambda: [Pa]. bending: [J].
+    """
+
+    density: tuple[float, float] = (0.0434, 0.7)
+    lame_mu: tuple[float, float] = (15909.0, 63636.0)
+    lame_lambda: tuple[float, float] = (3535.41, 93333.74)
+    bending: tuple[float, float] = (6.3708e-8, 1.31397e-3)
+
+    def __post_init__(self) -> None:
+        if any(not 0.0 < low <= high for low, high in asdict(self).values()):
+            raise InputError("Each material range must be a lowest and a highest value above 0.")
+
+
+@dataclass(frozen=True)
+class TrainingConfiguration:
+    """A complete training.
+
+    Args:
+        network: what is trained.
+        data: what it is trained on.
+        curriculum: what changes on the way.
+        material: what cloths.
+        batch: windows trained on together, over all devices.
+        seed: of the weights and of every sample.
+        noise: standard deviation added to the positions, and to those a frame before, of a window's start [m].
+        clearance: distance to the body that start positions are pushed out to [m].
+        most_propagation_steps: K is drawn from 1 to this at every step; 0 leaves it to the resolution.
+        after_settling: velocity after the settling step: "skinned", "zero", or "carried" as the family's code has it.
+        statistics_windows: windows whose statistics normalise the features.
+        gradient_norm: longest gradient.
+        ema_decay: of the averaged weights, which are what a training is for.
+        log_every, checkpoint_every, validate_every: optimiser steps between lines, checkpoints and validations.
+        validation_clips: clips rolled out by a validation.
+        validation_frames: frames of each.
+        patience: validations without improvement after which the training stops; 0 never stops it.
+    """
+
+    network: NetworkConfiguration = field(default_factory=Pb4uConfiguration)
+    data: DataSelection = field(default_factory=DataSelection)
+    curriculum: Curriculum = field(default_factory=Curriculum)
+    material: MaterialSampling = field(default_factory=MaterialSampling)
+    batch: int = 1
+    seed: int = 0
+    noise: float = 3e-3
+    clearance: float = 2e-3
+    most_propagation_steps: int = 28
+    after_settling: str = "skinned"
+    statistics_windows: int = 100
+    gradient_norm: float = 1.0
+    ema_decay: float = 0.999
+    log_every: int = 100
+    checkpoint_every: int = 1000
+    validate_every: int = 2000
+    validation_clips: int = 4
+    validation_frames: int = 40
+    patience: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("batch", "statistics_windows", "log_every", "checkpoint_every", "validate_every"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} must be 1 or more, not {getattr(self, name)}.")
+        for name in ("noise", "clearance", "most_propagation_steps", "patience", "seed"):
+            if getattr(self, name) < 0:
+                raise InputError(f"{name} must not be below 0, but is {getattr(self, name)}.")
+        if self.after_settling not in AFTER_SETTLING:
+            raise InputError(f"after_settling is one of {', '.join(AFTER_SETTLING)}, not {self.after_settling!r}.")
+        if self.validation_clips < 1 or self.validation_frames < 2:
+            raise InputError("A validation needs 1 clip or more of 2 frames or more.")
+        if not (self.gradient_norm > 0 and 0.0 <= self.ema_decay < 1.0):
+            raise InputError("gradient_norm must be above 0 and ema_decay from 0 up to, not including, 1.")
+
+
+_PARTS: dict[str, type] = {"data": DataSelection, "curriculum": Curriculum, "material": MaterialSampling}
+
+
+def training_to_json(configuration: TrainingConfiguration) -> dict[str, Any]:
+    """`configuration` as plain JSON data."""
+    record = {entry.name: getattr(configuration, entry.name) for entry in fields(configuration)}
+    record["network"] = configuration_to_json(configuration.network)
+    return record | {name: asdict(record[name]) for name in _PARTS}
+
+
+def training_from_json(record: Any) -> TrainingConfiguration:
+    """The configuration that `training_to_json` wrote. Raises InputError where it is none."""
+    try:
+        given = dict(record)
+        given["network"] = configuration_from_json(given["network"])
+        for name, kind in _PARTS.items():
+            given[name] = kind(**{key: _tuples(value) for key, value in given[name].items()})
+        return TrainingConfiguration(**given)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"The configuration of the training cannot be read: {error}") from error
+
+
+def with_settings(configuration: TrainingConfiguration, settings: Sequence[str]) -> TrainingConfiguration:
+    """`configuration` with fields replaced by `KEY=VALUE` texts, such as batch=2 or curriculum.learning_rate=1e-3.
+
+    Raises InputError for an unknown key, with those near it, or a value of another type.
+    """
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals:
+            raise InputError(f"--set takes KEY=VALUE, such as batch=2; {setting!r} has no =.")
+        configuration = _replaced(configuration, key.strip(), key.strip().split("."), text.strip())
+    return configuration
+
+
+def _replaced(record: Any, key: str, path: list[str], text: str) -> Any:
+    name, rest = path[0], path[1:]
+    names = [entry.name for entry in fields(record)]
+    if name not in names:
+        near = get_close_matches(name, names, n=3) or names
+        raise InputError(f"There is no setting {key}; near {name!r} are {', '.join(near)}.")
+    value = getattr(record, name)
+    if is_dataclass(value):
+        if not rest:
+            inside = ", ".join(f"{key}.{entry.name}" for entry in fields(value))
+            raise InputError(f"{key} has parts; set one of {inside}.")
+        return replace(record, **{name: _replaced(value, key, rest, text)})
+    if rest:
+        raise InputError(f"There is no setting {key}; {name} has no parts.")
+    return replace(record, **{name: _parsed(key, value, text)})
+
+
+def _parsed(key: str, present: Any, text: str) -> Any:
+    """`text` as a value of the type of `present`."""
+    if isinstance(present, str):
+        return text
+    try:
+        value = _tuples(ast.literal_eval(text))
+    except (ValueError, SyntaxError):
+        value = text
+    if isinstance(present, tuple):
+        if isinstance(value, str):
+            value = tuple(part.strip() for part in value.split(","))
+        elif not isinstance(value, tuple):
+            value = (value,)
+        wanted = {type(entry) for entry in present}
+        if value and (not wanted or all(_fits(entry, wanted) for entry in value)):
+            return value
+    elif isinstance(value, int) and not isinstance(value, bool) and isinstance(present, float):
+        return float(value)
+    elif type(value) is type(present):
+        return value
+    raise InputError(f"{key} is {present!r} by default; {text!r} is of another kind.")
+
+
+def _fits(value: Any, wanted: set[type]) -> bool:
+    return type(value) in wanted or (isinstance(value, int) and not isinstance(value, bool) and float in wanted)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(entry) for entry in value) if isinstance(value, (list, tuple)) else value

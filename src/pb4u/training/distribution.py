@@ -1,0 +1,97 @@
+"""One process or several, each with its share of every batch; the model knows nothing of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+import torch.distributed as torch_distributed
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
+
+from pb4u.errors import InputError
+from pb4u.nn.acceleration_model import AccelerationModel
+
+
+@dataclass(frozen=True)
+class Workers:
+    """The processes of a training.
+
+    Args:
+        rank: of this one. count: of all. device: that this one computes on.
+    """
+
+    rank: int
+    count: int
+    device: torch.device
+
+    @property
+    def leads(self) -> bool:
+        """Whether this process writes files and speaks."""
+        return self.rank == 0
+
+    def share(self, batch: int) -> slice:
+        """This process's samples of a batch. Raises InputError where it cannot be divided."""
+        if batch % self.count:
+            raise InputError(f"A batch of {batch} cannot be shared by {self.count} processes; set batch to a multiple.")
+        size = batch // self.count
+        return slice(self.rank * size, (self.rank + 1) * size)
+
+    def distributed(self, model: nn.Module) -> nn.Module:
+        """`model` with gradients averaged over processes; parameters a batch leaves unused count as zero."""
+        if self.count == 1:
+            return model
+        return DistributedDataParallel(model, broadcast_buffers=False, find_unused_parameters=True)
+
+    def mean(self, values: Tensor) -> Tensor:
+        """`values` averaged over processes."""
+        return self.sum(values) / self.count
+
+    def sum(self, values: Tensor) -> Tensor:
+        """`values` added over processes."""
+        if self.count > 1:
+            values = values.clone()
+            torch_distributed.all_reduce(values)
+        return values
+
+    def agreed(self, flag: bool) -> bool:
+        """Whether any process says so; all get the same answer."""
+        return bool(self.sum(torch.tensor(float(flag), device=self.device)) > 0)
+
+    def reduce_statistics(self, model: AccelerationModel) -> None:
+        """Give every process the statistics that all have gathered."""
+        for normaliser in model.normalisers():
+            normaliser.sums.copy_(self.sum(normaliser.sums))
+            normaliser.refresh()
+
+
+@contextmanager
+def workers(device: str = "auto") -> Iterator[Workers]:
+    """The processes that `torchrun` started, or this one alone.
+
+    Args:
+        device: "auto", "cpu" or "cuda".
+
+    Raises InputError where an accelerator is asked for and absent.
+    """
+    if device not in ("auto", "cpu", "cuda"):
+        raise InputError(f"The device is auto, cpu or cuda, not {device!r}.")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("There is no CUDA device here; use --device cpu.")
+    accelerated = device != "cpu" and torch.cuda.is_available()
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    rank = int(os.environ.get("RANK", "0"))
+    place = torch.device("cpu")
+    if accelerated:
+        place = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+        torch.cuda.set_device(place)
+    if count > 1:
+        torch_distributed.init_process_group("nccl" if accelerated else "gloo")
+    try:
+        yield Workers(rank, count, place)
+    finally:
+        if count > 1:
+            torch_distributed.destroy_process_group()

@@ -1,0 +1,91 @@
+"""All that a training learns, and how it is changed, kept and brought back: weights, averages, Adam's moments."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pb4u.errors import InputError
+from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.training.configuration import TrainingConfiguration
+from pb4u.training.distribution import Workers
+from pb4u.training.moving_average import MovingAverage
+
+
+class Learner:
+    """A model in training.
+
+    Args:
+        configuration: the network, its seed and how it is trained. workers: this process and the others.
+
+    Attributes:
+        model: the network between its normalisers. network: what to call in its place, so that gradients are shared.
+    """
+
+    def __init__(self, configuration: TrainingConfiguration, workers: Workers) -> None:
+        torch.manual_seed(configuration.seed)
+        self.model = AccelerationModel(configuration.network.network()).to(workers.device)
+        self.network = workers.distributed(self.model)
+        self.optimiser = torch.optim.Adam(self.model.parameters(), lr=configuration.curriculum.learning_rate)
+        self.average = MovingAverage(self.model, configuration.ema_decay)
+        self.longest = configuration.gradient_norm
+
+    def gradient(self, loss: Tensor) -> float:
+        """Find the gradient of `loss`, at most so long, and return how long it was; the same in every process."""
+        self.optimiser.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        return float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.longest))
+
+    def step(self, rate: float, number: int) -> None:
+        """Take optimiser step `number`, counted from 1, at a learning rate."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        self.optimiser.step()
+        self.average.update(self.model, number)
+
+    def state(self, exact: bool = True) -> dict[str, Tensor]:
+        """Copies of weights, statistics, averaged weights and moments, by name.
+
+        Unless `exact`, moments are rounded to bfloat16: it has the range of float32, and 8 bits of a mean gradient, and
+        of the root of a mean square, are safe.
+        """
+        tensors = {f"model/{name}": value.clone() for name, value in self.model.state_dict().items()}
+        tensors |= {f"average/{name}": value.clone() for name, value in self.average.values.items()}
+        for name, parameter in self.model.named_parameters():
+            state = self.optimiser.state.get(parameter)
+            if not state:
+                continue
+            tensors[f"taken/{name}"] = state["step"].clone()
+            if exact:
+                tensors[f"mean/{name}"] = state["exp_avg"].clone()
+                tensors[f"square/{name}"] = state["exp_avg_sq"].clone()
+            else:
+                tensors[f"mean/{name}"] = state["exp_avg"].to(torch.bfloat16)
+                tensors[f"root/{name}"] = state["exp_avg_sq"].sqrt().to(torch.bfloat16)
+        return tensors
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Become what `state` gave. Raises InputError where that was of another network."""
+        parts: dict[str, dict[str, Tensor]] = {
+            part: {} for part in ("model", "average", "taken", "mean", "square", "root")
+        }
+        for key, value in tensors.items():
+            part, _, name = key.partition("/")
+            parts.setdefault(part, {})[name] = value
+        try:
+            self.model.load_state_dict(parts["model"])
+            for name, value in self.average.values.items():
+                value.copy_(parts["average"][name])
+        except (RuntimeError, KeyError) as error:
+            raise InputError("The checkpoint is of another network than the configuration beside it.") from error
+        for name, parameter in self.model.named_parameters():
+            self.optimiser.state.pop(parameter, None)
+            if name in parts["mean"]:
+                square = parts["square"].get(name)
+                if square is None:
+                    square = parts["root"][name].to(parameter).square()
+                self.optimiser.state[parameter] = {
+                    "step": parts["taken"][name].cpu().clone(),
+                    "exp_avg": parts["mean"][name].to(parameter, copy=True),
+                    "exp_avg_sq": square.to(parameter, copy=True),
+                }

@@ -1,0 +1,67 @@
+"""What training minimises: the incremental potential of the predicted step, summed over its terms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torch import Tensor, nn
+
+from pb4u.graph.graph import Graph
+from pb4u.nn.acceleration_model import PreparedGarments
+from pb4u.physics.collision import Collision
+from pb4u.physics.incremental_potential import Energies, IncrementalPotential
+from pb4u.physics.integrator import integrate
+from pb4u.scene.state import State
+from pb4u.simulation.network_simulator import local_origin
+from pb4u.simulation.step import Predictor, Situation
+
+REFERENCE_WEIGHT = 5e3
+"""Weight of the collision term at which losses of different times are compared [J/m^3]."""
+
+
+class LearningPredictor(Predictor):
+    """The network's prediction, differentiable with respect to its weights.
+
+    Args:
+        network: called with a graph and the prepared garments; the model itself, or what distributes it.
+        prepared: with the propagation steps of this step.
+    """
+
+    def __init__(self, network: nn.Module, prepared: PreparedGarments) -> None:
+        self.network, self.prepared = network, prepared
+
+    def graph(self, situation: Situation) -> Graph:
+        """What the network sees."""
+        origin = local_origin(situation.collider)
+        return self.prepared.graph(situation.state, situation.collider, situation.dt, origin)
+
+    def predict(self, situation: Situation) -> State:
+        acceleration = self.network(self.graph(situation), self.prepared)
+        return integrate(
+            situation.state, acceleration, situation.dt, situation.garments.pinned, situation.pin_positions
+        )
+
+
+def step_energies(situation: Situation, positions: Tensor, collision_weight: float) -> Energies:
+    """Energies of the step from `situation` to `positions` (vertices, 3) [m], garment by garment; differentiable."""
+    potential = replace(IncrementalPotential(), collision=Collision(weight=collision_weight))
+    prepared = potential.prepare(
+        situation.garments, situation.state, situation.collider, situation.dt, situation.gravity
+    )
+    return prepared.energies(positions)
+
+
+def mean_energies(energies: Energies) -> dict[str, Tensor]:
+    """Every term and their `total`, averaged over the garments."""
+    terms = {name: value.mean() for name, value in energies.terms.items()}
+    return {**terms, "total": energies.total / len(energies.per_garment)}
+
+
+def comparable_total(terms: dict[str, float], collision_weight: float) -> float:
+    """A loss [J] as it would be with collisions at the reference weight."""
+    return terms["total"] - terms["collision"] * (1.0 - REFERENCE_WEIGHT / collision_weight)
+
+
+def strain_energy(terms: dict[str, float], collision_weight: float) -> float:
+    """What of a loss cannot be negative [J]: all but gravity, with collisions at the reference weight."""
+    return comparable_total(terms, collision_weight) - terms["gravity"]

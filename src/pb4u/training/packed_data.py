@@ -1,0 +1,245 @@
+"""What a training machine needs, in memory and as one file: bodies, garments, poses. Vertices are posed there."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.body.skinning import SkinningWeights
+from pb4u.errors import InputError
+from pb4u.garment.garment import Garment
+from pb4u.garment.material import Material
+
+FORMAT_VERSION = 1
+_STEPS = 32767.0
+
+
+@dataclass(frozen=True, eq=False)
+class Outfit:
+    """A garment at one resolution, cut for one body.
+
+    Args:
+        garment: rest shape.
+        weights: its skinning weights.
+        body: index of the body.
+    """
+
+    garment: Garment
+    weights: SkinningWeights
+    body: int
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Poses of one body.
+
+    Args:
+        name: of the motion, with its seed.
+        split: "train" or "validation".
+        body: index of the body.
+        poses: as `rounded_poses` gives them, so that a pack holds them exactly.
+    """
+
+    name: str
+    split: str
+    body: int
+    poses: PoseSequence
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """Everything that training samples are made of.
+
+    Args:
+        bodies: at rest. outfits: what they wear. clips: how they move.
+
+    Raises InputError where a body wears or does nothing, or where a body's poses correct its surface.
+    """
+
+    bodies: tuple[ShapedBody, ...]
+    outfits: tuple[Outfit, ...]
+    clips: tuple[Clip, ...]
+
+    def __post_init__(self) -> None:
+        for index, body in enumerate(self.bodies):
+            if body.pose_offsets is not None:
+                raise InputError(f"{body.name} has correctives of its surface; train on bodies that are skinned alone.")
+            wears = any(outfit.body == index for outfit in self.outfits)
+            if not wears or not any(clip.body == index and clip.split == "train" for clip in self.clips):
+                raise InputError(f"Body {index} ({body.name}) has no garment or no motion to train on.")
+
+    @property
+    def edge_lengths(self) -> tuple[float, float]:
+        """Finest and coarsest mean rest edge length [m]."""
+        lengths = [outfit.garment.mean_edge_length for outfit in self.outfits]
+        return min(lengths), max(lengths)
+
+
+def rounded_poses(poses: PoseSequence) -> PoseSequence:
+    """Poses as a pack stores them, 16 bits for each number of a rotation: within 0.003 degrees, and float32 roots.
+
+    Floating-point halves would be ten times coarser, enough to shake a hand by a third of a millimetre.
+    """
+    return PoseSequence(
+        _fixed_point(poses.rotations) / _STEPS, poses.root_positions.astype(np.float32).astype(np.float64), poses.fps
+    )
+
+
+def _fixed_point(rotations: np.ndarray) -> np.ndarray:
+    return np.rint(rotations * _STEPS).astype(np.int16)
+
+
+def save_training_data(data: TrainingData, path: Path | str) -> None:
+    """Write `data` as a compressed .npz without pickles; it appears whole or not at all.
+
+    Raises InputError where the folder cannot be written.
+    """
+    path = Path(path)
+    header: dict[str, Any] = {"format_version": FORMAT_VERSION, "bodies": [], "outfits": [], "clips": []}
+    arrays: dict[str, np.ndarray] = {}
+    for i, body in enumerate(data.bodies):
+        like = next(j for j, other in enumerate(data.bodies) if j == i or _same_skin(other, body))
+        header["bodies"].append(
+            {
+                "name": body.name,
+                "family": body.family,
+                "shape": dict(body.shape),
+                "lift": body.lift,
+                "bones": list(body.skeleton.names),
+                "skin_of": like,
+            }
+        )
+        arrays |= {f"body{i}.vertices": body.vertices, f"body{i}.joints": body.skeleton.joints}
+        if like == i:
+            arrays |= {
+                f"body{i}.parents": body.skeleton.parents.astype(np.int16),
+                f"body{i}.faces": body.faces.astype(np.int32),
+                f"body{i}.contact": body.contact,
+                **_weight_arrays(f"body{i}", body.weights),
+            }
+    for i, outfit in enumerate(data.outfits):
+        garment = outfit.garment
+        header["outfits"].append(
+            {
+                "name": garment.name,
+                "body": outfit.body,
+                "loose": garment.loose,
+                "material": asdict(garment.material),
+            }
+        )
+        arrays |= {
+            f"outfit{i}.vertices": garment.vertices,
+            f"outfit{i}.faces": garment.faces.astype(np.int32),
+            f"outfit{i}.pinned": garment.pinned,
+            **_weight_arrays(f"outfit{i}", outfit.weights),
+        }
+    for i, clip in enumerate(data.clips):
+        header["clips"].append({"name": clip.name, "split": clip.split, "body": clip.body, "fps": clip.poses.fps})
+        arrays[f"clip{i}.rotations"] = _fixed_point(clip.poses.rotations)
+        arrays[f"clip{i}.roots"] = clip.poses.root_positions.astype(np.float32)
+    arrays["header"] = np.array(json.dumps(header))
+    _write(path, arrays)
+
+
+def _same_skin(a: ShapedBody, b: ShapedBody) -> bool:
+    pairs = (
+        (a.faces, b.faces),
+        (a.contact, b.contact),
+        (a.weights.bones, b.weights.bones),
+        (a.weights.weights, b.weights.weights),
+        (a.skeleton.parents, b.skeleton.parents),
+    )
+    return all(np.array_equal(x, y) for x, y in pairs)
+
+
+def _weight_arrays(prefix: str, weights: SkinningWeights) -> dict[str, np.ndarray]:
+    return {f"{prefix}.bones": weights.bones.astype(np.int16), f"{prefix}.weights": weights.weights}
+
+
+def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with open(beside, "wb") as out:
+            np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
+            out.flush()
+            os.fsync(out.fileno())
+        os.replace(beside, path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise InputError(f"Cannot write {path}: {error.strerror or error}.") from error
+
+
+def load_training_data(path: Path | str) -> TrainingData:
+    """The data in a file that `save_training_data` wrote.
+
+    Raises InputError where the file is absent, cut short, of a newer format or no such file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"There is no training pack {path}; write one with `pb4u assets pack`.")
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        header = json.loads(str(arrays["header"]))
+        if header["format_version"] > FORMAT_VERSION:
+            raise InputError(f"{path} is a training pack of a newer format; upgrade pb4u or write the pack again.")
+        bodies: list[ShapedBody] = []
+        for i, record in enumerate(header["bodies"]):
+            bodies.append(_body(i, record, arrays, bodies))
+        return TrainingData(tuple(bodies), tuple(_outfits(header, arrays)), tuple(_clips(header, arrays)))
+    except (KeyError, TypeError, ValueError, OSError, EOFError, IndexError, zipfile.BadZipFile) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{path} is no whole training pack ({error}); write it again with `pb4u assets pack`."
+        ) from error
+
+
+def _body(i: int, record: dict[str, Any], arrays: dict[str, np.ndarray], before: list[ShapedBody]) -> ShapedBody:
+    like = None if record["skin_of"] == i else before[record["skin_of"]]
+    parents = like.skeleton.parents if like else arrays[f"body{i}.parents"].astype(np.int64)
+    return ShapedBody(
+        name=record["name"],
+        family=record["family"],
+        vertices=arrays[f"body{i}.vertices"],
+        faces=like.faces if like else arrays[f"body{i}.faces"].astype(np.int64),
+        skeleton=Skeleton(tuple(record["bones"]), parents, arrays[f"body{i}.joints"]),
+        weights=like.weights if like else _weights(f"body{i}", arrays),
+        contact=like.contact if like else arrays[f"body{i}.contact"],
+        shape=record["shape"],
+        lift=record["lift"],
+    )
+
+
+def _weights(prefix: str, arrays: dict[str, np.ndarray]) -> SkinningWeights:
+    return SkinningWeights(arrays[f"{prefix}.bones"].astype(np.int64), arrays[f"{prefix}.weights"])
+
+
+def _outfits(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Iterator[Outfit]:
+    for i, record in enumerate(header["outfits"]):
+        garment = Garment(
+            record["name"],
+            arrays[f"outfit{i}.vertices"],
+            arrays[f"outfit{i}.faces"].astype(np.int64),
+            Material(**record["material"]),
+            arrays[f"outfit{i}.pinned"],
+            loose=record["loose"],
+        )
+        yield Outfit(garment, _weights(f"outfit{i}", arrays), int(record["body"]))
+
+
+def _clips(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Iterator[Clip]:
+    for i, record in enumerate(header["clips"]):
+        rotations = arrays[f"clip{i}.rotations"] / _STEPS
+        roots = arrays[f"clip{i}.roots"].astype(np.float64)
+        yield Clip(record["name"], record["split"], int(record["body"]), PoseSequence(rotations, roots, record["fps"]))

@@ -1,0 +1,67 @@
+"""Complete trainings by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from difflib import get_close_matches
+
+from pb4u.errors import InputError
+from pb4u.presets.networks import pb4u_paper, pb4u_small
+from pb4u.training.configuration import DataSelection, TrainingConfiguration
+from pb4u.training.curriculum import Curriculum
+
+paper = TrainingConfiguration(network=pb4u_paper, data=DataSelection(triangles=(11000,)), checkpoint_every=2000)
+"""The paper's own protocol: one low level, windows of up to 5 steps, 450,000 optimiser steps."""
+
+small = TrainingConfiguration(
+    network=pb4u_small,
+    data=DataSelection(triangles=(1200, 2500), shapes=4),
+    curriculum=Curriculum(
+        window_steps=((0.0, 1), (0.05, 2), (0.1, 3), (0.2, 4), (0.3, 5)),
+        collision_weight=((0.0, 5e3), (0.4, 5e3), (1.0, 1e5)),
+        learning_rate=5e-4,
+        halvings=6,
+    ),
+    most_propagation_steps=16,
+    checkpoint_every=500,
+    validate_every=1000,
+    patience=12,
+)
+"""For two processor cores: a narrow network on two levels at once, so that it sees what resolution changes."""
+
+smoke = replace(
+    small,
+    network=replace(pb4u_small, width=16, blocks=1),
+    data=DataSelection(
+        garments=("tshirt",),
+        triangles=(400,),
+        bodies=("woman",),
+        shapes=1,
+        motions=("walk",),
+        clips=1,
+        clip_frames=30,
+    ),
+    most_propagation_steps=3,
+    statistics_windows=4,
+    log_every=5,
+    checkpoint_every=20,
+    validate_every=1000,
+    validation_clips=1,
+    validation_frames=6,
+    patience=0,
+)
+"""Seconds: whether everything is in place."""
+
+TRAININGS: dict[str, TrainingConfiguration] = {"paper": paper, "small": small, "smoke": smoke}
+
+DEFAULT_STEPS = {"paper": 450_000, "small": 60_000, "smoke": 40}
+"""Optimiser steps of each where neither steps nor minutes are asked for."""
+
+
+def training_preset(name: str) -> TrainingConfiguration:
+    """The training called `name`. Raises InputError listing the names."""
+    if name not in TRAININGS:
+        near = get_close_matches(name, TRAININGS, n=2)
+        hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(TRAININGS)}."
+        raise InputError(f"There is no training preset {name!r}; {hint}")
+    return TRAININGS[name]

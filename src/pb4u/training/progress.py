@@ -1,0 +1,120 @@
+"""How a training tells how it goes, and its picture."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pb4u.training.validation import Score
+
+TERMS = ("stretch", "bending", "collision", "gravity", "friction", "inertia")
+
+
+class Reporter:
+    """Prints sentences to standard error, and nothing else: for pipes and files."""
+
+    def progressed(self, step: int, progress: float, seconds: float, means: Mapping[str, float]) -> None:
+        """So many steps were taken; `means` are those of the terms since the last report."""
+
+    def validated(self, step: int, score: Score, best: bool) -> None:
+        """A validation was made."""
+
+    def said(self, sentence: str) -> None:
+        """Something happened that a person should know."""
+        print(f"pb4u: {sentence}", file=sys.stderr)
+
+
+class BarReporter(Reporter):
+    """A bar with the time left and the six terms, on a terminal."""
+
+    def __init__(self, bar: Any, task: Any) -> None:
+        self.bar, self.task = bar, task
+        self.score = ""
+
+    def progressed(self, step: int, progress: float, seconds: float, means: Mapping[str, float]) -> None:
+        terms = "  ".join(f"{name} {means[name]:.2e}" for name in TERMS if name in means)
+        text = f"step {step}  total {means['total']:.2e}, median {means['median']:.2e}  {terms}{self.score}"
+        self.bar.update(self.task, completed=min(progress, 1.0), terms=text)
+
+    def validated(self, step: int, score: Score, best: bool) -> None:
+        self.score = f"  | validation {100 * score.survived:.0f}% {score.energy:.3g} J" + (" best" if best else "")
+
+    def said(self, sentence: str) -> None:
+        self.bar.console.print(f"pb4u: {sentence}")
+
+
+@contextmanager
+def collecting() -> Iterator[Callable[[int, int], None]]:
+    """A bar for the making of training data, where standard error is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True)) as bar:
+        task = bar.add_task("making garments and clips", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def reporter() -> Iterator[Reporter]:
+    """A bar where standard error is a terminal and rich is installed; sentences alone elsewhere."""
+    if not sys.stderr.isatty():
+        yield Reporter()
+        return
+    try:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    except ImportError:
+        yield Reporter()
+        return
+    columns = (BarColumn(20), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[terms]}"))
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        yield BarReporter(bar, bar.add_task("train", total=1.0, terms="gathering statistics"))
+
+
+def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
+    """Draw a run's metrics to a PNG; False where there is nothing to draw or nothing to draw with."""
+    steps = [line for line in lines if "total" in line]
+    if not steps:
+        return False
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        return False
+    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    x = [line["step"] for line in steps]
+    for name in TERMS:
+        if name != "gravity":
+            upper.plot(x, [max(line[name], 1e-9) for line in steps], label=name, linewidth=1)
+    upper.set_yscale("log")
+    upper.set_ylabel("energy of a step [J]")
+    upper.legend(ncols=3, fontsize=8)
+    lower.plot(x, [line["total"] for line in steps], label="mean total", color="grey", linewidth=0.7)
+    lower.plot(
+        x,
+        [line["median"] for line in steps],
+        label="median, collisions at their first weight",
+        color="black",
+        linewidth=1,
+    )
+    lower.set_yscale("symlog")
+    scores = [line for line in lines if line.get("validation") and line["validation"]["energy"] is not None]
+    lower.plot(
+        [line["step"] for line in scores], [line["validation"]["energy"] for line in scores], "o-", label="validation"
+    )
+    for line in lines:
+        if "rollback" in line:
+            lower.axvline(line["step"], color="red", linestyle=":")
+    lower.set_xlabel("optimiser step")
+    lower.set_ylabel("total [J]")
+    lower.legend(fontsize=8)
+    figure.savefig(path, dpi=110)
+    return True

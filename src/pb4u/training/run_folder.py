@@ -1,0 +1,154 @@
+"""The folder of a training: configuration, data, metrics and checkpoints. Killed at any instant, it can go on.
+
+* configuration.json: what is trained, on what, for how long
+* data.npz: the training data, so that it goes on with the same
+* metrics.jsonl: a line every so many steps, and one for each validation and incident
+* last.safetensors: everything a training needs to go on
+* best.safetensors: the averaged weights that did best in validation, as `--model` takes them
+* curve.png: the run at a glance
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from pb4u.errors import InputError
+
+FORMAT_VERSION = 1
+CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
+LAST, BEST, CURVE = "last.safetensors", "best.safetensors", "curve.png"
+
+
+class NotSavedError(InputError):
+    """Something of a run could not be written; what was there before is still whole."""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The files of one training.
+
+    Args:
+        path: the folder.
+    """
+
+    path: Path
+
+    @staticmethod
+    def create(path: Path | str, configuration: dict[str, Any]) -> RunFolder:
+        """A new folder with its configuration.
+
+        Raises InputError where something else is in it, or it cannot be made.
+        """
+        folder = RunFolder(Path(path))
+        if (folder.path / CONFIGURATION).is_file():
+            raise InputError(f"{path} already holds a training; go on with --resume {path}, or give another folder.")
+        if folder.path.exists() and (not folder.path.is_dir() or any(folder.path.iterdir())):
+            raise InputError(f"{path} exists and is no empty folder; give another one for the training.")
+        try:
+            folder.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"Cannot make the folder {path}: {error.strerror or error}.") from error
+        folder.configure(configuration)
+        return folder
+
+    @staticmethod
+    def open(path: Path | str) -> RunFolder:
+        """An existing folder. Raises InputError where it is none of a training."""
+        folder = RunFolder(Path(path))
+        if not (folder.path / CONFIGURATION).is_file():
+            raise InputError(f"{path} is no folder of a training: it has no {CONFIGURATION}.")
+        return folder
+
+    def configure(self, configuration: dict[str, Any]) -> None:
+        """Write the configuration."""
+        record = {"format_version": FORMAT_VERSION, **configuration}
+        self._replace(CONFIGURATION, (json.dumps(record, indent=2) + "\n").encode())
+
+    def configuration(self) -> dict[str, Any]:
+        """What `configure` wrote. Raises InputError where that cannot be read."""
+        path = self.path / CONFIGURATION
+        try:
+            record = json.loads(path.read_text(encoding="utf-8"))
+            version = int(record["format_version"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{path} is not the configuration of a training: {error}.") from error
+        if version > FORMAT_VERSION:
+            raise InputError(f"{path} is of a newer format; upgrade pb4u.")
+        return dict(record)
+
+    @property
+    def data(self) -> Path:
+        return self.path / DATA
+
+    @property
+    def best(self) -> Path:
+        return self.path / BEST
+
+    def save_state(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
+        """Replace the last checkpoint at once. Raises NotSavedError where it cannot be written."""
+        content = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+        self._replace(LAST, save(content, {"pb4u_training": str(FORMAT_VERSION), "counters": json.dumps(counters)}))
+
+    def load_state(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+        """The last checkpoint; None where the training has not come so far. Raises InputError for a foreign file."""
+        path = self.path / LAST
+        if not path.is_file():
+            return None
+        try:
+            with safe_open(path, framework="pt") as file:
+                metadata = file.metadata() or {}
+                counters = json.loads(metadata["counters"])
+                return {key: file.get_tensor(key) for key in file.keys()}, counters  # noqa: SIM118
+        except (SafetensorError, OSError, KeyError, ValueError) as error:
+            raise InputError(f"{path} is no checkpoint of a training ({error}).") from error
+
+    def append_metrics(self, record: dict[str, Any]) -> None:
+        """Add a line. Raises NotSavedError where it cannot be written."""
+        try:
+            with open(self.path / METRICS, "a", encoding="utf-8") as out:
+                out.write(json.dumps(record) + "\n")
+        except OSError as error:
+            raise NotSavedError(f"Cannot write {self.path / METRICS}: {error.strerror or error}.") from error
+
+    def metrics(self) -> list[dict[str, Any]]:
+        """Every whole line."""
+        lines = []
+        with contextlib.suppress(FileNotFoundError):
+            for line in (self.path / METRICS).read_text(encoding="utf-8").splitlines():
+                with contextlib.suppress(ValueError):
+                    lines.append(json.loads(line))
+        return lines
+
+    def forget_metrics_after(self, step: int) -> None:
+        """Drop the lines of steps that will be taken again."""
+        kept = [line for line in self.metrics() if line.get("step", 0) <= step]
+        self._replace(METRICS, "".join(json.dumps(line) + "\n" for line in kept).encode())
+
+    def forget_leftovers(self) -> None:
+        """Delete what a killed process had begun to write."""
+        for name in (CONFIGURATION, DATA, METRICS, LAST, BEST):
+            for leftover in self.path.glob(f".{name}.*"):
+                leftover.unlink(missing_ok=True)
+
+    def _replace(self, name: str, content: bytes) -> None:
+        """Write a file beside and move it into place: it is always the old one or the new one."""
+        path, temporary = self.path / name, self.path / f".{name}.{os.getpid()}"
+        try:
+            with open(temporary, "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(temporary, path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise NotSavedError(f"Cannot write {path}: {error.strerror or error}.") from error

@@ -1,0 +1,190 @@
+"""Begins a training or goes on with one: the same for the command line and for a bare training machine."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from pb4u.errors import InputError
+from pb4u.training.budget import Budget
+from pb4u.training.configuration import (
+    TrainingConfiguration,
+    training_from_json,
+    training_to_json,
+    with_settings,
+)
+from pb4u.training.distribution import Workers, workers
+from pb4u.training.packed_data import TrainingData, load_training_data, save_training_data
+from pb4u.training.presets import DEFAULT_STEPS, training_preset
+from pb4u.training.progress import Reporter, collecting, draw_curve, reporter
+from pb4u.training.run_folder import CURVE, RunFolder
+from pb4u.training.trainer import Trainer
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a user asks for.
+
+    Args:
+        preset: name of a training. steps, minutes: its budget; the preset's own where neither is given.
+        out: new folder to keep it in. resume: folder to go on with, instead.
+        pack: file of training data; collected from the built-in assets without it.
+        recordings: folder of CMU files to train on as well.
+        settings: KEY=VALUE changes of the preset. device: "auto", "cpu" or "cuda".
+    """
+
+    preset: str | None = None
+    steps: int | None = None
+    minutes: float | None = None
+    out: Path | None = None
+    resume: Path | None = None
+    pack: Path | None = None
+    recordings: Path | None = None
+    settings: Sequence[str] = ()
+    device: str = "auto"
+
+
+def train(request: Request) -> dict[str, Any]:
+    """Train as asked; returns how it ended.
+
+    Raises InputError for what cannot be done as asked.
+    """
+    if (request.resume is None) == (request.out is None):
+        raise InputError("Give --out FOLDER for a new training, or --resume FOLDER to go on with one.")
+    begun = None if request.resume is not None else _configured(request)
+    with workers(request.device) as mine:
+        if begun is None:
+            folder, configuration, budget, data = _opened(request)
+        else:
+            folder, configuration, budget, data = _created(request, *begun, mine)
+        with reporter() as told, stop_signals() as stopping:
+            trainer = Trainer(configuration, budget, data, mine, folder, told if mine.leads else _Silent(), stopping)
+            _restore(trainer, folder)
+            ending = trainer.run()
+        if mine.leads:
+            with contextlib.suppress(OSError):
+                draw_curve(folder.metrics(), folder.path / CURVE)
+        return _summary(trainer, folder, ending)
+
+
+def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
+    preset = request.preset or "small"
+    configuration = with_settings(training_preset(preset), request.settings)
+    steps = request.steps
+    if steps is None and request.minutes is None:
+        steps = DEFAULT_STEPS[preset]
+    return configuration, Budget(steps, request.minutes)
+
+
+def _created(
+    request: Request, configuration: TrainingConfiguration, budget: Budget, mine: Workers
+) -> tuple[RunFolder, TrainingConfiguration, Budget, TrainingData]:
+    """A new run; the folder appears only when its data is there. Other processes wait for the leading one's data."""
+    mine.share(configuration.batch)
+    assert request.out is not None
+    record = {
+        "preset": request.preset or "small",
+        "budget": asdict(budget),
+        "training": training_to_json(configuration),
+    }
+    data = None
+    if mine.leads:
+        data = _data(request, configuration)
+        folder = RunFolder.create(request.out, record)
+        save_training_data(data, folder.data)
+    mine.agreed(False)
+    folder = RunFolder(request.out)
+    return folder, configuration, budget, load_training_data(folder.data) if data is None else data
+
+
+def _data(request: Request, configuration: TrainingConfiguration) -> TrainingData:
+    if request.pack is not None:
+        return load_training_data(request.pack)
+    from pb4u.training.collection import collect
+
+    with collecting() as progress:
+        return collect(configuration.data, request.recordings, configuration.seed, progress)
+
+
+def _opened(request: Request) -> tuple[RunFolder, TrainingConfiguration, Budget, TrainingData]:
+    """A run to go on with; its budget may be a new one."""
+    assert request.resume is not None
+    if request.preset or request.settings or request.pack or request.recordings:
+        raise InputError("A training goes on as it began: leave out --preset, --set, --pack and --recordings.")
+    folder = RunFolder.open(request.resume)
+    if not folder.data.is_file():
+        raise InputError(f"{folder.path} was left before its data was written; delete it and start the training anew.")
+    record = folder.configuration()
+    try:
+        configuration = training_from_json(record["training"])
+        budget = Budget(**record["budget"])
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{folder.path} does not say how it was trained: {error}.") from error
+    if request.steps is not None or request.minutes is not None:
+        budget = Budget(request.steps, request.minutes)
+        folder.configure({**record, "budget": asdict(budget)})
+    return folder, configuration, budget, load_training_data(folder.data)
+
+
+def _restore(trainer: Trainer, folder: RunFolder) -> None:
+    found = folder.load_state()
+    if found is not None:
+        trainer.resume(*found)
+    if trainer.workers.leads:
+        folder.forget_leftovers()
+        folder.forget_metrics_after(trainer.counters.step)
+    trainer.workers.agreed(False)
+
+
+def _summary(trainer: Trainer, folder: RunFolder, ending: str) -> dict[str, Any]:
+    counters = trainer.counters
+    sentences = {
+        "finished": f"Trained {counters.step} steps.",
+        "flat": f"Stopped at step {counters.step}: {counters.flat} validations in a row brought nothing better.",
+        "stopped": f"Stopped at step {counters.step}; go on with --resume {folder.path}.",
+    }
+    return {
+        "ending": ending,
+        "sentence": sentences[ending],
+        "steps": counters.step,
+        "seconds": counters.seconds,
+        "rollbacks": counters.rollbacks,
+        "validation": None if counters.best is None else asdict(counters.best),
+        "weights": str(folder.best) if folder.best.is_file() else None,
+    }
+
+
+class _Silent(Reporter):
+    """Of a process that does not lead."""
+
+    def said(self, sentence: str) -> None:
+        pass
+
+
+@contextmanager
+def stop_signals() -> Iterator[Callable[[], bool]]:
+    """Turns the first interrupt or request to end into an answer; a second interrupt has its usual effect."""
+    asked: list[int] = []
+
+    def ask(number: int, _: FrameType | None) -> None:
+        if asked and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    try:
+        before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:
+        # Not the main thread: nobody can send it signals.
+        yield lambda: False
+        return
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

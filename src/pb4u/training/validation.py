@@ -1,0 +1,106 @@
+"""How good are these weights? Short clips rolled out by the network alone, without refinement or contact response."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.evaluation.metrics import DIVERGED_STRAIN
+from pb4u.garment.material import MATERIALS
+from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
+from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.scene.packed import PackedGarments
+from pb4u.scene.state import State
+from pb4u.simulation.step import Situation, StepParts, step
+from pb4u.training.configuration import TrainingConfiguration
+from pb4u.training.objective import REFERENCE_WEIGHT, LearningPredictor, step_energies
+from pb4u.training.packed_data import TrainingData
+from pb4u.training.windows import Sample, WindowLoader
+
+
+@dataclass(frozen=True)
+class Score:
+    """The outcome of a validation.
+
+    Args:
+        survived: share of all frames that came before their clip diverged.
+        energy: mean of the potential of those frames [J].
+        strain: mean of their 95th percentile strains.
+    """
+
+    survived: float
+    energy: float
+    strain: float
+
+    def beats(self, other: Score | None, margin: float = 0.0) -> bool:
+        """Whether this is better: more frames survived, or else less energy, by `margin` of it."""
+        if other is None:
+            return True
+        if self.survived != other.survived:
+            return self.survived > other.survived
+        return self.energy < other.energy - margin * abs(other.energy)
+
+
+class Validation:
+    """A fixed set of clips, spread over garments, levels and bodies.
+
+    Args:
+        data: its "validation" clips are used, its training clips where it has none.
+        configuration: how many clips and frames. loader: lays them out.
+    """
+
+    def __init__(self, data: TrainingData, configuration: TrainingConfiguration, loader: WindowLoader) -> None:
+        rng = np.random.default_rng([configuration.seed, 7])
+        splits = {clip.split for clip in data.clips}
+        wanted = "validation" if "validation" in splits else "train"
+        order = np.linspace(0, len(data.outfits), configuration.validation_clips, endpoint=False).astype(int)
+        self.samples = []
+        for outfit in order.tolist():
+            body = data.outfits[outfit].body
+            clips = [i for i, clip in enumerate(data.clips) if clip.body == body and clip.split == wanted]
+            clips = clips or [i for i, clip in enumerate(data.clips) if clip.body == body]
+            self.samples.append(Sample(outfit, int(rng.choice(clips)), 0, MATERIALS["default"]))
+        shortest = min(len(data.clips[sample.clip].poses) for sample in self.samples)
+        self.frames = min(configuration.validation_frames, shortest)
+        self.loader, self.clearance = loader, configuration.clearance
+
+    @torch.no_grad()
+    def score(self, model: AccelerationModel) -> Score:
+        """Roll every clip out with `model`; K follows the resolution."""
+        survived, energy, strain = 0, 0.0, 0.0
+        for sample in self.samples:
+            frames, energies, strains = self._rollout(model, sample)
+            survived += frames
+            energy += energies
+            strain += strains
+        total = self.frames * len(self.samples)
+        count = max(survived, 1)
+        return Score(survived / total, energy / count if survived else math.inf, strain / count)
+
+    def _rollout(self, model: AccelerationModel, sample: Sample) -> tuple[int, float, float]:
+        """Frames before divergence, and the sums of their energies [J] and strains."""
+        window = self.loader.load([sample], self.frames)
+        parts = StepParts(LearningPredictor(model, model.prepare(window.garments)))
+        state, energy, strain = window.start(0.0, self.clearance), 0.0, 0.0
+        for frame in range(self.frames):
+            situation: Situation = window.moving(state) if frame else window.settling(state)
+            after = step(situation, parts)
+            if not bool(torch.isfinite(after.positions).all()):
+                return frame, energy, strain
+            stretched = strain_percentile(window.garments, after.positions)
+            if stretched > DIVERGED_STRAIN:
+                return frame, energy, strain
+            energy += float(step_energies(situation, after.positions, REFERENCE_WEIGHT).total)
+            strain += stretched
+            state = after if frame else State(after.positions, window.skinned_velocity(state.frame), state.frame)
+        return self.frames, energy, strain
+
+
+def strain_percentile(garments: PackedGarments, positions: Tensor) -> float:
+    """Area-weighted 95th percentile of the strains of a pack of one garment."""
+    strains = face_strains(positions, garments.faces, garments.inverse_rest_shape)
+    return float(weighted_percentile(strains, garments.face_areas, 95.0))

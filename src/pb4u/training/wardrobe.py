@@ -1,0 +1,113 @@
+"""Garments and bodies on the training device: what is the same for every sample is made once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from pb4u.body.skeleton import PoseSequence
+from pb4u.body.skinning import SkinningWeights, bone_transforms, skin
+from pb4u.garment.material import Material
+from pb4u.scene.packed import PackedGarments, pack
+from pb4u.training.packed_data import TrainingData
+
+_INDICES = ("faces", "edges", "hinges")
+_OWNERS = ("vertex_garment", "face_garment", "hinge_garment", "edge_garment")
+
+
+class Wardrobe:
+    """Packs of outfits in any material, and posed vertices of bodies and outfits.
+
+    Args:
+        data: bodies, outfits and clips.
+        device: where everything lives.
+        dtype: of floating arrays.
+    """
+
+    def __init__(self, data: TrainingData, device: torch.device | str, dtype: torch.dtype = torch.float32) -> None:
+        self.data, self.device, self.dtype = data, torch.device(device), dtype
+        self._outfit = lru_cache(maxsize=None)(self._make_outfit)
+        self._skin = lru_cache(maxsize=None)(self._make_skin)
+        self._surface = lru_cache(maxsize=None)(self._make_surface)
+
+    def packed(self, outfits: Sequence[int], materials: Sequence[Material]) -> PackedGarments:
+        """The outfits, each in its material, in one pack."""
+        return joined([_in_material(self._outfit(o), m) for o, m in zip(outfits, materials, strict=True)])
+
+    def transforms(self, body: int, poses: PoseSequence) -> Tensor:
+        """(frames, bones, 3, 4) rest-to-world transforms on the device."""
+        return bone_transforms(self.data.bodies[body].skeleton, poses).to(self.device, self.dtype)
+
+    def body_positions(self, body: int, transforms: Tensor) -> Tensor:
+        """(frames, vertices, 3) [m]."""
+        return skin(*self._skin("body", body), transforms)
+
+    def outfit_positions(self, outfit: int, transforms: Tensor) -> Tensor:
+        """(frames, vertices, 3) [m] where skinning alone puts the garment."""
+        return skin(*self._skin("outfit", outfit), transforms)
+
+    def surface(self, body: int) -> tuple[Tensor, Tensor]:
+        """Faces (faces, 3) and contact (vertices,) of a body."""
+        return self._surface(body)
+
+    def _make_outfit(self, outfit: int) -> PackedGarments:
+        return pack([self.data.outfits[outfit].garment], self.dtype, self.device)
+
+    def _make_skin(self, kind: str, index: int) -> tuple[Tensor, Tensor, Tensor]:
+        weights: SkinningWeights
+        if kind == "body":
+            vertices, weights = self.data.bodies[index].vertices, self.data.bodies[index].weights
+        else:
+            outfit = self.data.outfits[index]
+            vertices, weights = outfit.garment.vertices, outfit.weights
+        return (
+            torch.as_tensor(vertices, dtype=self.dtype, device=self.device),
+            torch.as_tensor(weights.bones, device=self.device),
+            torch.as_tensor(weights.weights, dtype=self.dtype, device=self.device),
+        )
+
+    def _make_surface(self, body: int) -> tuple[Tensor, Tensor]:
+        figure = self.data.bodies[body]
+        return (
+            torch.as_tensor(figure.faces, device=self.device),
+            torch.as_tensor(figure.contact, device=self.device),
+        )
+
+
+def _in_material(packed: PackedGarments, material: Material) -> PackedGarments:
+    """A pack of one garment, made of `material`."""
+    return replace(
+        packed,
+        lame_mu=torch.full_like(packed.lame_mu, material.lame_mu),
+        lame_lambda=torch.full_like(packed.lame_lambda, material.lame_lambda),
+        thickness=torch.full_like(packed.thickness, material.thickness),
+        bending=torch.full_like(packed.bending, material.bending),
+        vertex_masses=material.density * packed.vertex_areas,
+        garments=(packed.garments[0].with_material(material),),
+    )
+
+
+def joined(packs: Sequence[PackedGarments]) -> PackedGarments:
+    """Packs one after the other as one."""
+    if len(packs) == 1:
+        return packs[0]
+    offsets, garments = [0], 0
+    parts: dict[str, list[Tensor]] = {}
+    for packed in packs:
+        for entry in fields(packed):
+            value = getattr(packed, entry.name)
+            if isinstance(value, Tensor):
+                shift = offsets[-1] if entry.name in _INDICES else garments if entry.name in _OWNERS else 0
+                parts.setdefault(entry.name, []).append(value + shift if shift else value)
+        offsets += [offsets[-1] + end for end in packed.vertex_offsets[1:]]
+        garments += packed.garment_count
+    return PackedGarments(
+        **{name: torch.cat(values) for name, values in parts.items()},
+        vertex_offsets=tuple(offsets),
+        mean_edge_lengths=tuple(length for packed in packs for length in packed.mean_edge_lengths),
+        garments=tuple(garment for packed in packs for garment in packed.garments),
+    )

@@ -1,0 +1,118 @@
+"""`pb4u train` and `pb4u assets pack`: what they write, and what they refuse in one sentence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.training.ball_data import TINY, ball_data
+
+from pb4u.training.configuration import training_to_json
+from pb4u.training.packed_data import load_training_data, save_training_data
+
+Call = Callable[..., Any]
+QUICK = (
+    "--set", "network.width=4", "--set", "statistics_windows=2", "--set", "validation_frames=2", "--device", "cpu",
+)  # fmt: skip
+
+
+@pytest.fixture
+def pack(tmp_path: Path) -> Path:
+    save_training_data(ball_data((8,)), tmp_path / "pack.npz")
+    return tmp_path / "pack.npz"
+
+
+def test_a_training_leaves_weights_a_curve_and_a_way_to_go_on(pb4u: Call, pack: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    ended = pb4u("train", "--pack", pack, "--preset", "smoke", "--steps", 6, "--out", run, *QUICK, "--json", "-")
+    assert ended.code == 0, ended.err
+    result = json.loads(ended.out)
+    assert (result["ending"], result["steps"]) == ("finished", 6)
+    assert Path(result["weights"]).is_file()
+    names = {p.name for p in run.iterdir()}
+    assert names == {
+        "configuration.json", "data.npz", "metrics.jsonl", "last.safetensors", "best.safetensors", "curve.png",
+    }  # fmt: skip
+    assert json.loads((run / "configuration.json").read_text())["training"]["network"]["width"] == 4
+    further = pb4u("train", "--resume", run, "--steps", 8, "--device", "cpu")
+    assert further.code == 0, further.err
+    assert "Trained 8 steps." in further.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ((), "Give --out FOLDER"),
+        (("--out", "run", "--resume", "run"), "Give --out FOLDER"),
+        (("--out", "run", "--preset", "smal"), "did you mean small"),
+        (("--out", "run", "--set", "batc=2"), "near 'batc' are batch"),
+        (("--out", "run", "--pack", "absent.npz"), "There is no training pack"),
+        (("--out", "run", "--minutes", "0"), "must be above 0"),
+        (("--resume", "."), "is no folder of a training"),
+        (("--out", "run", "--device", "tpu", "--pack", "pack.npz"), "auto, cpu or cuda"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused_in_one_sentence(
+    pb4u: Call, pack: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], sentence: str
+) -> None:
+    monkeypatch.chdir(pack.parent)
+    ended = pb4u("train", *arguments)
+    assert ended.code == 1
+    assert sentence in ended.err
+    assert ended.err.strip().count("\n") == 0
+    assert not (pack.parent / "run").exists()
+
+
+def test_a_resumed_training_takes_no_new_preset(pb4u: Call, tmp_path: Path) -> None:
+    ended = pb4u("train", "--resume", tmp_path, "--preset", "smoke")
+    assert ended.code == 1
+    assert "leave out --preset" in ended.err
+
+
+def test_a_pack_of_built_in_assets_can_be_trained_on(pb4u: Call, tmp_path: Path) -> None:
+    pack = tmp_path / "pack.npz"
+    ended = pb4u("assets", "pack", pack, "--preset", "smoke")
+    assert ended.code == 0, ended.err
+    assert "1 bodies, 1 garments, 2 clips" in ended.out
+    data = load_training_data(pack)
+    assert {clip.split for clip in data.clips} == {"train", "validation"}
+    trained = pb4u("train", "--pack", pack, "--preset", "smoke", "--steps", 2, "--out", tmp_path / "run", *QUICK)
+    assert trained.code == 0, trained.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("pack.zip",), "is an .npz"),
+        (("absent/pack.npz",), "does not exist"),
+        (("pack.npz", "--set", "data.bodies=nobody"), "is none"),
+        (("pack.npz", "--preset", "smoke", "--set", "data.motions=fly"), "no built-in motion 'fly'"),
+        (("pack.npz", "--preset", "smoke", "--recordings", "."), "holds none of the recordings"),
+    ],
+)
+def test_packs_that_cannot_be_made_are_refused(
+    pb4u: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], sentence: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ended = pb4u("assets", "pack", *arguments)
+    assert ended.code == 1
+    assert sentence in ended.err
+    assert not (tmp_path / "pack.npz").exists()
+
+
+def test_a_folder_left_before_its_data_was_written_says_so(pb4u: Call, tmp_path: Path) -> None:
+    (tmp_path / "configuration.json").write_text(
+        json.dumps(
+            {
+                "format_version": 1,
+                "budget": {"steps": 2, "minutes": None},
+                "training": training_to_json(TINY),
+            }
+        )
+    )
+    ended = pb4u("train", "--resume", tmp_path)
+    assert ended.code == 1
+    assert "left before its data was written" in ended.err

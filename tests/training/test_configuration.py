@@ -1,0 +1,67 @@
+"""A training as a record: to JSON and back, and single fields by name."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from pb4u.errors import InputError
+from pb4u.training.configuration import TrainingConfiguration, training_from_json, training_to_json, with_settings
+from pb4u.training.presets import TRAININGS, training_preset
+
+
+@pytest.mark.parametrize("name", TRAININGS)
+def test_every_preset_survives_json(name: str) -> None:
+    configuration = training_preset(name)
+    assert training_from_json(json.loads(json.dumps(training_to_json(configuration)))) == configuration
+
+
+def test_settings_replace_fields_of_every_kind() -> None:
+    changed = with_settings(
+        TrainingConfiguration(),
+        [
+            "batch=4",
+            "noise=0",
+            "curriculum.learning_rate=1e-3",
+            "curriculum.window_steps=((0,1),(0.5,2))",
+            "data.garments=tshirt,dress",
+            "data.triangles=1200",
+            "network.width=64",
+            "after_settling=zero",
+        ],
+    )
+    assert (changed.batch, changed.noise, changed.after_settling) == (4, 0.0, "zero")
+    assert changed.curriculum.learning_rate == 1e-3
+    assert changed.curriculum.window_length(0.6) == 2
+    assert changed.data.garments == ("tshirt", "dress")
+    assert changed.data.triangles == (1200,)
+    assert replace(TrainingConfiguration().network, width=64) == changed.network  # type: ignore[type-var]
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ("bath=2", "near 'bath' are batch"),
+        ("curriculum.learning_rat=1", "learning_rate"),
+        ("curriculum=1", "set one of curriculum.window_steps"),
+        ("batch.size=1", "batch has no parts"),
+        ("batch=two", "'two' is of another kind"),
+        ("batch=1.5", "'1.5' is of another kind"),
+        ("batch", "has no ="),
+        ("batch=0", "batch must be 1 or more"),
+        ("data.triangles=many", "of another kind"),
+        ("after_settling=fast", "one of skinned, zero, carried"),
+    ],
+)
+def test_what_cannot_be_set_is_refused_in_a_sentence(setting: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        with_settings(TrainingConfiguration(), [setting])
+
+
+def test_unknown_presets_and_foreign_records_are_refused() -> None:
+    with pytest.raises(InputError, match="did you mean small"):
+        training_preset("smal")
+    with pytest.raises(InputError, match="cannot be read"):
+        training_from_json({"network": {"type": "Foreign"}})

@@ -1,0 +1,233 @@
+"""The trainer itself: it learns, it comes back from an explosion, its curves and weights are what they should be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from tests.training.ball_data import TINY, ball_data
+from torch import Tensor
+
+from pb4u.errors import InputError
+from pb4u.physics.incremental_potential import Energies
+from pb4u.presets.networks import pb4u_small
+from pb4u.scene.state import State
+from pb4u.simulation.checkpoint import load_checkpoint
+from pb4u.simulation.step import Situation
+from pb4u.training import trainer as trainer_module
+from pb4u.training.budget import Budget
+from pb4u.training.configuration import TrainingConfiguration
+from pb4u.training.curriculum import Curriculum
+from pb4u.training.distribution import Workers
+from pb4u.training.progress import Reporter, draw_curve
+from pb4u.training.run_folder import NotSavedError, RunFolder
+from pb4u.training.trainer import Trainer, TrainingFailedError
+from pb4u.training.validation import Score
+
+ALONE = Workers(0, 1, torch.device("cpu"))
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+class Listener(Reporter):
+    def __init__(self) -> None:
+        self.sentences: list[str] = []
+        self.totals: list[float] = []
+        self.scores: list[Score] = []
+
+    def progressed(self, step: int, progress: float, seconds: float, means: object) -> None:
+        self.totals.append(means["total"])  # type: ignore[index]
+
+    def validated(self, step: int, score: Score, best: bool) -> None:
+        self.scores.append(score)
+
+    def said(self, sentence: str) -> None:
+        self.sentences.append(sentence)
+
+
+def made(
+    configuration: TrainingConfiguration, steps: int, folder: Path | None = None, listener: Listener | None = None
+) -> Trainer:
+    kept = None if folder is None else RunFolder.create(folder, {})
+    return Trainer(configuration, Budget(steps), ball_data(), ALONE, kept, listener or Listener())
+
+
+def test_the_loss_falls_and_what_is_kept_can_be_simulated_with(tmp_path: Path) -> None:
+    listener = Listener()
+    trainer = made(replace(TINY, validate_every=60), 60, tmp_path / "run", listener)
+    assert trainer.run() == "finished"
+    assert trainer.counters.step >= 60
+    early, late = sum(listener.totals[:2]), sum(listener.totals[-2:])
+    assert late < 0.8 * early
+    checkpoint = load_checkpoint(tmp_path / "run" / "best.safetensors")
+    assert checkpoint.record.dt == pytest.approx(1 / 30)
+    assert checkpoint.record.propagation_steps == (1, 3)
+    assert checkpoint.record.mean_edge_lengths == trainer.data.edge_lengths
+    assert trainer.folder is not None
+    lines = trainer.folder.metrics()
+    assert {"stretch", "bending", "collision", "gravity", "friction", "inertia"} <= set(lines[0])
+    assert [line["step"] for line in lines if "total" in line] == sorted(
+        {line["step"] for line in lines if "total" in line}
+    )
+    assert draw_curve(lines, tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").stat().st_size > 5000
+
+
+def test_an_exploding_training_goes_back_lowers_its_rate_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    listener = Listener()
+    trainer = made(TINY, 30, listener=listener)
+    original, calls = trainer_module.step_energies, [0]
+
+    def wild(situation: Situation, positions: Tensor, weight: float) -> Energies:
+        calls[0] += 1
+        energies = original(situation, positions, weight)
+        spoilt = torch.nan if calls[0] == 15 else 1.0
+        return Energies({name: value * spoilt for name, value in energies.terms.items()})
+
+    monkeypatch.setattr(trainer_module, "step_energies", wild)
+    assert trainer.run() == "finished"
+    assert trainer.counters.rollbacks == 1
+    assert trainer.counters.rate_factor == 0.5
+    assert len(listener.sentences) == 1
+    assert "coming apart; back to the weights of step" in listener.sentences[0]
+    assert all(bool(torch.isfinite(p).all()) for p in trainer.model.parameters())
+
+
+def test_a_rollback_restores_weights_averages_and_moments() -> None:
+    trainer = made(TINY, 12)
+    trainer.run()
+    kept = trainer.learner.state()
+    trainer.budget = Budget(100)
+    trainer._train_window()
+    assert not all(torch.equal(kept[name], value) for name, value in trainer.learner.state().items())
+    trainer._roll_back()
+    assert all(torch.equal(kept[name], value) for name, value in trainer.learner.state().items())
+
+
+def test_a_training_that_keeps_coming_apart_ends_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = made(TINY, 50)
+    monkeypatch.setattr(Trainer, "_train_window", lambda self: False)
+    with pytest.raises(TrainingFailedError, match="start it with a lower"):
+        trainer.run()
+
+
+def test_predictions_that_are_not_finite_are_not_learnt_from() -> None:
+    trainer = made(TINY, 4)
+    trainer.run()
+    window, state, _ = trainer._begin(1)
+    before = [p.detach().clone() for p in trainer.model.parameters()]
+    lost = State(state.positions * torch.nan, state.velocities, state.frame + 1)
+    lost.positions.requires_grad_(True)
+    assert not trainer._learn(window.moving(state), lost)
+    assert all(torch.equal(a, b) for a, b in zip(before, trainer.model.parameters(), strict=True))
+
+
+def test_garments_of_two_sizes_and_propagation_counts_share_a_batch() -> None:
+    alone, together = made(replace(TINY, batch=1), 1), made(replace(TINY, batch=2), 1)
+    samples = [together.sampler.sample(i, 1) for i in range(40)]
+    i = next(k for k in range(0, 40, 2) if samples[k].outfit != samples[k + 1].outfit)
+    losses = []
+    for trainer, chosen in ((alone, [samples[i]]), (alone, [samples[i + 1]]), (together, samples[i : i + 2])):
+        trainer.model.load_state_dict(alone.model.state_dict())
+        window = trainer.loader.load(chosen, 1)
+        steps = [1 + 2 * (sample is samples[i]) for sample in chosen]
+        predictor = trainer_module.LearningPredictor(
+            trainer.model, trainer.model.prepare(window.garments).with_steps(steps)
+        )
+        situation = window.moving(window.start(0.003, 0.002))
+        after = predictor.predict(situation)
+        energies = trainer_module.step_energies(situation, after.positions, 5e3)
+        losses.append(energies.total.item() / len(chosen))
+    assert losses[2] == pytest.approx((losses[0] + losses[1]) / 2, rel=1e-4)
+
+
+@pytest.mark.parametrize("variant", ["skinned", "zero", "carried"])
+def test_the_velocity_after_settling_is_the_chosen_one(variant: str) -> None:
+    trainer = made(replace(TINY, after_settling=variant), 1)
+    window, state, _ = trainer._begin(2)
+    moved = 1e-3 * torch.ones_like(state.positions)
+    settled = State(state.positions + moved, moved * 3.0, state.frame + 1)
+    off = trainer._set_off(window, settled)
+    expected = {"skinned": window.skinned_velocity(1), "zero": torch.zeros_like(moved), "carried": moved * 30.0}
+    assert off.frame == 1
+    assert torch.allclose(off.velocities, expected[variant], atol=1e-6)
+
+
+def test_flat_validation_ends_a_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = made(replace(TINY, validate_every=2, patience=2), 200)
+    monkeypatch.setattr(trainer.validation, "score", lambda model: Score(1.0, 1.0, 0.1))
+    assert trainer.run() == "flat"
+    assert trainer.counters.step < 20
+
+
+def test_a_curriculum_by_the_clock_ends_by_the_clock() -> None:
+    budget = Budget(steps=None, minutes=0.02)
+    trainer = Trainer(TINY, budget, ball_data(), ALONE, None, Listener())
+    assert trainer.run() == "finished"
+    assert 1.2 <= trainer.counters.seconds < 20.0
+
+
+def test_better_means_more_frames_survived_then_less_energy() -> None:
+    assert Score(1.0, 9.0, 0.1).beats(Score(0.9, 1.0, 0.1))
+    assert Score(1.0, -1.1, 0.1).beats(Score(1.0, -1.0, 0.1), 0.005)
+    assert not Score(1.0, -1.001, 0.1).beats(Score(1.0, -1.0, 0.1), 0.005)
+    assert not Score(0.5, 0.0, 0.1).beats(Score(1.0, 5.0, 0.1))
+
+
+def test_the_network_may_be_any_configuration() -> None:
+    wide = replace(TINY, network=replace(pb4u_small, width=4, blocks=0), curriculum=Curriculum(learning_rate=1e-3))
+    assert made(wide, 2).run() == "finished"
+
+
+def test_a_stopped_training_goes_on_to_the_same_numbers(tmp_path: Path) -> None:
+    configuration = replace(TINY, checkpoint_every=5, statistics_windows=2, validation_frames=2)
+    whole = made(configuration, 16)
+    whole.run()
+    answers = iter([False] * 8 + [True])
+    stopped = made(configuration, 16, tmp_path / "run")
+    stopped.stopping = lambda: next(answers)
+    assert stopped.run() == "stopped"
+    resumed = made(configuration, 16)
+    assert stopped.folder is not None
+    found = stopped.folder.load_state()
+    assert found is not None
+    resumed.resume(*found)
+    assert 0 < resumed.counters.step < 16
+    assert resumed.run() == "finished"
+    assert all(torch.equal(value, resumed.learner.state()[name]) for name, value in whole.learner.state().items())
+
+
+def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path) -> None:
+    trainer = made(TINY, 1, tmp_path / "run")
+    trainer.run()
+    assert trainer.folder is not None
+    found = trainer.folder.load_state()
+    assert found is not None
+    other = made(replace(TINY, network=replace(pb4u_small, width=4)), 1)
+    with pytest.raises(InputError, match="of another network"):
+        other.resume(*found)
+
+
+def test_a_full_disk_costs_a_checkpoint_and_not_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    listener = Listener()
+    trainer = made(replace(TINY, checkpoint_every=4, validate_every=1000), 8, tmp_path / "run", listener)
+    original, calls = RunFolder.save_state, [0]
+
+    def full(self: RunFolder, tensors: dict[str, Tensor], counters: dict[str, object]) -> None:
+        calls[0] += 1
+        if calls[0] == 1:
+            raise NotSavedError("Cannot write last.safetensors: No space left on device.")
+        original(self, tensors, counters)
+
+    monkeypatch.setattr(RunFolder, "save_state", full)
+    assert trainer.run() == "finished"
+    assert "No space left on device. The training goes on" in listener.sentences[0]
