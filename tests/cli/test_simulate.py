@@ -74,6 +74,10 @@ def test_same_seed_same_bytes(pb4u: Callable, tmp_path: Path) -> None:
         (("--lead-in", -1), "0 frames or more"),
         (("--pins", "sleeve"), "loop"),
         (("--refine", -1, "--model", "solver"), "0 or more"),
+        (("--seed", -1), "0 or more"),
+        (("--fps", "nan"), "between 1 and 1000"),
+        (("--arms-away", "nan"), "0 to 90"),
+        (("--json", "absent/r.json"), "does not exist"),
     ],
 )
 def test_bad_values_are_refused_in_one_sentence(

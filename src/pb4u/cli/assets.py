@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -119,7 +120,8 @@ def write(
     expected = {**dict.fromkeys(garment_names(), ".obj"), **dict.fromkeys(body_names(), ".obj")}
     expected |= {**dict.fromkeys(motion_names(), ".npz"), **dict.fromkeys(MATERIALS, ".json")}
     if name not in expected:
-        raise InputError(f"There is no built-in asset {name!r}; `pb4u assets` lists them.")
+        near = ", ".join(get_close_matches(name, expected)) or "what `pb4u assets` lists"
+        raise InputError(f"There is no built-in asset {name!r}; did you mean {near}?")
     if out.suffix.lower() != expected[name]:
         raise InputError(f"{name} is written as {expected[name]}; {out} ends otherwise.")
     if not out.parent.is_dir():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -82,7 +83,8 @@ def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | No
         built = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
         return diagnose(built, figure), []
     if not Path(name).suffix:
-        raise InputError(f"No built-in garment is called {name!r}, and it is not a file; `pb4u assets` lists them.")
+        near = get_close_matches(name, garment_names()) or list(garment_names())
+        raise InputError(f"No garment is called {name!r}, and it is not a file; did you mean {', '.join(near)}?")
     source = read_source(Path(name))
     diagnosis = diagnose(source, figure)
     if fix is None:

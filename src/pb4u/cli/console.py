@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -50,13 +49,17 @@ def write_json(payload: Mapping[str, Any], target: str) -> None:
     if target == "-":
         print(text)
         return
+    check_json_target(target)
     path = Path(target)
-    if not path.parent.is_dir():
-        raise InputError(f"The folder {path.parent} for --json does not exist; make it first.")
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(handle, "w", encoding="utf-8") as out:
-        out.write(text + "\n")
+    beside = path.with_name(f".{path.name}.part")
+    beside.write_text(text + "\n", encoding="utf-8")
     os.replace(beside, path)
+
+
+def check_json_target(target: str | None) -> None:
+    """Raises InputError when the folder of a --json file does not exist; called before any work is done."""
+    if target and target != "-" and not Path(target).parent.is_dir():
+        raise InputError(f"The folder {Path(target).parent} for --json does not exist; make it first.")
 
 
 def _finite(value: Any) -> Any:

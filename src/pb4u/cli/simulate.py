@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import parse_crop, parse_shape, progress_bar, write_json
-from pb4u.errors import InputWarning, Pb4uError
+from pb4u.cli.console import check_json_target, parse_crop, parse_shape, progress_bar, write_json
+from pb4u.errors import InputError, InputWarning, Pb4uError
 
 if TYPE_CHECKING:
     from pb4u.scene.scene import Scene
@@ -114,6 +114,9 @@ def simulate(
     targets = list(out) if out else _default_targets(garment, motion, quiet=json == "-")
     for target in targets:
         check_target(target)
+    check_json_target(json)
+    if not 1.0 <= fps <= 1000.0:
+        raise InputError(f"Frames per second must lie between 1 and 1000, not {fps:g}.")
     simulator = load_simulator(
         model, contact=contact is Switch.on, refine=refine, propagation_steps=propagation_steps, device=device.value
     )
@@ -185,7 +188,7 @@ def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: 
     from pb4u.evaluation.metrics import measure
 
     with progress_bar("measuring") as progress:
-        measured = measure(trajectory, skinned=_skinned_centres(scene), progress=progress)
+        measured = measure(trajectory, skinned=_skinned_centres(scene, trajectory), progress=progress)
     return {
         "garment": trajectory.metadata["garment"],
         "body": trajectory.metadata["body"],
@@ -206,7 +209,7 @@ def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: 
     }
 
 
-def _skinned_centres(scene: Scene) -> Any:
+def _skinned_centres(scene: Scene, trajectory: Trajectory) -> Any:
     """(frames, 3) centre of mass [m] of the garment where skinning alone would put it."""
     import numpy as np
 
@@ -216,4 +219,7 @@ def _skinned_centres(scene: Scene) -> Any:
     for start in range(scene.lead_in, scene.total_frames, 64):
         block = dressed.placement.positions(start, min(start + 64, scene.total_frames)).numpy()
         centres.append(np.einsum("v,tvd->td", masses, block))
-    return np.concatenate(centres)
+    at_steps = np.concatenate(centres)
+    at = np.arange(trajectory.frame_count) * (scene.fps / trajectory.fps)
+    steps = np.arange(len(at_steps))
+    return np.stack([np.interp(at, steps, column) for column in at_steps.T], axis=1)

@@ -64,6 +64,7 @@ def make_scene(
     Raises InputError when anything cannot be used.
     """
     _check_counts(frames, lead_in, fps)
+    _check_choices(seed, arms_away)
     figure = load_body(body, body_shape) if isinstance(body, str | Path) else body
     notes: list[str] = []
     collider: AnimatedBody
@@ -102,6 +103,13 @@ def _check_counts(frames: int | None, lead_in: int, fps: float) -> None:
         raise InputError(f"Frames per second must lie between 1 and 1000, not {fps:g}.")
 
 
+def _check_choices(seed: int, arms_away: float) -> None:
+    if seed < 0:
+        raise InputError(f"The seed must be 0 or more, not {seed}.")
+    if not 0.0 <= arms_away <= 90.0:
+        raise InputError(f"Arms are held away by 0 to 90 degrees, not {arms_away:g}.")
+
+
 def _animate(
     body: ShapedBody,
     motion: str | Path,
@@ -132,7 +140,9 @@ def _use_sequence(body: AnimatedBody, frames: int | None, lead_in: int, fps: flo
 
     if not isinstance(body, VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
-    held = body.resampled(fps).with_held_start(lead_in)
+    # A body that never moves has no end: it stands for as long as is asked.
+    standing = (frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
+    held = body.resampled(fps).with_held_start(lead_in + standing)
     available = held.frame_count - lead_in
     if frames is not None and frames > available:
         _say(

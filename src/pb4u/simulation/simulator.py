@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pb4u.errors import Pb4uError
 from pb4u.garment.garment import SourceMap
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
@@ -100,9 +101,15 @@ class Simulator(ABC):
         self, scene: Scene, path: str | Path, record: RunRecord | None = None, progress: Progress | None = None
     ) -> Trajectory:
         """Simulate into a file as frames come, and open it. What was simulated is kept when the state fails."""
+        record = record or RunRecord()
         with TrajectoryWriter(path, self.header(scene)) as writer:
             for frame in self.written_frames(scene, record, progress):
                 writer.append(frame)
+        if not writer.frame_count:
+            raise Pb4uError(
+                f"The state stopped being finite {-(record.failed_at or 0)} frames before the first one to write; "
+                "nothing was written. Try a longer --lead-in."
+            )
         return Trajectory.open(path)
 
     def header(self, scene: Scene) -> TrajectoryHeader:
