@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
 
 Progress = Callable[[int, int], None]
@@ -50,10 +50,7 @@ def write_json(payload: Mapping[str, Any], target: str) -> None:
         print(text)
         return
     check_json_target(target)
-    path = Path(target)
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_text(text + "\n", encoding="utf-8")
-    os.replace(beside, path)
+    replace_file(Path(target), (text + "\n").encode())
 
 
 def check_json_target(target: str | None) -> None:

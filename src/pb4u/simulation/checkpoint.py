@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import warnings
 from dataclasses import asdict, dataclass, field
 from importlib import resources
@@ -16,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
 from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
@@ -128,16 +127,9 @@ def save_checkpoint(
     }
     tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
     content = save(tensors, metadata)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with open(temporary, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
+        replace_file(path, content)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
         raise InputError(f"Cannot write the checkpoint {path}: {error.strerror or error}.") from error
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
 
 FORMAT_VERSION = 1
@@ -141,14 +141,8 @@ class RunFolder:
 
     def _replace(self, name: str, content: bytes) -> None:
         """Write a file beside and move it into place: it is always the old one or the new one."""
-        path, temporary = self.path / name, self.path / f".{name}.{os.getpid()}"
+        path = self.path / name
         try:
-            with open(temporary, "wb") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(temporary, path)
+            replace_file(path, content)
         except OSError as error:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
             raise NotSavedError(f"Cannot write {path}: {error.strerror or error}.") from error
