@@ -71,6 +71,13 @@ WORLD_EDGE_FEATURES = _index(
 )
 
 
+DESCENT = Feature(
+    "descent", 3, "1", True, 0.05, "Jacobi descent of the incremental potential at free flight, in edge lengths; ours"
+)
+
+EXTRA_FEATURES = _index(DESCENT)
+
+
 @dataclass(frozen=True)
 class MaterialRange:
     """Where materials are mapped to [0, 1]: the training range (ref. 1.7)."""

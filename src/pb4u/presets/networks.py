@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pb4u.errors import InputError
-from pb4u.graph.features import FeatureLayout
+from pb4u.graph.features import DESCENT, FeatureLayout
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.model.propagation import PAPER_PROPAGATION, RELEASED_PROPAGATION
@@ -33,6 +33,8 @@ pb4u_all_pairs = replace(pb4u_paper, world_edges=WorldEdgeRule(radius=0.03, neig
 
 pb4u_small = replace(pb4u_paper, width=64, blocks=4)
 
+pb4u_small_descent = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT,)))
+
 without_propagation_control = replace(pb4u_paper, control=FixedSteps(15))
 
 without_update_scaling = replace(pb4u_paper, scaling=NoScaling())
@@ -45,6 +47,7 @@ NETWORKS: dict[str, Pb4uConfiguration] = {
     "pb4u_bare_edges": pb4u_bare_edges,
     "pb4u_all_pairs": pb4u_all_pairs,
     "pb4u_small": pb4u_small,
+    "pb4u_small_descent": pb4u_small_descent,
     "without_propagation_control": without_propagation_control,
     "without_update_scaling": without_update_scaling,
     "without_both": without_both,

@@ -17,6 +17,7 @@ from pb4u.simulation.checkpoint import Checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Relaxed
 from pb4u.simulation.refinement import SolverRefinement
 from pb4u.simulation.simulator import RunRecord
+from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import Contact, NoContact, NoRefinement, Predictor, Situation, StepParts
 from pb4u.simulation.stepwise_simulator import StepwiseSimulator
@@ -35,6 +36,7 @@ class NetworkPredictor(Predictor):
     def __init__(self, model: AccelerationModel, prepared: PreparedGarments) -> None:
         self.model, self.prepared = model, prepared
         self.device = next(model.parameters()).device
+        self._features = SituationFeatures(prepared)
         self._static: tuple[ColliderFrame, ColliderFrame] | None = None
 
     @torch.inference_mode()
@@ -45,7 +47,9 @@ class NetworkPredictor(Predictor):
             velocities=situation.state.velocities.to(self.device),
         )
         collider = self._on_device(situation.collider)
-        graph = self.prepared.graph(state, collider, situation.dt, local_origin(situation.collider).to(self.device))
+        origin = local_origin(situation.collider).to(self.device)
+        extra = {name: values.to(self.device) for name, values in self._features.of(situation).items()}
+        graph = self.prepared.graph(state, collider, situation.dt, origin, extra)
         return self.model(graph, self.prepared)
 
     def _on_device(self, collider: ColliderFrame) -> ColliderFrame:

@@ -10,6 +10,7 @@ from typing import Any
 
 from pb4u.errors import InputError
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
+from pb4u.presets.networks import network_preset
 from pb4u.simulation.network_configuration import (
     NetworkConfiguration,
     configuration_from_json,
@@ -155,12 +156,17 @@ def training_from_json(record: Any) -> TrainingConfiguration:
 def with_settings(configuration: TrainingConfiguration, settings: Sequence[str]) -> TrainingConfiguration:
     """`configuration` with fields replaced by `KEY=VALUE` texts, such as batch=2 or curriculum.learning_rate=1e-3.
 
+    network=NAME takes a network preset whole.
+
     Raises InputError for an unknown key, with those near it, or a value of another type.
     """
     for setting in settings:
         key, equals, text = setting.partition("=")
         if not equals:
             raise InputError(f"--set takes KEY=VALUE, such as batch=2; {setting!r} has no =.")
+        if key.strip() == "network":
+            configuration = replace(configuration, network=network_preset(text.strip()))
+            continue
         configuration = _replaced(configuration, key.strip(), key.strip().split("."), text.strip())
     return configuration
 

@@ -13,6 +13,7 @@ from pb4u.physics.incremental_potential import Energies, IncrementalPotential
 from pb4u.physics.integrator import integrate
 from pb4u.scene.state import State
 from pb4u.simulation.network_simulator import local_origin
+from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.step import Predictor, Situation
 
 REFERENCE_WEIGHT = 5e3
@@ -29,11 +30,13 @@ class LearningPredictor(Predictor):
 
     def __init__(self, network: nn.Module, prepared: PreparedGarments) -> None:
         self.network, self.prepared = network, prepared
+        self._features = SituationFeatures(prepared)
 
     def graph(self, situation: Situation) -> Graph:
         """What the network sees."""
         origin = local_origin(situation.collider)
-        return self.prepared.graph(situation.state, situation.collider, situation.dt, origin)
+        extra = self._features.of(situation)
+        return self.prepared.graph(situation.state, situation.collider, situation.dt, origin, extra)
 
     def predict(self, situation: Situation) -> State:
         acceleration = self.network(self.graph(situation), self.prepared)

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
+from pb4u.evaluation.metrics import DIVERGED_STRAIN
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 from pb4u.simulation.first_frame import SETTLING_DT
@@ -27,7 +28,7 @@ from pb4u.training.objective import LearningPredictor, comparable_total, mean_en
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.progress import Reporter
 from pb4u.training.run_folder import NotSavedError, RunFolder
-from pb4u.training.validation import Score, Validation
+from pb4u.training.validation import Score, Validation, strain_percentile
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Sampler, Window, WindowLoader
 
@@ -127,7 +128,10 @@ class Trainer:
         return window, window.start(self.configuration.noise, self.configuration.clearance), settles
 
     def _train_window(self) -> bool:
-        """Step through a window, an optimiser step after each step; whether all went well."""
+        """Step through a window, an optimiser step after each step; whether all went well.
+
+        A window whose garment has come apart ends: nothing that follows would be worth learning.
+        """
         length = self.configuration.curriculum.window_length(self.progress)
         if self.budget.steps is not None:
             length = min(length, self.budget.steps - self.counters.step)
@@ -148,6 +152,8 @@ class Trainer:
             state = State(after.positions.detach(), after.velocities.detach(), after.frame)
             if settling:
                 state = self._set_off(window, state)
+            if self.workers.agreed(strain_percentile(window.garments, state.positions) > DIVERGED_STRAIN):
+                break
         return True
 
     def _set_off(self, window: Window, settled: State) -> State:
