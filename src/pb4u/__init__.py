@@ -27,7 +27,7 @@ _HOMES = {
     "Simulator": "pb4u.simulation.simulator:Simulator",
     "Trajectory": "pb4u.scene.trajectory:Trajectory",
     "build_garment": "pb4u.garment.library:build_garment",
-    "export": "pb4u.export.registry:export",
+    "export_trajectory": "pb4u.export.registry:export",
     "load_body": "pb4u.body.library:load_body",
     "load_motion": "pb4u.motion.library:load_motion",
     "load_simulator": "pb4u.simulation.models:load_simulator",
@@ -47,7 +47,7 @@ __all__ = [
     "Simulator",
     "Trajectory",
     "build_garment",
-    "export",
+    "export_trajectory",
     "load_body",
     "load_motion",
     "load_simulator",
@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from pb4u.body.library import load_body
     from pb4u.errors import InputError, Pb4uError
     from pb4u.evaluation.metrics import measure
-    from pb4u.export.registry import export
+    from pb4u.export.registry import export as export_trajectory
     from pb4u.garment.garment import Garment
     from pb4u.garment.garment_file import read_garment
     from pb4u.garment.library import build_garment

@@ -233,7 +233,38 @@ def test_z_up_and_inside_out_are_warned_of(tmp_path: Path, box: tuple[np.ndarray
     assert np.einsum("fc,fc->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0
 
 
-@pytest.mark.parametrize("line", ["v 1 2", "v a b c", "f 1 2", "f 1 2 x", "f 0 1 2", "f 1 2 99"])
+def test_a_huge_body_is_refused_before_it_is_parsed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, box: tuple[np.ndarray, np.ndarray]
+) -> None:
+    path = tmp_path / "scan.obj"
+    path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"f 1 2 3\n" * 1_000_001)
+    monkeypatch.setattr("pb4u.body.surface_file._read_obj", lambda _: pytest.fail("the file was parsed"))
+    for asked in (path, tmp_path):
+        with pytest.raises(InputError, match=r"scan\.obj has 1,000,001 triangles or more.*decimate it"):
+            load_vertex_sequence(asked)
+    np.savez(tmp_path / "scan.npz", positions=box[0], faces=np.tile(box[1], (100_000, 1)), fps=30.0)
+    with pytest.raises(InputError, match=r"scan\.npz has 1,200,000 triangles"):
+        load_vertex_sequence(tmp_path / "scan.npz")
+
+
+def test_flipped_bytes_are_refused_or_read(tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
+    write_vertex_sequence(tmp_path / "body.npz", box[0], box[1], 30.0)
+    data = np.frombuffer((tmp_path / "body.npz").read_bytes(), dtype=np.uint8)
+    rng, refused = np.random.default_rng(1), 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for _ in range(200):
+            damaged = data.copy()
+            damaged[rng.integers(0, len(data), 3)] = rng.integers(0, 256, 3)
+            (tmp_path / "damaged.npz").write_bytes(damaged.tobytes())
+            try:
+                load_vertex_sequence(tmp_path / "damaged.npz")
+            except InputError:
+                refused += 1
+    assert refused > 50
+
+
+@pytest.mark.parametrize("line", ["v 1 2", "v a b c", "f 1 2", "f 1 2 x", "f 0 1 2", "f 1 2 99", f"f 1 2 {10**30}"])
 def test_a_broken_obj_is_refused(line: str, tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
     path = tmp_path / "body.obj"
     write_obj(path, box[0][0], box[1].tolist())

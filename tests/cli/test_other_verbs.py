@@ -8,18 +8,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.garment.cloth_shapes import saved, triangle_tube
 
+from pb4u.body.library import load_body
+from pb4u.garment.garment import SourceMesh
+from pb4u.garment.obj_file import read_obj
+from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation.skinning_simulator import SkinningSimulator
 
 CUBE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 
 
+@pytest.fixture(scope="module")
+def simulated() -> Trajectory:
+    return SkinningSimulator().simulate(make_scene(triangles=1000, lead_in=0, frames=6))
+
+
 @pytest.fixture
-def walk(pb4u: Callable, tmp_path: Path) -> Path:
-    path = tmp_path / "walk.npz"
-    ended = pb4u("simulate", "--model", "skinning", "--triangles", 1000, "--lead-in", 0, "--frames", 6, "--out", path)
-    assert ended.code == 0, ended.err
-    return path
+def walk(simulated: Trajectory, tmp_path: Path) -> Path:
+    return simulated.save(tmp_path / "walk.npz")
 
 
 def test_convert_selects_frames(pb4u: Callable, walk: Path, tmp_path: Path) -> None:
@@ -38,7 +46,8 @@ def test_convert_selects_frames(pb4u: Callable, walk: Path, tmp_path: Path) -> N
         (("absent.npz", "b.obj"), "no trajectory file"),
         (("walk.npz", "absent/b.obj"), "does not exist"),
         (("walk.npz", "b.obj", "--range", "9:12"), "frames 0 to 5"),
-        (("walk.npz", "b.obj", "--range", "3"), "A:B"),
+        (("walk.npz", "b.obj", "--every", "-1"), "must be 1 or more, not -1"),
+        (("walk.npz", "b.obj", "--json", "absent/r.json"), "absent for --json does not exist"),
     ],
 )
 def test_convert_refuses(
@@ -49,6 +58,19 @@ def test_convert_refuses(
     assert ended.code == 1
     assert says in ended.err
     assert sorted(p.name for p in walk.parent.iterdir()) == ["walk.npz"]
+
+
+def test_a_range_that_is_none_ends_with_2(pb4u: Callable, walk: Path) -> None:
+    assert pb4u("convert", walk, walk.with_suffix(".obj"), "--range", "3").code == 2
+
+
+def test_a_damaged_trajectory_is_refused_in_one_sentence(pb4u: Callable, walk: Path, tmp_path: Path) -> None:
+    with np.load(walk) as archive:
+        np.savez(tmp_path / "damaged.npz", **{**archive, "faces": archive["faces"] + 1})
+    ended = pb4u("convert", tmp_path / "damaged.npz", tmp_path / "b.obj")
+    assert ended.code == 1
+    assert "faces points outside of its" in ended.err
+    assert len(ended.err.strip().splitlines()) == 1
 
 
 def test_assets_lists_every_name_of_the_contract(pb4u: Callable) -> None:
@@ -67,6 +89,7 @@ def test_written_assets_can_be_used_as_input(pb4u: Callable, tmp_path: Path) -> 
     assert pb4u("assets", "write", "tshirt", tmp_path / "t.obj", "--triangles", 1000).code == 0
     assert pb4u("assets", "write", "walk", tmp_path / "w.npz", "--frames", 4).code == 0
     assert pb4u("assets", "write", "silk", tmp_path / "m.json").code == 0
+    np.testing.assert_array_equal(load_body(tmp_path / "w.npz").contact, load_body("woman").contact)
     ended = pb4u(
         "simulate", "--garment", tmp_path / "t.obj", "--motion", "walk", "--material", tmp_path / "m.json",
         "--model", "skinning", "--frames", 2, "--out", tmp_path / "a.npz",
@@ -76,6 +99,78 @@ def test_written_assets_can_be_used_as_input(pb4u: Callable, tmp_path: Path) -> 
     wrong = pb4u("assets", "write", "tshirt", tmp_path / "t.fbx")
     assert wrong.code == 1
     assert ".obj" in wrong.err
+
+
+def test_assets_write_tells_what_it_wrote(pb4u: Callable, tmp_path: Path) -> None:
+    ended = pb4u("assets", "write", "skirt", tmp_path / "s.obj", "--triangles", 1000, "--json", "-")
+    told = json.loads(ended.out)
+    assert {"name": "skirt", "kind": "garment", "body": "woman", "out": str(tmp_path / "s.obj")}.items() <= told.items()
+    assert told["triangles"] == len(read_obj(tmp_path / "s.obj").polygons)
+    refused = pb4u("assets", "write", "man", tmp_path / "man.obj", "--json", tmp_path / "absent" / "r.json")
+    assert refused.code == 1
+    assert not (tmp_path / "man.obj").exists()
+
+
+def test_assets_bake_tells_what_it_wrote(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pb4u.body.baking.bake", lambda folder: [folder / "woman.npz", folder / "man.npz"])
+    told = json.loads(pb4u("assets", "bake", "--folder", tmp_path, "--json", "-").out)
+    assert told == {"out": [str(tmp_path / "woman.npz"), str(tmp_path / "man.npz")]}
+    assert "absent for --json" in pb4u("assets", "bake", "--json", tmp_path / "absent" / "r.json").err
+
+
+def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_path: Path) -> None:
+    mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
+    extra = (np.array([500, 501, 0]), mesh.polygons[7])
+    file = saved(tmp_path, SourceMesh(mesh.vertices, (*mesh.polygons, *extra)))
+    ended = pb4u("check", file, "--fix", tmp_path / "m.obj", "--json", tmp_path / "r.json")
+    assert ended.code == 1
+    assert "m.obj would still be refused" in ended.err
+    assert "stays: 1 edge(s) are shared by three or more faces" in ended.out
+    garment = json.loads((tmp_path / "r.json").read_text())["garment"]
+    assert "Dropped 1 face(s)" in garment["mended"][0]
+    assert {f["code"] for f in garment["findings"]} >= {"non-manifold", "duplicate"}
+    assert [f["code"] for f in garment["remaining"]["findings"] if f["severity"] == "refused"] == ["non-manifold"]
+    assert "duplicate" not in {f["code"] for f in garment["remaining"]["findings"]}
+    assert len(read_obj(tmp_path / "m.obj").polygons) == 1601
+
+
+def test_a_mend_that_leaves_nothing_ends_with_0(pb4u: Callable, tmp_path: Path) -> None:
+    mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
+    file = saved(tmp_path, SourceMesh(100.0 * mesh.vertices, mesh.polygons))
+    ended = pb4u("check", file, "--body", "man", "--fix", tmp_path / "m.obj")
+    assert ended.code == 0, ended.err
+    assert "refused: The garment is in centimetres" in ended.out
+    assert f"scale it by 0.01 with `pb4u check {file} --body man --fix OUT.obj`" in ended.out
+    assert "mended: Scaled by 0.01" in ended.out
+    assert "stays: The garment is in" not in ended.out
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (("--crop", "0:9"), "of --motion; give that as well"),
+        (("--fix", "m.ply"), "writes an .obj"),
+        (("--fix", "absent/m.obj"), "does not exist"),
+        (("--fix", "taken.obj"), "is a folder"),
+        (("--json", "absent/r.json"), "does not exist"),
+        (("--json", "taken.obj"), "is a folder"),
+    ],
+)
+def test_check_looks_at_its_targets_before_any_work(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: tuple[str, str], says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken.obj").mkdir()
+    monkeypatch.setattr("pb4u.garment.garment_file.read_source", lambda *_: pytest.fail("the garment was read"))
+    ended = pb4u("check", "shirt.obj", *flags)
+    assert ended.code == 1
+    assert says in ended.err
+
+
+def test_a_built_in_garment_is_not_mended(pb4u: Callable, tmp_path: Path) -> None:
+    ended = pb4u("check", "tshirt", "--fix", tmp_path / "m.obj")
+    assert ended.code == 1
+    assert "mends a garment from a file" in ended.err
 
 
 def test_check_names_faults_and_ends_with_1(pb4u: Callable, tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.garment.cloth_shapes import quad_tube, saved
 
+from pb4u.garment.obj_file import read_obj
 from pb4u.scene.trajectory import Trajectory
 
 SMALL = ("--triangles", 1000, "--lead-in", 0, "--model", "skinning")
@@ -67,9 +69,7 @@ def test_same_seed_same_bytes(pb4u: Callable, tmp_path: Path) -> None:
         (("--model", "sovler"), "solver"),
         (("--garment", "absent.obj"), "absent.obj"),
         (("--motion", "absent.bvh"), "absent.bvh"),
-        (("--body-shape", "height"), "KEY=VALUE"),
         (("--body-shape", "hight=0.5"), "height"),
-        (("--crop", "5"), "A:B"),
         (("--fps", 0), "between 1 and 1000"),
         (("--lead-in", -1), "0 frames or more"),
         (("--pins", "sleeve"), "loop"),
@@ -94,9 +94,76 @@ def test_bad_values_are_refused_in_one_sentence(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("flags", [("--frames", "many"), ("--colour", "red"), ("--contact", "perhaps")])
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ("--frames", "many"), ("--colour", "red"), ("--contact", "perhaps"), ("--crop", "abc"), ("--crop", "9:3"),
+        ("--body-shape", "height"), ("--body-shape", "height=tall"),
+    ],
+)  # fmt: skip
 def test_flags_that_cannot_be_understood_end_with_2(pb4u: Callable, flags: tuple[str, str]) -> None:
-    assert pb4u("simulate", *flags).code == 2
+    ended = pb4u("simulate", *flags)
+    assert ended.code == 2
+    assert "Traceback" not in ended.err
+
+
+def test_ranges_and_shapes_that_are_understood_arrive(pb4u: Callable, tmp_path: Path) -> None:
+    ended = pb4u("simulate", *SMALL, "--frames", 1, "--crop", "3:9", "--out", tmp_path / "a.npz")
+    assert ended.code == 1
+    assert "no end to crop" in ended.err
+    for shape, out in (("height=0.9", "tall.npz"), ("height=0.1, weight=0.5", "short.npz")):
+        assert pb4u("simulate", *SMALL, "--frames", 1, "--body-shape", shape, "--out", tmp_path / out).code == 0
+    tall, short = (Trajectory.open(tmp_path / out).body_positions[0, :, 1].max() for out in ("tall.npz", "short.npz"))
+    assert tall > short + 0.1
+
+
+def test_the_lead_in_can_be_written(pb4u: Callable, tmp_path: Path) -> None:
+    flags = ("simulate", *SMALL[:2], "--model", "skinning", "--frames", 3, "--lead-in", 4)
+    assert pb4u(*flags, "--out", tmp_path / "a.npz").code == 0
+    assert pb4u(*flags, "--keep-lead-in", "--out", tmp_path / "b.npz").code == 0
+    written, kept = Trajectory.open(tmp_path / "a.npz"), Trajectory.open(tmp_path / "b.npz")
+    assert (written.frame_count, kept.frame_count) == (3, 7)
+    np.testing.assert_array_equal(kept.positions[4:], written.positions)
+    # It starts in the rest pose, turned and placed where the motion begins.
+    np.testing.assert_allclose(kept.positions[0, :, 1], kept.header.rest_positions[:, 1], atol=1e-5)
+    assert "first 4 frames lead" in kept.metadata["notes"][-1]
+
+
+@pytest.fixture
+def moving_body(pb4u: Callable, tmp_path: Path) -> Path:
+    assert pb4u("assets", "write", "walk", tmp_path / "moving.npz", "--frames", 3).code == 0
+    assert pb4u("assets", "write", "dress", tmp_path / "dress.obj", "--triangles", 1000).code == 0
+    return tmp_path / "moving.npz"
+
+
+def test_a_sequence_of_vertices_takes_no_motion_crop_or_pose(pb4u: Callable, moving_body: Path, tmp_path: Path) -> None:
+    call = ("simulate", "--garment", tmp_path / "dress.obj", "--body", moving_body, *SMALL[2:])
+    for flags in (("--crop", "0:2"), ("--arms-away", 8)):
+        ended = pb4u(*call, *flags, "--out", tmp_path / "a.npz")
+        assert ended.code == 1
+        assert f"so {flags[0]} cannot be applied" in ended.err.strip().splitlines()[-1]
+        assert not (tmp_path / "a.npz").exists()
+    warned = pb4u(*call, "--motion", "dance", "--out", tmp_path / "a.npz")
+    assert warned.code == 0, warned.err
+    assert "the motion dance is not used" in warned.err
+    silent = pb4u(*call, "--out", tmp_path / "b.npz")
+    assert silent.code == 0, silent.err
+    assert "not used" not in silent.err
+    assert Trajectory.open(tmp_path / "b.npz").metadata["motion"] == "moving"
+
+
+def test_the_author_s_quads_come_back_moved(pb4u: Callable, tmp_path: Path) -> None:
+    mesh = quad_tube(low=0.6, high=1.0, radius=0.22)
+    garment = saved(tmp_path, mesh)
+    ended = pb4u("simulate", "--garment", garment, *SMALL, "--frames", 2, "--out", tmp_path / "a.npz")
+    assert ended.code == 0, ended.err
+    assert "`pb4u convert --on source` writes them whole" in ended.err
+    assert pb4u("convert", tmp_path / "a.npz", tmp_path / "mine.obj", "--on", "source").code == 0
+    moved = read_obj(tmp_path / "mine_0001.obj")
+    np.testing.assert_array_equal(np.stack(moved.polygons), np.stack(mesh.polygons))
+    assert moved.polygon_uvs is not None
+    np.testing.assert_array_equal(np.stack(moved.polygon_uvs), np.stack(mesh.polygon_uvs))
+    assert moved.vertices.shape == mesh.vertices.shape
 
 
 def test_targets_are_checked_before_any_work(pb4u: Callable, tmp_path: Path) -> None:

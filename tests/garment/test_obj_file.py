@@ -46,6 +46,7 @@ def test_uvs_of_only_some_faces_are_no_uv_map(tmp_path):
         (SQUARE + "f 0 1 2\n", "out of range"),
         (SQUARE + "f -5 1 2\n", "out of range"),
         (SQUARE + "vt 0 0\nf 1/1 2/1 3/7\n", "texture coordinate out of range"),
+        (SQUARE + f"f 1 2 {10**30}\n", "19 digits"),
         (SQUARE + "f 1 2\n", "line 5: a face needs 3 corners"),
         (SQUARE + "f 1 2 three\n", "line 5: the face index"),
         ("v 0 0\n" + SQUARE + "f 1 2 3\n", "line 1: a vertex needs 3 numbers"),

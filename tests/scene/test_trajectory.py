@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pb4u.errors import InputError
+from pb4u.scene.polygons import Polygons
 from pb4u.scene.trajectory import FORMAT_VERSION, Frame, SourceTrack, Trajectory, TrajectoryHeader, TrajectoryWriter
 
 
@@ -18,8 +19,9 @@ def make_trajectory(frames: int = 5, vertices: int = 700, with_source: bool = Fa
     source = None
     if with_source:
         source = SourceTrack(
-            np.array([[0, 1, 2]]), np.array([4, 5, 6]), np.eye(3), np.eye(3)[:, :2], np.array([[0, 1, 2]])
-        )
+            np.array([[0, 1, 2]]), np.array([4, 5, 6]), np.eye(3), np.eye(3)[:, :2], np.array([[0, 1, 2]]),
+            Polygons(np.array([3, 4]), np.array([0, 1, 2, 2, 1, 0, 1]), np.array([0, 1, 2, 1, 1, 0, 2])),
+        )  # fmt: skip
     header = TrajectoryHeader(
         faces=faces,
         rest_positions=rng.random((vertices, 3)),
@@ -57,6 +59,82 @@ def test_round_trip_keeps_every_member(tmp_path: Path) -> None:
     assert read.metadata == written.metadata
     assert read.header.source is not None
     np.testing.assert_array_equal(read.header.source.barycentric, np.eye(3))
+    polygons, expected = read.header.source.polygons, written.header.source.polygons
+    for name in ("sizes", "corners", "uv_corners"):
+        np.testing.assert_array_equal(getattr(polygons, name), getattr(expected, name))
+    assert read.header.polygons is None
+
+
+def test_a_file_without_polygons_is_still_read(tmp_path: Path) -> None:
+    """As versions before polygons wrote them."""
+    with np.load(make_trajectory(with_source=True).save(tmp_path / "new.npz")) as archive:
+        np.savez(tmp_path / "old.npz", **{k: v for k, v in archive.items() if "polygon" not in k})
+    source = Trajectory.open(tmp_path / "old.npz").header.source
+    assert source is not None
+    assert source.polygons is None
+    np.testing.assert_array_equal(source.faces, [[0, 1, 2]])
+
+
+NAN_REST = np.full((700, 3), np.nan, dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"positions": np.zeros(9, dtype=np.float32)}, "positions has the shape"),
+        ({"positions": np.zeros((5, 700, 2), dtype=np.float32)}, "positions has the shape"),
+        ({"positions": np.zeros((0, 700, 3), dtype=np.float32)}, "shape"),
+        ({"velocities": np.zeros((4, 700, 3), dtype=np.float32)}, "velocities has the shape"),
+        ({"positions": np.zeros((5, 700, 3), dtype=np.int64)}, "not decimal numbers"),
+        ({"faces": np.full((698, 3), 700)}, "faces points outside of its 700 vertices"),
+        ({"faces": np.full((698, 3), -1)}, "faces points outside"),
+        ({"faces": np.array([[0.0, 1.0, 2.0]])}, "not whole numbers"),
+        ({"faces": np.zeros((0, 3), dtype=np.int64), "uv_faces": np.zeros((0, 3), dtype=np.int64)}, "it has no faces"),
+        ({"body_faces": np.array([[0, 1, 3]])}, "body_faces points outside of its 3 body vertices"),
+        ({"body_contact": np.array(True)}, "body_contact has the shape"),
+        ({"uv_faces": np.full((698, 3), 700)}, "uv_faces points outside"),
+        ({"uvs": None}, "only a part"),
+        ({"source_triangle": np.array([0, 0, 698])}, "source_triangle points outside of its 698 faces"),
+        ({"source_faces": np.array([[0, 1, 3]])}, "source_faces points outside"),
+        ({"source_barycentric": np.full((3, 3), np.inf)}, "source_barycentric is not finite"),
+        ({"source_polygon_sizes": np.array([3, 5])}, "do not agree"),
+        ({"source_polygon_corners": np.array([0, 1, 2, 2, 1, 0, 3])}, "source_polygon_corners points outside"),
+        ({"rest_positions": NAN_REST}, "rest_positions is not finite"),
+        ({"fps": np.array(np.nan)}, "fps is not finite"),
+        ({"fps": np.array(0.0)}, "0 frames per second"),
+        ({"fps": np.array([30.0, 25.0])}, "fps has the shape"),
+        ({"metadata": np.array("{")}, "not JSON"),
+        ({"metadata": np.array("[]")}, "not a JSON object"),
+        ({"metadata": np.array('{"heading": "north"}')}, "heading"),
+        ({"metadata": np.array('{"held_frames": [0.5]}')}, "held_frames"),
+        ({"format_version": np.array([1, 2])}, "format version is not a whole number"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused_on_opening(
+    tmp_path: Path, changed: dict[str, np.ndarray | None], says: str
+) -> None:
+    with np.load(make_trajectory(with_source=True).save(tmp_path / "a.npz")) as archive:
+        members = {**archive, **changed}
+    np.savez(tmp_path / "b.npz", **{name: values for name, values in members.items() if values is not None})
+    with pytest.raises(InputError) as refused:
+        Trajectory.open(tmp_path / "b.npz")
+    assert says in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_flipped_bytes_are_refused_or_read_but_never_end_in_another_error(tmp_path: Path) -> None:
+    data = make_trajectory(2, 20, with_source=True).save(tmp_path / "a.npz").read_bytes()
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(300):
+        damaged = np.frombuffer(data, dtype=np.uint8).copy()
+        damaged[rng.integers(0, len(data), 3)] = rng.integers(0, 256, 3)
+        (tmp_path / "b.npz").write_bytes(damaged.tobytes())
+        try:
+            Trajectory.open(tmp_path / "b.npz")
+        except InputError:
+            refused += 1
+    assert refused > 100
 
 
 def test_file_follows_the_contract_and_needs_no_pickle(tmp_path: Path) -> None:

@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.geometry.mesh_file_size import least_triangles
 from pb4u.geometry.triangulation import triangulate
 
 SURFACE_SUFFIXES = (".obj", ".ply")
+MOST_TRIANGLES = 1_000_000
+"""Triangles that a body may have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +49,7 @@ class _RawSurface:
     def _polygon(self, line: bytes) -> np.ndarray:
         try:
             corners = np.array([int(token.split(b"/", 1)[0]) for token in line.split()[1:]], dtype=np.int64)
-        except ValueError:
+        except (ValueError, OverflowError):
             corners = np.zeros(0, dtype=np.int64)
         if len(corners) < 3 or not corners.all():
             shown = line.decode("utf-8", "replace").strip()[:60]
@@ -58,8 +61,9 @@ class _RawSurface:
 def read_surface(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (vertices, 3) float64 and triangles (faces, 3) int64, in the order of the file.
 
-    Raises InputError when the file cannot be read, has no faces, or names vertices that it does not have.
+    Raises InputError when the file cannot be read, has no faces or too many, or names vertices that it does not have.
     """
+    _refuse_huge(path)
     raw = _read(path)
     return raw.vertices, raw.triangles()
 
@@ -69,6 +73,7 @@ def read_frames(paths: list[Path]) -> tuple[np.ndarray, np.ndarray]:
 
     Raises InputError naming the first file whose faces or vertex count differ from those of the first.
     """
+    _refuse_huge(paths[0])
     first = _read(paths[0])
     faces = first.triangles()
     frames = np.empty((len(paths), len(first.vertices), 3), dtype=np.float32)
@@ -83,6 +88,23 @@ def read_frames(paths: list[Path]) -> tuple[np.ndarray, np.ndarray]:
             )
         frames[index] = raw.vertices
     return frames, faces
+
+
+def refuse_too_many(path: Path, triangles: int) -> None:
+    """Raises InputError when a body has more triangles than can be used."""
+    if triangles > MOST_TRIANGLES:
+        raise InputError(
+            f"{path} has {triangles:,} triangles or more, and {MOST_TRIANGLES:,} are the most that a body may have; "
+            "decimate it in the program it comes from."
+        )
+
+
+def _refuse_huge(path: Path) -> None:
+    """Before the file is parsed, which takes minutes where counting takes a second."""
+    try:
+        refuse_too_many(path, least_triangles(path, MOST_TRIANGLES))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
 
 
 def _read(path: Path) -> _RawSurface:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import re
 import warnings
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.atomic_file import replace_file
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.point_cache import CACHE_SUFFIXES, read_point_cache
-from pb4u.body.surface_file import SURFACE_SUFFIXES, read_frames, read_surface
+from pb4u.body.surface_file import SURFACE_SUFFIXES, read_frames, read_surface, refuse_too_many
 from pb4u.errors import InputError, InputWarning
 
 DEFAULT_FPS = 30.0
@@ -87,19 +88,31 @@ class VertexSequence(AnimatedBody):
         )
 
 
-def write_vertex_sequence(path: str | Path, vertices: np.ndarray, faces: np.ndarray, fps: float) -> None:
-    """Write positions (frames, vertices, 3) [m] and faces (faces, 3) as an .npz that `load_vertex_sequence` reads.
+def write_vertex_sequence(
+    path: str | Path, vertices: np.ndarray, faces: np.ndarray, fps: float, contact: np.ndarray | None = None
+) -> None:
+    """Write an .npz that `load_vertex_sequence` reads.
+
+    Args:
+        path: the file.
+        vertices: (frames, vertices, 3) [m].
+        faces: (faces, 3).
+        fps: frames per second.
+        contact: (vertices,) bool, false where the body neither answers contact nor counts as penetrated; default none.
 
     Raises InputError when the file cannot be written.
     """
-    path = Path(path)
-    part = path.with_name(path.name + ".part")
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        positions=vertices.astype(np.float32),
+        faces=faces.astype(np.int64),
+        fps=np.float64(fps),
+        contact=np.ones(vertices.shape[1], dtype=bool) if contact is None else contact.astype(bool),
+    )
     try:
-        with part.open("wb") as file:
-            np.savez(file, positions=vertices.astype(np.float32), faces=faces.astype(np.int64), fps=np.float64(fps))
-        part.replace(path)
+        replace_file(Path(path), buffer.getvalue())
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise InputError(f"{path} cannot be written: {error.strerror or error}.") from error
 
 
@@ -160,7 +173,7 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndar
             contact = archive[f"{prefix}contact"] if f"{prefix}contact" in keys else None
     except InputError:
         raise
-    except (OSError, ValueError, TypeError, zipfile.BadZipFile) as error:
+    except Exception as error:  # zipfile and numpy let through whatever their parsers trip over
         raise InputError(f"{path}: not a readable .npz of plain arrays ({error}).") from error
     if vertices.ndim != 3 or vertices.shape[2] != 3 or not len(vertices) or vertices.dtype.kind != "f":
         raise InputError(
@@ -197,6 +210,7 @@ def _read_surface_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float |
 def _refuse_unusable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     if not len(faces):
         raise InputError(f"{path} has no faces; a body needs a surface.")
+    refuse_too_many(path, len(faces))
     if faces.min() < 0 or faces.max() >= vertices.shape[1]:
         raise InputError(f"{path}: a face names a vertex out of range, there are {vertices.shape[1]}.")
     for start in range(0, len(vertices), _CHECKED_FRAMES):

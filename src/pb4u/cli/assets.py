@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import parse_shape, progress_bar, write_json
+from pb4u.cli.console import BodyShape, check_json_target, check_writable, progress_bar, write_json
 from pb4u.errors import InputError
 
 if TYPE_CHECKING:
     from pb4u.garment.material import Material
+
+_Json = Annotated[
+    str | None, typer.Option(metavar="FILE|-", help="Write what was written as JSON; '-' is standard output.")
+]
 
 group = typer.Typer(
     help="List the built-in bodies, motions, garments, materials and models; write any of them to a file."
@@ -34,6 +38,7 @@ def assets(
     """List the built-in bodies, motions, garments, materials and models; write any of them to a file."""
     if context.invoked_subcommand:
         return
+    check_json_target(json)
     found = catalogue()
     if json:
         write_json(found, json)
@@ -105,10 +110,13 @@ def write(
         ),
     ],
     body: Annotated[str, typer.Option(help="Body that a garment is cut for, or that performs a motion.")] = "woman",
-    body_shape: Annotated[str | None, typer.Option(help="Shape of that body, KEY=VALUE,.. .")] = None,
+    body_shape: Annotated[
+        BodyShape | None, typer.Option(parser=BodyShape.parse, metavar="KEY=VALUE,..", help="Shape of that body.")
+    ] = None,
     triangles: Annotated[int | None, typer.Option(help="Triangles of a garment.")] = None,
-    frames: Annotated[int, typer.Option(min=1, help="Frames of a motion.")] = 60,
+    frames: Annotated[int, typer.Option(help="Frames of a motion.")] = 60,
     fps: Annotated[float, typer.Option(help="Frames per second of a motion.")] = 30.0,
+    json: _Json = None,
 ) -> None:
     """Write one built-in asset to a file."""
     from pb4u.body.body_model import ShapedBody
@@ -124,31 +132,43 @@ def write(
         raise InputError(f"There is no built-in asset {name!r}; did you mean {near}?")
     if out.suffix.lower() != expected[name]:
         raise InputError(f"{name} is written as {expected[name]}; {out} ends otherwise.")
-    if not out.parent.is_dir():
-        raise InputError(f"The folder {out.parent} does not exist; make it first.")
+    check_writable(out, "the asset")
+    check_json_target(json)
     if name in MATERIALS:
         from dataclasses import asdict
 
         write_json(asdict(MATERIALS[name]), str(out))
+        _tell(json, name=name, kind="material", out=str(out))
         return
-    figure = load_body(name if name in body_names() else body, parse_shape(body_shape))
+    if frames < 1 or not 1.0 <= fps <= 1000.0:
+        raise InputError(f"A motion has 1 frame or more at 1 to 1000 per second, not {frames} at {fps:g}.")
+    figure = load_body(name if name in body_names() else body, body_shape)
     if not isinstance(figure, ShapedBody):
         raise InputError(f"{body} is a sequence of vertices; built-in garments and motions need a body with bones.")
     if name in motion_names():
         from pb4u.body.vertex_sequence import write_vertex_sequence
 
         moving = figure.posed(load_motion(name).poses(figure, fps, frames))
-        write_vertex_sequence(out, moving.positions(0, frames).numpy(), figure.faces, fps)
+        write_vertex_sequence(out, moving.positions(0, frames).numpy(), figure.faces, fps, figure.contact)
+        counts = {"vertices": len(figure.vertices), "triangles": len(figure.faces), "frames": frames, "fps": fps}
+        _tell(json, name=name, kind="motion", out=str(out), body=figure.name, **counts)
         return
     from pb4u.garment.garment import SourceMesh
     from pb4u.garment.obj_file import write_obj
 
+    kind, mesh = "body", SourceMesh(figure.vertices, tuple(figure.faces))
     if name in garment_names():
         garment = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
         uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
-        write_obj(out, SourceMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces))
-    else:
-        write_obj(out, SourceMesh(figure.vertices, tuple(figure.faces)))
+        kind, mesh = "garment", SourceMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+    write_obj(out, mesh)
+    counts = {"vertices": len(mesh.vertices), "triangles": len(mesh.polygons)}
+    _tell(json, name=name, kind=kind, out=str(out), body=figure.name, **counts)
+
+
+def _tell(json: str | None, **summary: Any) -> None:
+    if json:
+        write_json(summary, json)
 
 
 @group.command("pack")
@@ -162,6 +182,7 @@ def pack(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Replace a field of the preset, as in data.shapes=8."),
     ] = None,
+    json: _Json = None,
 ) -> None:
     """Write what a training machine needs: it then needs torch, numpy and safetensors only."""
     from pb4u.training.collection import collect
@@ -171,16 +192,21 @@ def pack(
 
     if out.suffix.lower() != ".npz":
         raise InputError(f"A training pack is an .npz; {out} ends otherwise.")
-    if not out.parent.is_dir():
-        raise InputError(f"The folder {out.parent} does not exist; make it first.")
+    check_writable(out, "the pack")
+    check_json_target(json)
     configuration = with_settings(training_preset(preset), set_ or ())
     with progress_bar("pack") as progress:
         data = collect(configuration.data, recordings, configuration.seed, progress)
     save_training_data(data, out)
-    print(
-        f"{out}: {len(data.bodies)} bodies, {len(data.outfits)} garments, {len(data.clips)} clips, "
-        f"{out.stat().st_size / 1e6:.1f} MB; train with `python -m pb4u.training --pack {out.name} --out RUN`."
-    )
+    _tell(
+        json, out=str(out), preset=preset, bodies=len(data.bodies), garments=len(data.outfits), clips=len(data.clips),
+        bytes=out.stat().st_size,
+    )  # fmt: skip
+    if json != "-":
+        print(
+            f"{out}: {len(data.bodies)} bodies, {len(data.outfits)} garments, {len(data.clips)} clips, "
+            f"{out.stat().st_size / 1e6:.1f} MB; train with `python -m pb4u.training --pack {out.name} --out RUN`."
+        )
 
 
 @group.command("bake")
@@ -188,9 +214,13 @@ def bake(
     folder: Annotated[
         Path | None, typer.Option(help="Folder to write to; default the package's own data folder.")
     ] = None,
+    json: _Json = None,
 ) -> None:
     """Rebuild the built-in bodies from Anny (needs the "anny" extra; takes minutes)."""
     from pb4u.body.baking import bake as build
 
-    for path in build(folder):
-        print(path)
+    check_json_target(json)
+    written = [str(path) for path in build(folder)]
+    _tell(json, out=written)
+    if json != "-":
+        print("\n".join(written))

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from pb4u.cli.console import parse_crop, parse_shape, write_json
+from pb4u.cli.console import BodyShape, FrameRange, check_json_target, check_writable, write_json
 from pb4u.errors import InputError, Pb4uError
-
-if TYPE_CHECKING:
-    from pb4u.garment.diagnosis import Diagnosis
 
 
 def register(app: typer.Typer) -> None:
@@ -27,13 +24,19 @@ def check(
     garment: Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Built-in garment or mesh file.")] = None,
     body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = "woman",
     body_shape: Annotated[
-        str | None, typer.Option(metavar="KEY=VALUE,..", help="Shape of the body, such as height=0.7,weight=0.4.")
+        BodyShape | None,
+        typer.Option(
+            parser=BodyShape.parse, metavar="KEY=VALUE,..", help="Shape of the body, such as height=0.7,weight=0.4."
+        ),
     ] = None,
     motion: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="Motion to read and retarget as well.", show_default=False)
     ] = None,
     crop: Annotated[
-        str | None, typer.Option(metavar="A:B", help="Frames A to B-1 of that recording, at its own rate.")
+        FrameRange | None,
+        typer.Option(
+            parser=FrameRange.parse, metavar="A:B", help="Frames A to B-1 of that recording, at its own rate."
+        ),
     ] = None,
     triangles: Annotated[int | None, typer.Option(help="Triangles of a built-in garment.")] = None,
     fix: Annotated[
@@ -46,33 +49,48 @@ def check(
 ) -> None:
     """Diagnose a garment (and a body and a motion) before simulating; each fault with its fix.
 
-    Ends with exit code 1 when simulation would refuse what was given and --fix was not asked for.
+    Ends with exit code 1 when simulation would refuse the garment: as it was given, or with --fix as it was mended.
     """
     from pb4u.body.library import load_body
 
     given = garment or file
     if given is None and motion is None:
         raise InputError("Nothing to check: give a garment file or name, or --motion.")
-    if fix is not None and (fix.suffix.lower() != ".obj" or not fix.parent.is_dir()):
-        raise InputError(f"--fix writes an .obj into a folder that exists; {fix} is none.")
-    figure = load_body(body, parse_shape(body_shape))
+    if crop is not None and motion is None:
+        raise InputError("--crop cuts the recording of --motion; give that as well.")
+    check_json_target(json)
+    if fix is not None:
+        _check_fix(fix, given)
+    figure = load_body(body, body_shape)
     report: dict[str, Any] = {}
     refused = False
     if given is not None:
-        diagnosis, mended = _check_garment(given, figure, triangles, fix)
-        report["garment"] = {"name": given, **diagnosis.to_json(), "mended": mended}
-        refused = diagnosis.is_refused and fix is None
+        report["garment"] = _check_garment(given, figure, triangles, fix)
+        refused = (report["garment"] if fix is None else report["garment"]["remaining"])["refused"]
     if motion is not None:
-        report["motion"] = _check_motion(motion, figure, parse_crop(crop))
+        report["motion"] = _check_motion(motion, figure, crop)
     if json:
         write_json(report, json)
     if json != "-":
         _print(report, fix)
+    if refused and fix is not None:
+        raise Pb4uError(f"{fix} would still be refused; mend what stays in the program it comes from.")
     if refused:
         raise Pb4uError(f"{given} would be refused; the findings above say how to mend it.")
 
 
-def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | None) -> tuple[Diagnosis, list[str]]:
+def _check_fix(fix: Path, given: str | None) -> None:
+    from pb4u.garment.library import garment_names
+
+    if fix.suffix.lower() != ".obj":
+        raise InputError(f"--fix writes an .obj; {fix} ends otherwise.")
+    if given is None or given in garment_names():
+        raise InputError("--fix mends a garment from a file; give that file.")
+    check_writable(fix, "--fix")
+
+
+def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | None) -> dict[str, Any]:
+    """What was found, what was mended and, of a mended garment, what is found still."""
     from pb4u.garment.diagnosis import diagnose
     from pb4u.garment.garment_file import read_source
     from pb4u.garment.library import build_garment, garment_names
@@ -81,17 +99,17 @@ def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | No
 
     if name in garment_names():
         built = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
-        return diagnose(built, figure), []
+        return {"name": name, **diagnose(built, figure).to_json(), "mended": [], "remaining": None}
     if not Path(name).suffix:
         near = get_close_matches(name, garment_names()) or list(garment_names())
         raise InputError(f"No garment is called {name!r}, and it is not a file; did you mean {', '.join(near)}?")
     source = read_source(Path(name))
-    diagnosis = diagnose(source, figure)
-    if fix is None:
-        return diagnosis, []
-    mended, said = repair(source, figure)
-    write_obj(fix, mended)
-    return diagnosis, list(said)
+    found = {"name": name, **diagnose(source, figure, name).to_json(), "mended": [], "remaining": None}
+    if fix is not None:
+        mended, said = repair(source, figure)
+        write_obj(fix, mended)
+        found |= {"mended": list(said), "remaining": diagnose(mended, figure, fix).to_json()}
+    return found
 
 
 def _check_motion(name: str, figure: Any, crop: tuple[int, int] | None) -> dict[str, Any]:
@@ -124,6 +142,9 @@ def _print(report: dict[str, Any], fix: Path | None) -> None:
             console.print(f"{finding['severity']}: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
         for sentence in garment["mended"]:
             console.print(f"mended: {sentence}", markup=False)
+        for finding in (garment["remaining"] or {"findings": []})["findings"]:
+            if finding["severity"] != "note":
+                console.print(f"stays: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
         if fix is not None:
             console.print(f"written: {fix}", markup=False)
     if "motion" in report:

@@ -1,13 +1,16 @@
-"""What every verb shares: the progress bar, JSON output and small parsers of flag values."""
+"""What every verb shares: the progress bar, JSON output and the flag values that are more than a word."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import typer
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
@@ -54,9 +57,19 @@ def write_json(payload: Mapping[str, Any], target: str) -> None:
 
 
 def check_json_target(target: str | None) -> None:
-    """Raises InputError when the folder of a --json file does not exist; called before any work is done."""
-    if target and target != "-" and not Path(target).parent.is_dir():
-        raise InputError(f"The folder {Path(target).parent} for --json does not exist; make it first.")
+    """Raises InputError when the file of --json cannot be written; called before any work is done."""
+    if target and target != "-":
+        check_writable(Path(target), "--json")
+
+
+def check_writable(path: Path, flag: str) -> None:
+    """Raises InputError when the file that `flag` names cannot be written; called before any work is done."""
+    if not path.parent.is_dir():
+        raise InputError(f"The folder {path.parent} for {flag} does not exist; make it first.")
+    if path.is_dir():
+        raise InputError(f"{path} for {flag} is a folder; give the name of a file.")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"The folder {path.parent} for {flag} cannot be written to.")
 
 
 def _finite(value: Any) -> Any:
@@ -69,27 +82,36 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def parse_shape(text: str | None) -> dict[str, float]:
-    """`height=0.7,weight=0.4` as a mapping. Raises InputError on anything else."""
-    shape: dict[str, float] = {}
-    for entry in (text or "").split(","):
-        if not entry.strip():
-            continue
-        key, equals, value = entry.partition("=")
-        try:
-            shape[key.strip()] = float(value)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise InputError(f"--body-shape takes KEY=VALUE pairs such as height=0.7,weight=0.4; {entry!r} is none.")
-    return shape
+class BodyShape(dict[str, float]):
+    """Shape parameters of a body by name."""
+
+    @classmethod
+    def parse(cls, text: str) -> BodyShape:
+        """From `height=0.7,weight=0.4`. Raises BadParameter on anything else."""
+        shape = cls()
+        for entry in text.split(","):
+            if not entry.strip():
+                continue
+            key, equals, value = entry.partition("=")
+            try:
+                shape[key.strip()] = float(value)
+            except ValueError:
+                equals = ""
+            if not equals:
+                raise typer.BadParameter(f"it takes KEY=VALUE pairs such as height=0.7,weight=0.4; {entry!r} is none.")
+        return shape
 
 
-def parse_crop(text: str | None) -> tuple[int, int] | None:
-    """`A:B` as whole frame numbers, B exclusive. Raises InputError on anything else."""
-    if text is None:
-        return None
-    first, colon, last = text.partition(":")
-    if colon and first.strip().isdecimal() and last.strip().isdecimal() and int(first) < int(last):
-        return int(first), int(last)
-    raise InputError(f"A range is A:B, frame A to frame B-1 with 0 <= A < B, such as 30:120; {text!r} is none.")
+class FrameRange(NamedTuple):
+    """Frames first..stop-1."""
+
+    first: int
+    stop: int
+
+    @classmethod
+    def parse(cls, text: str) -> FrameRange:
+        """From `A:B`, B exclusive. Raises BadParameter on anything else."""
+        first, colon, stop = text.partition(":")
+        if colon and first.strip().isdecimal() and stop.strip().isdecimal() and int(first) < int(stop):
+            return cls(int(first), int(stop))
+        raise typer.BadParameter(f"a range is A:B, frame A to frame B-1 with 0 <= A < B, such as 30:120; not {text!r}.")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import parse_crop, progress_bar, write_json
+from pb4u.cli.console import FrameRange, check_json_target, progress_bar, write_json
 
 
 class Surface(str, Enum):
@@ -26,13 +26,18 @@ def register(app: typer.Typer) -> None:
 def convert(
     trajectory: Annotated[Path, typer.Argument(help="Trajectory .npz written by `pb4u simulate`.", show_default=False)],
     out: Annotated[Path, typer.Argument(help="File to write; the suffix chooses the format.", show_default=False)],
-    every: Annotated[int, typer.Option(min=1, help="Keep every N-th frame; the frame rate is divided by N.")] = 1,
+    every: Annotated[int, typer.Option(help="Keep every N-th frame; the frame rate is divided by N.")] = 1,
     range_: Annotated[
-        str | None,
-        typer.Option("--range", metavar="A:B", help="First frame and the frame after the last, counted from 0."),
+        FrameRange | None,
+        typer.Option(
+            "--range",
+            parser=FrameRange.parse,
+            metavar="A:B",
+            help="First frame and the frame after the last, counted from 0.",
+        ),
     ] = None,
     on: Annotated[
-        Surface, typer.Option(help="The simulated mesh, or the author's own with its vertex order and UVs.")
+        Surface, typer.Option(help="The simulated mesh, or the author's own with its vertex order, polygons and UVs.")
     ] = Surface.simulated,
     json: Annotated[
         str | None, typer.Option(help="Write a summary as JSON to a file, or to standard output for '-'.")
@@ -44,8 +49,9 @@ def convert(
     from pb4u.scene.trajectory import Trajectory
 
     check_target(out)
+    check_json_target(json)
     opened = Trajectory.open(trajectory)
-    chosen = select_frames(opened, parse_crop(range_), every)
+    chosen = select_frames(opened, range_, every)
     if on is Surface.source:
         chosen = on_source(chosen)
     with progress_bar(f"writing {out.name}") as report:

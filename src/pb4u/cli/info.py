@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
-from pb4u.cli.console import write_json
+from pb4u.cli.console import check_json_target, write_json
 
 _EXTRAS = {
     "anny": "anny",
     "render": "cv2",
     "usd": "pxr",
-    "studio": "viser",
+    "view": "viser",
     "newton": "newton",
     "smpl": "smplx",
     "ray": "ray",
@@ -33,6 +33,7 @@ def info(
     ] = None,
 ) -> None:
     """Show versions, the device, threads and which optional parts are installed."""
+    check_json_target(json)
     found = gather()
     if json:
         write_json(found, json)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import check_json_target, parse_crop, parse_shape, progress_bar, write_json
+from pb4u.cli.console import BodyShape, FrameRange, check_json_target, progress_bar, write_json
 from pb4u.errors import InputError, InputWarning, Pb4uError
 
 if TYPE_CHECKING:
@@ -50,17 +50,27 @@ def simulate(
         str, typer.Option(metavar="NAME|FILE", help="Built-in body, SMPL-family model file, or a sequence of vertices.")
     ] = "woman",
     body_shape: Annotated[
-        str | None, typer.Option(metavar="KEY=VALUE,..", help="Shape of the body, such as height=0.7,weight=0.4.")
+        BodyShape | None,
+        typer.Option(
+            parser=BodyShape.parse, metavar="KEY=VALUE,..", help="Shape of the body, such as height=0.7,weight=0.4."
+        ),
     ] = None,
     motion: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl.")
-    ] = "walk",
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl. Default: walk, or the sequence's own.",
+            show_default=False,
+        ),
+    ] = None,
     fps: Annotated[float, typer.Option(help="Frames per second.")] = 30.0,
     lead_in: Annotated[
         int, typer.Option(help="Frames from the rest pose into the motion, simulated but not written.")
     ] = 30,
+    keep_lead_in: Annotated[bool, typer.Option("--keep-lead-in", help="Write the lead-in frames as well.")] = False,
     crop: Annotated[
-        str | None, typer.Option(metavar="A:B", help="Frames A to B-1 of a recording, at its own rate.")
+        FrameRange | None,
+        typer.Option(parser=FrameRange.parse, metavar="A:B", help="Frames A to B-1 of a recording, at its own rate."),
     ] = None,
     arms_away: Annotated[float, typer.Option(help="Hold hanging arms this many degrees away from the torso.")] = 0.0,
     pins: Annotated[
@@ -111,7 +121,7 @@ def simulate(
     from pb4u.simulation.models import load_simulator
     from pb4u.simulation.simulator import RunRecord
 
-    targets = list(out) if out else _default_targets(garment, motion, quiet=json == "-")
+    targets = list(out) if out else _default_targets(garment, body, motion, quiet=json == "-")
     for target in targets:
         check_target(target)
     check_json_target(json)
@@ -121,6 +131,8 @@ def simulate(
         model, contact=contact is Switch.on, refine=refine, propagation_steps=propagation_steps, device=device.value
     )
     asked_frames, simulated_fps = frames, simulator.fps or fps
+    if frames is not None and keep_lead_in:
+        asked_frames = frames + lead_in
     if not math.isclose(simulated_fps, fps):
         warnings.warn(
             f"{simulator.name} runs at {simulated_fps:g} frames per second; the result is resampled to {fps:g}.",
@@ -130,8 +142,9 @@ def simulate(
         frames = None if frames is None else math.ceil((frames - 1) * simulated_fps / fps) + 1
         lead_in = round(lead_in * simulated_fps / fps)
     scene = make_scene(
-        garment, body, motion, triangles=triangles, material=material, pins=pins, body_shape=parse_shape(body_shape),
-        frames=frames, lead_in=lead_in, crop=parse_crop(crop), fps=simulated_fps, arms_away=arms_away, seed=seed,
+        garment, body, motion, triangles=triangles, material=material, pins=pins, body_shape=body_shape,
+        frames=frames, lead_in=lead_in, keep_lead_in=keep_lead_in, crop=crop, fps=simulated_fps, arms_away=arms_away,
+        seed=seed,
     )  # fmt: skip
     record = RunRecord()
     trajectory = _run(simulator, scene, targets, record, fps, asked_frames)
@@ -145,10 +158,12 @@ def simulate(
         )
 
 
-def _default_targets(garment: str, motion: str, quiet: bool) -> list[Path]:
+def _default_targets(garment: str, body: str, motion: str | None, quiet: bool) -> list[Path]:
     from importlib.util import find_spec
 
-    stem = f"{Path(garment).stem}_{Path(motion).stem}"
+    # A body of the user's own may be a sequence, which moves by itself.
+    moves = motion or (body if Path(body).exists() else "walk")
+    stem = f"{Path(garment).stem}_{Path(moves).stem}"
     suffixes = [".npz", ".glb", ".png", ".mp4" if find_spec("cv2") else ".gif"]
     targets = [Path(stem + suffix) for suffix in suffixes]
     if not quiet:
@@ -186,9 +201,10 @@ def _export(trajectory: Trajectory, targets: list[Path]) -> None:
 def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
     """The --json payload of the contract."""
     from pb4u.evaluation.metrics import measure
+    from pb4u.evaluation.skinned_centres import skinned_centres
 
     with progress_bar("measuring") as progress:
-        measured = measure(trajectory, skinned=_skinned_centres(scene, trajectory), progress=progress)
+        measured = measure(trajectory, skinned=skinned_centres(scene, trajectory), progress=progress)
     return {
         "garment": trajectory.metadata["garment"],
         "body": trajectory.metadata["body"],
@@ -207,19 +223,3 @@ def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: 
         "notes": list(scene.notes),
         **measured,
     }
-
-
-def _skinned_centres(scene: Scene, trajectory: Trajectory) -> Any:
-    """(frames, 3) centre of mass [m] of the garment where skinning alone would put it."""
-    import numpy as np
-
-    dressed = scene.garments[0]
-    masses = dressed.garment.vertex_masses / dressed.garment.vertex_masses.sum()
-    centres = []
-    for start in range(scene.lead_in, scene.total_frames, 64):
-        block = dressed.placement.positions(start, min(start + 64, scene.total_frames)).numpy()
-        centres.append(np.einsum("v,tvd->td", masses, block))
-    at_steps = np.concatenate(centres)
-    at = np.arange(trajectory.frame_count) * (scene.fps / trajectory.fps)
-    steps = np.arange(len(at_steps))
-    return np.stack([np.interp(at, steps, column) for column in at_steps.T], axis=1)

@@ -20,7 +20,7 @@ def frame_path(path: Path, frame: int) -> Path:
 
 
 def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress | None = None) -> None:
-    """Write every frame of the garment, vertex order and UVs kept; metres, Y up."""
+    """Write every frame of the garment, vertex order, polygons and UVs kept; metres, Y up."""
     topology = _topology(trajectory)
     held = set(held_frames(trajectory))
     for t, positions in enumerate(trajectory.positions):
@@ -31,17 +31,19 @@ def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress | 
 
 
 def write_obj(trajectory: Trajectory, path: Path, frame: int = 0) -> None:
-    """Write one frame of the garment, vertex order and UVs kept; metres, Y up."""
+    """Write one frame of the garment, vertex order, polygons and UVs kept; metres, Y up."""
     path.write_text(_text(frame, trajectory.positions[frame], _topology(trajectory)), encoding="ascii")
 
 
 def _topology(trajectory: Trajectory) -> str:
-    header = trajectory.header
-    if header.uvs is None or header.uv_faces is None:
-        return "".join(f"f {a} {b} {c}\n" for a, b, c in (header.faces + 1).tolist())
-    uv_lines = "".join(f"vt {u:.6f} {v:.6f}\n" for u, v in header.uvs.tolist())
-    corners = np.stack([header.faces + 1, header.uv_faces + 1], axis=-1).reshape(-1, 6)
-    return uv_lines + "".join(f"f {a}/{ua} {b}/{ub} {c}/{uc}\n" for a, ua, b, ub, c, uc in corners.tolist())
+    uvs, outlines = trajectory.header.uvs, trajectory.header.outlines
+    if uvs is None or outlines.uv_corners is None:
+        return "".join(f"f {' '.join(map(str, row))}\n" for row in outlines.each(outlines.corners + 1))
+    uv_lines = "".join(f"vt {u:.6f} {v:.6f}\n" for u, v in uvs.tolist())
+    rows = zip(outlines.each(outlines.corners + 1), outlines.each(outlines.uv_corners + 1), strict=True)
+    return uv_lines + "".join(
+        f"f {' '.join(f'{v}/{t}' for v, t in zip(row, uv_row, strict=True))}\n" for row, uv_row in rows
+    )
 
 
 def _text(frame: int, positions: np.ndarray, topology: str, remark: str = "") -> str:

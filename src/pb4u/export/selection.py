@@ -14,6 +14,8 @@ from pb4u.scene.trajectory import Trajectory
 
 def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: int) -> Trajectory:
     """Frames span[0]..span[1]-1, every n-th of them. Raises InputError when none is left."""
+    if every < 1:
+        raise InputError(f"The stride from one kept frame to the next must be 1 or more, not {every}.")
     first, last = (0, trajectory.frame_count) if span is None else (span[0], min(span[1], trajectory.frame_count))
     kept = slice(first, last, every)
     if first >= min(last, trajectory.frame_count):
@@ -54,6 +56,7 @@ def on_source(trajectory: Trajectory) -> Trajectory:
         uvs=track.uvs,
         uv_faces=track.uv_faces,
         source=None,
+        polygons=track.polygons,
     )
     return Trajectory(header, carry(trajectory.positions), carry(trajectory.velocities), trajectory.body_positions)
 

@@ -13,6 +13,7 @@ from pb4u.errors import InputError, MissingExtraError
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.progress import Progress
 from pb4u.export.shading import CLOTH, SKIN, unit_normals
+from pb4u.scene.polygons import Polygons
 from pb4u.scene.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -33,8 +34,9 @@ def check_usd(path: Path) -> None:
 def write_usd(trajectory: Trajectory, path: Path, progress: Progress | None = None) -> None:
     """One stage: /Scene with the meshes Garment and Body, no transforms; metres, Y up, one time code a frame.
 
-    Points, normals and extent are sampled at every frame; UVs are the face-varying `primvars:st`. The frames that
-    `hold_finite` replaced are listed in the custom layer data. A .usdz is a package of one .usdc.
+    Points, normals and extent are sampled at every frame; the author's polygons stay polygons; UVs are the
+    face-varying `primvars:st`. The frames that `hold_finite` replaced are listed in the custom layer data. A .usdz is
+    a package of one .usdc.
 
     Raises MissingExtraError without the "usd" extra, InputError when USD cannot write the file.
     """
@@ -70,9 +72,11 @@ def _write_binary(trajectory: Trajectory, path: Path, progress: Progress | None)
     held = held_frames(trajectory)
     if held:
         stage.GetRootLayer().customLayerData = {"pb4u": {HELD_FRAMES: _ints(held)}}
-    garment = _AnimatedMesh(_define(stage, "/Scene/Garment", header.faces, CLOTH), header.faces)
-    _add_uvs(garment.mesh, header.uvs, header.uv_faces)
-    body = _AnimatedMesh(_define(stage, "/Scene/Body", header.body_faces, SKIN), header.body_faces)
+    outlines = header.outlines
+    garment = _AnimatedMesh(_define(stage, "/Scene/Garment", outlines, CLOTH), header.faces)
+    _add_uvs(garment.mesh, header.uvs, outlines.uv_corners)
+    skin = Polygons.of_triangles(header.body_faces, None)
+    body = _AnimatedMesh(_define(stage, "/Scene/Body", skin, SKIN), header.body_faces)
     for t, (positions, body_positions) in enumerate(zip(trajectory.positions, trajectory.body_positions, strict=True)):
         garment.sample(t, positions)
         body.sample(t, body_positions)
@@ -85,6 +89,8 @@ def _write_binary(trajectory: Trajectory, path: Path, progress: Progress | None)
 
 @dataclass(frozen=True)
 class _AnimatedMesh:
+    """A mesh of the stage, and the triangles that its normals come from."""
+
     mesh: UsdGeom.Mesh
     faces: np.ndarray
 
@@ -98,12 +104,12 @@ class _AnimatedMesh:
         self.mesh.GetExtentAttr().Set(UsdGeom.PointBased.ComputeExtent(points), t)
 
 
-def _define(stage: Usd.Stage, name: str, faces: np.ndarray, colour: tuple[float, float, float]) -> UsdGeom.Mesh:
+def _define(stage: Usd.Stage, name: str, polygons: Polygons, colour: tuple[float, float, float]) -> UsdGeom.Mesh:
     from pxr import UsdGeom, Vt
 
     mesh = UsdGeom.Mesh.Define(stage, name)
-    mesh.CreateFaceVertexCountsAttr(_ints(np.full(len(faces), 3)))
-    mesh.CreateFaceVertexIndicesAttr(_ints(faces))
+    mesh.CreateFaceVertexCountsAttr(_ints(polygons.sizes))
+    mesh.CreateFaceVertexIndicesAttr(_ints(polygons.corners))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
     mesh.CreateDoubleSidedAttr(True)
@@ -115,14 +121,14 @@ def _define(stage: Usd.Stage, name: str, faces: np.ndarray, colour: tuple[float,
     return mesh
 
 
-def _add_uvs(mesh: UsdGeom.Mesh, uvs: np.ndarray | None, uv_faces: np.ndarray | None) -> None:
-    if uvs is None or uv_faces is None:
+def _add_uvs(mesh: UsdGeom.Mesh, uvs: np.ndarray | None, uv_corners: np.ndarray | None) -> None:
+    if uvs is None or uv_corners is None:
         return
     from pxr import Sdf, UsdGeom, Vt
 
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     st.Set(Vt.Vec2fArray.FromNumpy(np.array(uvs, dtype=np.float32)))
-    st.SetIndices(_ints(uv_faces))
+    st.SetIndices(_ints(uv_corners))
 
 
 def _to_text(binary: Path, path: Path) -> None:

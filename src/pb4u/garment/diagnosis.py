@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import asdict, dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.fit import UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit
 from pb4u.garment.garment import Garment, SourceMesh
-from pb4u.garment.garment_file import FIX, MOST_SIMULATED, likely_unit
+from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.layers import double_layered
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.geometry.triangle_mesh import edge_lengths
@@ -63,12 +64,12 @@ class Diagnosis:
     Args:
         findings: worst first.
         fit: how the garment has to move to be worn; None without a body.
-        measures: name -> number, SI units.
+        measures: name -> number, SI units; None for what the body does not let be measured.
     """
 
     findings: tuple[Finding, ...]
     fit: Fit | None
-    measures: dict[str, float]
+    measures: dict[str, float | None]
 
     @property
     def is_refused(self) -> bool:
@@ -86,8 +87,10 @@ class Diagnosis:
         return {"refused": self.is_refused, "findings": findings, "measures": self.measures}
 
 
-def diagnose(garment: SourceMesh | Garment, body: ShapedBody | AnimatedBody | None = None) -> Diagnosis:
-    """Everything that is wrong with a garment, on its own and on the resting `body`.
+def diagnose(
+    garment: SourceMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
+) -> Diagnosis:
+    """Everything that is wrong with a garment, on its own and on the resting `body`; `file` is named in the cures.
 
     First-frame penetration is measured where the garment belongs, after the move that units and axes call for.
     """
@@ -97,7 +100,7 @@ def diagnose(garment: SourceMesh | Garment, body: ShapedBody | AnimatedBody | No
     findings = _surface_findings(surface)
     vertices = garment.vertices[np.unique(surface.faces)]
     lengths = edge_lengths(garment.vertices, surface.topology.edges)
-    measures = {
+    measures: dict[str, float | None] = {
         "vertices": float(len(garment.vertices)),
         "triangles": float(len(surface.faces)),
         "pieces": float(surface.piece_count),
@@ -109,25 +112,28 @@ def diagnose(garment: SourceMesh | Garment, body: ShapedBody | AnimatedBody | No
     if body is not None and len(vertices):
         rest = RestBody.of(body)
         fit = find_fit(vertices, rest)
-        findings += _placement_findings(vertices, fit, rest)
-        findings += _contact_findings(surface, fit, rest, measures)
+        mend = fix_command(file, rest.name)
+        findings += _placement_findings(vertices, fit, rest, mend)
+        findings += _contact_findings(surface, fit, rest, measures, mend)
     elif len(vertices) and (unit := likely_unit(vertices)):
         findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres", False))
     order = list(Severity)
     return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures)
 
 
-def require_worn(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
+def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | Path = "GARMENT.obj") -> None:
     """Refuse a garment that the resting body does not wear; warn when it starts inside the body or seems turned.
 
+    `file` is where it was read from, for the cures.
     Raises InputError when it is far from the body, wholly inside it, or in other units or axes.
     """
     rest = RestBody.of(body)
     misfit = float(rest.misfit(garment.vertices))
+    mend = fix_command(file, rest.name)
     found = []
     if misfit > 0.6 * WORST_MISFIT:  # well under it there is nothing to look for
-        found = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest)
-    found += _penetration_findings(rest.signed_distances(garment.vertices), rest)
+        found = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
+    found += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
     for finding in found:
         if finding.severity is Severity.REFUSED:
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
@@ -199,28 +205,28 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
             "polygons",
             Severity.NOTE,
             sentence,
-            "nothing: they are cut to simulate and kept in exports",
+            "nothing: they are cut to simulate, and `pb4u convert --on source` writes them whole",
             False,
             np.zeros(0),
         )
     return found
 
 
-def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody) -> list[Finding]:
-    """Units, axes and place of (vertices, 3)."""
+def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str) -> list[Finding]:
+    """Units, axes and place of (vertices, 3); `mend` is the command to mend them."""
     if fit.is_identity:
         return _far_finding(vertices, body)
     found = []
     if fit.unit != "metres":
         sentence = f"The garment is in {fit.unit}: it spans {np.ptp(vertices, axis=0).max():.4g} of them."
-        found.append(Finding("units", Severity.REFUSED, sentence, f"scale it by {UNITS[fit.unit]:g} with {FIX}", True))
+        found.append(Finding("units", Severity.REFUSED, sentence, f"scale it by {UNITS[fit.unit]:g} with {mend}", True))
     if fit.axes != UPRIGHT:
         sentence = f"The garment is made {fit.axes}; the world is Y up and the body faces +Z."
-        found.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {FIX}", True))
+        found.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {mend}", True))
     if fit.shift.any():
         why = "where it fits best" if fit.searched else "it was made around the body model's own origin"
         sentence = f"The garment has to move {fit.shift[1]:+.3f} m in height to be worn: {why}."
-        found.append(Finding("height", Severity.WARNING, sentence, f"move it with {FIX}", True))
+        found.append(Finding("height", Severity.WARNING, sentence, f"move it with {mend}", True))
     if float(body.misfit(vertices)) > WORST_MISFIT:
         away = 100 * float(np.median(np.abs(body.signed_distances(vertices))))
         why = "made at another height" if fit.axes == UPRIGHT else fit.axes
@@ -228,7 +234,7 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody) -> list[
             f'The garment is not on the body "{body.name}" as it stands, half of it is {away:.0f} cm away or more: it '
             f"seems to be {why if fit.unit == 'metres' else fit.unit}."
         )
-        found.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {FIX}", True))
+        found.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {mend}", True))
     return found + _far_finding(fit.apply(vertices), body)
 
 
@@ -240,18 +246,20 @@ def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
     return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made", False)]
 
 
-def _contact_findings(surface: SourceSurface, fit: Fit, body: RestBody, measures: dict[str, float]) -> list[Finding]:
+def _contact_findings(
+    surface: SourceSurface, fit: Fit, body: RestBody, measures: dict[str, float | None], mend: str
+) -> list[Finding]:
     """First-frame penetration, a garment inside out, a body that is not closed."""
     used = np.unique(surface.faces)
     moved = fit.apply(surface.source.vertices)
     distances = body.signed_distances(moved[used])
-    found = _penetration_findings(distances, body, used)
-    if body.is_closed:
-        measures["penetration_percent"] = 100.0 * float((distances < 0.0).mean())
-        measures["penetration_depth_max"] = max(0.0, -float(distances.min()))
+    found = _penetration_findings(distances, body, mend, used)
+    closed = body.is_closed
+    measures["penetration_percent"] = 100.0 * float((distances < 0.0).mean()) if closed else None
+    measures["penetration_depth_max"] = max(0.0, -float(distances.min())) if closed else None
     if not surface.flipped[0].any() and is_inside_out(moved, surface.faces, body):
         sentence = "All faces look inwards, at the body."
-        found.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {FIX}", True))
+        found.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
     return found
 
 
@@ -264,7 +272,9 @@ def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bo
     return float(np.einsum("ij,ij->i", area_normals, near.normals.numpy()).sum()) < 0.0
 
 
-def _penetration_findings(distances: np.ndarray, body: RestBody, ids: np.ndarray | None = None) -> list[Finding]:
+def _penetration_findings(
+    distances: np.ndarray, body: RestBody, mend: str, ids: np.ndarray | None = None
+) -> list[Finding]:
     if not body.is_closed:
         sentence = f'The body "{body.name}" is not a closed surface, so penetration is not reported.'
         return [Finding("open-body", Severity.WARNING, sentence, "close its holes", False)]
@@ -287,7 +297,7 @@ def _penetration_findings(distances: np.ndarray, body: RestBody, ids: np.ndarray
         f"{100 * inside.mean():.1f}% of the vertices start inside the body, the deepest "
         f"{-1000 * distances[deepest]:.1f} mm (vertex {names[deepest]})."
     )
-    return [Finding("penetration", Severity.WARNING, sentence, f"push them out with {FIX}", True, where)]
+    return [Finding("penetration", Severity.WARNING, sentence, f"push them out with {mend}", True, where)]
 
 
 def _first(ids: np.ndarray) -> str:

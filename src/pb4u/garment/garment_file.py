@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import shlex
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.body.library import body_names
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment, SourceMesh
 from pb4u.garment.material import Material
@@ -17,15 +18,16 @@ from pb4u.garment.obj_file import read_obj
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.source_map import map_to_nearest, map_to_same
 from pb4u.garment.source_surface import SourceSurface
+from pb4u.geometry.mesh_file_size import least_triangles
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", ".off")
 MOST_SIMULATED = 1_000_000
 """Triangles that a garment may have as it is simulated."""
 MOST_READ = 4_000_000
 """Triangles that a file may have to be read at all, with `triangles` asked for."""
+DEFAULT_BODY = "woman"
 SMALLEST, LARGEST = 0.05, 5.0
 """Extent [m] between which a garment's file may be in metres."""
-FIX = "`pb4u check --fix OUT.obj`"
 
 
 def read_garment(
@@ -63,6 +65,12 @@ def read_garment(
     return garment if pins is None else garment.with_pins(resolve_pins(pins, garment))
 
 
+def fix_command(file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY) -> str:
+    """The command that mends the garment in `file` for the body called `body`, for hints."""
+    worn_by = "" if body == DEFAULT_BODY else f" --body {body}" if body in body_names() else " --body BODY"
+    return f"`pb4u check {shlex.quote(str(file))}{worn_by} --fix OUT.obj`"
+
+
 def read_source(path: Path, most_triangles: int = MOST_READ) -> SourceMesh:
     """The mesh in a file, polygons and UVs kept where the format has them (OBJ).
 
@@ -74,29 +82,10 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> SourceMesh:
     if not path.is_file():
         raise InputError(f"There is no garment file {path}.")
     # Counted before anything is parsed: a huge file is refused in the time it takes to read it.
-    _refuse_too_many(path, _count_faces(path), most_triangles)
+    _refuse_too_many(path, least_triangles(path, MOST_READ), most_triangles)
     source = read_obj(path) if suffix == ".obj" else _read_with_trimesh(path)
     _refuse_too_many(path, sum(len(p) - 2 for p in source.polygons), most_triangles)
     return source
-
-
-def _count_faces(path: Path) -> int:
-    """Faces that the file says it has, 0 where that takes reading it whole."""
-    suffix = path.suffix.lower()
-    with path.open("rb") as stream:
-        if suffix == ".obj":
-            count, last = 0, b"\n"
-            while block := stream.read(1 << 24):
-                # The byte before the block: a line may start exactly where the block does.
-                count += (last + block[:1]).count(b"\nf") + block.count(b"\nf ")
-                last = block[-1:]
-            return count
-        head = stream.read(1 << 12)
-    if suffix == ".ply" and (declared := re.search(rb"element face (\d+)", head)):
-        return int(declared.group(1))
-    if suffix == ".stl" and not head.lstrip().startswith(b"solid"):
-        return (path.stat().st_size - 84) // 50
-    return 0
 
 
 def _refuse_too_many(path: Path, count: int, most: int) -> None:
@@ -144,12 +133,12 @@ def _refuse_unusable(path: Path, surface: SourceSurface) -> None:
     if not len(surface.faces):
         raise InputError(f"{path}: none of its {len(surface.all_faces)} faces has an area; export the garment again.")
     if unit := likely_unit(surface.source.vertices[np.unique(surface.faces)]):
-        raise InputError(f"{path} {unit}; scale it to metres with {FIX}.")
+        raise InputError(f"{path} {unit}; scale it to metres with {fix_command(path)}.")
     edges = surface.topology.non_manifold_edges
     if len(edges):
         raise InputError(
             f"{path}: {len(edges)} edge(s) are shared by three or more faces, first {_edges(edges)} (vertex pairs, "
-            f"counted from 0); see which faces to delete with {FIX}."
+            f"counted from 0); see which faces to delete with {fix_command(path)}."
         )
 
 
@@ -168,7 +157,8 @@ def _warn_of_oddities(path: Path, surface: SourceSurface) -> None:
     source = surface.source
     if surface.many_sided:
         _warn(
-            f"{path.name}: {surface.many_sided} quads or n-gons are cut into triangles to simulate; exports keep them."
+            f"{path.name}: {surface.many_sided} quads or n-gons are cut into triangles to simulate; "
+            "`pb4u convert --on source` writes them whole."
         )
     if repeated := int(surface.repeated.sum()):
         _warn(f"{path.name}: {repeated} duplicate face(s) left out, first {surface.repeated.argmax()}.")
@@ -185,7 +175,7 @@ def _warn_of_oddities(path: Path, surface: SourceSurface) -> None:
     if len(surface.unwelded):
         _warn(
             f"{path.name}: {len(surface.unwelded)} border vertices lie on others, first "
-            f"{surface.unwelded[:5].tolist()}: a seam that will open; weld it with {FIX}."
+            f"{surface.unwelded[:5].tolist()}: a seam that will open; weld it with {fix_command(path)}."
         )
     flip, orientable = surface.flipped
     if flip.any():

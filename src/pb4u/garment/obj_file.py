@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
 from pb4u.garment.garment import SourceMesh
 
@@ -57,14 +58,8 @@ def write_obj(path: Path, mesh: SourceMesh, comment: str = "") -> None:
             parts.append(f"f {joined}\n")
     else:
         parts += ["f " + " ".join(str(v + 1) for v in polygon.tolist()) + "\n" for polygon in mesh.polygons]
-    beside = path.with_name(f".{path.name}.part")
     try:
-        try:
-            with beside.open("w", encoding="utf-8", newline="\n") as stream:
-                stream.writelines(parts)
-            beside.replace(path)
-        finally:
-            beside.unlink(missing_ok=True)
+        replace_file(path, "".join(parts).encode())
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror or error}.") from None
 
@@ -115,10 +110,12 @@ def _polygons(
         if len(tokens) < 3:
             raise InputError(f"{path} line {number}: a face needs 3 corners or more, not {len(tokens)}.")
     ends = np.cumsum(sizes)
-    corners = np.array(vertex_index, dtype=np.int64)
+    try:
+        corners, uv_corners = (np.array(index, dtype=np.int64) for index in (vertex_index, uv_index))
+    except OverflowError:
+        raise InputError(f"{path}: a face index has 19 digits or more; export it again.") from None
     _refuse_out_of_range(path, corners, vertex_count, ends, lines, "vertex")
     polygons = _split(corners, ends)
-    uv_corners = np.array(uv_index, dtype=np.int64)
     # Faces without a texture beside faces with one: there is no UV map of the whole garment then.
     if not uv_count or (uv_corners == -1).any():
         return polygons, None

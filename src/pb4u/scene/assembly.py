@@ -24,6 +24,8 @@ from pb4u.scene.scene import DressedGarment, Scene
 DEFAULT_FRAMES = 60
 """Frames written of a motion without end when none are asked for: two seconds at 30 frames per second."""
 
+DEFAULT_MOTION = "walk"
+
 DEFAULT_LEAD_IN = 30
 """Frames from the garment's rest pose into the motion (reference 1.9)."""
 
@@ -31,7 +33,7 @@ DEFAULT_LEAD_IN = 30
 def make_scene(
     garment: str | Path | Garment = "tshirt",
     body: str | Path | ShapedBody | AnimatedBody = "woman",
-    motion: str | Path = "walk",
+    motion: str | Path | None = None,
     *,
     triangles: int | None = None,
     material: str | Path | Material = "default",
@@ -39,6 +41,7 @@ def make_scene(
     body_shape: Mapping[str, float] | None = None,
     frames: int | None = None,
     lead_in: int = DEFAULT_LEAD_IN,
+    keep_lead_in: bool = False,
     crop: tuple[int, int] | None = None,
     fps: float = 30.0,
     arms_away: float = 0.0,
@@ -49,19 +52,20 @@ def make_scene(
     Args:
         garment: built-in name, mesh file, or a Garment fitted to this body at rest.
         body: built-in name, model or sequence file, or a body already loaded.
-        motion: built-in name or file; a body that is a sequence of vertices brings its own.
+        motion: built-in name or file; default "walk". A body that is a sequence of vertices brings its own.
         triangles: number of triangles to simulate; default the garment's own.
         material: built-in name, JSON file or Material.
         pins: name, boundary loop or file of vertices that follow the body; default the garment's own.
         body_shape: shape parameters of the body, see `pb4u assets`.
         frames: frames to write; default the whole recording, or 60 of a motion without end.
         lead_in: frames simulated before the first written one, from the rest pose into the motion.
+        keep_lead_in: write those frames as well, before the `frames` asked for.
         crop: (first, stop) frames of a recording, counted at its own rate.
         fps: frames per second of the simulation.
         arms_away: degrees by which hanging arms are held away from the torso.
         seed: seed of procedural motion and of everything random.
 
-    Raises InputError when anything cannot be used.
+    Raises InputError when anything cannot be used. Warns of a motion that the body does not perform.
     """
     _check_counts(frames, lead_in, fps)
     _check_choices(seed, arms_away)
@@ -69,9 +73,12 @@ def make_scene(
     notes: list[str] = []
     collider: AnimatedBody
     if isinstance(figure, ShapedBody):
-        collider, frames = _animate(figure, motion, frames, lead_in, crop, fps, arms_away, seed, notes)
-        motion_name = str(motion)
+        motion_name = DEFAULT_MOTION if motion is None else str(motion)
+        collider, frames = _animate(figure, motion_name, frames, lead_in, crop, fps, arms_away, seed, notes)
     else:
+        _refuse_unused(figure, crop, arms_away)
+        if motion is not None:
+            _say(f"{figure.name} is a sequence of vertices that moves by itself; the motion {motion} is not used.")
         collider, frames = _use_sequence(figure, frames, lead_in, fps)
         motion_name = figure.name
     worn = _load_garment(
@@ -82,6 +89,9 @@ def make_scene(
     placement: Placement = (
         SkinnedPlacement(worn, collider) if isinstance(collider, PosedBody) else AttachedPlacement(worn, collider)
     )
+    if keep_lead_in and lead_in:
+        notes.append(f"The first {lead_in} frames lead from the rest pose into the motion.")
+        frames, lead_in = lead_in + frames, 0
     return Scene(
         garments=(DressedGarment(worn, placement),),
         colliders=(collider,),
@@ -110,9 +120,19 @@ def _check_choices(seed: int, arms_away: float) -> None:
         raise InputError(f"Arms are held away by 0 to 90 degrees, not {arms_away:g}.")
 
 
+def _refuse_unused(body: AnimatedBody, crop: tuple[int, int] | None, arms_away: float) -> None:
+    """A sequence starts in the pose that garments are fitted to, so it is neither cut nor posed anew."""
+    for given, flag in ((crop is not None, "crop"), (arms_away != 0.0, "arms-away")):
+        if given:
+            raise InputError(
+                f"{body.name} is a sequence of vertices that moves by itself, so --{flag} cannot be applied; change "
+                "the sequence where it comes from."
+            )
+
+
 def _animate(
     body: ShapedBody,
-    motion: str | Path,
+    motion: str,
     frames: int | None,
     lead_in: int,
     crop: tuple[int, int] | None,
@@ -158,7 +178,7 @@ def _load_garment(
         return garment
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), material, triangles=triangles)
-        require_worn(loaded, body)
+        require_worn(loaded, body, garment)
         return loaded
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())

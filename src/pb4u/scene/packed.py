@@ -115,7 +115,7 @@ def inverse_rest_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     if len(bad):
         raise InputError(
             f"{len(bad)} rest triangle(s) have no area, first faces {bad[:5].tolist()}; "
-            "mend them with `pb4u check --fix OUT.obj`."
+            "mend them with `pb4u check GARMENT.obj --fix OUT.obj`."
         )
     inverse = np.zeros((len(faces), 2, 2))
     inverse[:, 0, 0] = 1.0 / x1

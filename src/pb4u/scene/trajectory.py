@@ -16,6 +16,9 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.scene.mapped_archive import map_archive
+from pb4u.scene.polygons import Polygons
+from pb4u.scene.trajectory_check import require_consistent
 
 FORMAT_VERSION = 1
 _REQUIRED = (
@@ -34,6 +37,7 @@ class SourceTrack:
         triangle: (source vertices,) int64 simulated face under each source vertex.
         barycentric: (source vertices, 3) float64.
         uvs: (uv points, 2) float64 or None. uv_faces: (source faces, 3) int64 or None.
+        polygons: the faces before they were cut into triangles; None where all were triangles.
     """
 
     faces: np.ndarray
@@ -41,6 +45,7 @@ class SourceTrack:
     barycentric: np.ndarray
     uvs: np.ndarray | None = None
     uv_faces: np.ndarray | None = None
+    polygons: Polygons | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +60,7 @@ class TrajectoryHeader:
         metadata: names, counts, material and versions, as JSON.
         uvs: (uv points, 2) float64 or None. uv_faces: (faces, 3) int64 or None.
         source: the author's mesh where it differs from the simulated one.
+        polygons: the faces before they were cut into triangles, where this mesh is the author's own; or None.
     """
 
     faces: np.ndarray
@@ -68,6 +74,12 @@ class TrajectoryHeader:
     uvs: np.ndarray | None = None
     uv_faces: np.ndarray | None = None
     source: SourceTrack | None = None
+    polygons: Polygons | None = None
+
+    @property
+    def outlines(self) -> Polygons:
+        """What a format that takes polygons is given: the author's own, or else the triangles."""
+        return self.polygons or Polygons.of_triangles(self.faces, self.uv_faces)
 
     def with_metadata(self, **entries: Any) -> TrajectoryHeader:
         """The same header with some metadata entries replaced."""
@@ -87,6 +99,8 @@ class TrajectoryHeader:
         }
         if self.uvs is not None and self.uv_faces is not None:
             members |= {"uvs": self.uvs.astype(np.float64), "uv_faces": self.uv_faces.astype(np.int64)}
+        if self.polygons is not None:
+            members |= self.polygons.members()
         if self.source is not None:
             members |= {
                 "source_faces": self.source.faces.astype(np.int64),
@@ -98,6 +112,8 @@ class TrajectoryHeader:
                     "source_uvs": self.source.uvs.astype(np.float64),
                     "source_uv_faces": self.source.uv_faces.astype(np.int64),
                 }
+            if self.source.polygons is not None:
+                members |= self.source.polygons.members("source_")
         return members
 
 
@@ -162,7 +178,7 @@ class Trajectory:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write the .npz, beside and moved into place. Other formats: `pb4u.export`."""
+        """Write the .npz, beside and moved into place. Other formats: `pb4u.export_trajectory`."""
         with TrajectoryWriter(path, self.header) as writer:
             for frame in self.frames:
                 writer.append(frame)
@@ -172,83 +188,43 @@ class Trajectory:
     def open(cls, path: str | Path) -> Trajectory:
         """Map a trajectory file into memory; frames are read from disk as they are touched.
 
-        Raises InputError when the file is cut short, of a newer format or not a trajectory.
+        Raises InputError when the file is cut short, of a newer format, not a trajectory, or holds what does not fit
+        together.
         """
         path = Path(path)
         try:
-            members = _map_members(path)
-        except (OSError, zipfile.BadZipFile, ValueError, KeyError) as error:
-            if isinstance(error, FileNotFoundError):
-                raise InputError(f"There is no trajectory file {path}.") from error
+            members = map_archive(path)
+        except FileNotFoundError as error:
+            raise InputError(f"There is no trajectory file {path}.") from error
+        except Exception as error:  # zipfile and numpy let through whatever their parsers trip over
             raise InputError(
                 f"{path} cannot be read as a trajectory (cut short or another format): {error}."
             ) from error
-        version = int(members["format_version"]) if "format_version" in members else None
-        if version is not None and version > FORMAT_VERSION:
+        version = members.get("format_version", np.array(FORMAT_VERSION))
+        if version.shape != () or version.dtype.kind not in "iu":
+            raise InputError(f"{path} is not a pb4u trajectory: its format version is not a whole number.")
+        if version > FORMAT_VERSION:
             raise InputError(
                 f"{path} has trajectory format {version}; this version reads up to {FORMAT_VERSION}: update pb4u."
             )
         missing = [name for name in _REQUIRED if name not in members]
         if missing:
             raise InputError(f"{path} is not a pb4u trajectory: it lacks {', '.join(missing)}.")
-        return cls(_header_from(members, path), *(members[name] for name in _STREAMED))
+        return cls(_header_from(members, require_consistent(members, path)), *(members[name] for name in _STREAMED))
 
 
-def _header_from(members: dict[str, np.ndarray], path: Path) -> TrajectoryHeader:
-    t, v = members["positions"].shape[:2]
-    expected = {
-        "positions": (t, v, 3), "velocities": (t, v, 3), "rest_positions": (v, 3), "pinned": (v,),
-        "vertex_garment": (v,), "body_positions": (t, len(members["body_contact"]), 3),
-    }  # fmt: skip
-    for name, shape in expected.items():
-        if members[name].shape != shape:
-            raise InputError(f"{path} is inconsistent: {name} has shape {members[name].shape}, not {shape}.")
-    try:
-        metadata = json.loads(str(members["metadata"]))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path} has metadata that is not JSON: {error}.") from error
+def _header_from(members: dict[str, np.ndarray], metadata: dict[str, Any]) -> TrajectoryHeader:
     source = None
     if "source_triangle" in members:
         source = SourceTrack(
             members["source_faces"], members["source_triangle"], members["source_barycentric"],
-            members.get("source_uvs"), members.get("source_uv_faces"),
+            members.get("source_uvs"), members.get("source_uv_faces"), Polygons.from_members(members, "source_"),
         )  # fmt: skip
     return TrajectoryHeader(
         members["faces"], members["rest_positions"], members["pinned"], members["vertex_garment"],
         members["body_faces"], members["body_contact"], float(members["fps"]), metadata,
-        members.get("uvs"), members.get("uv_faces"), source,
+        members.get("uvs"), members.get("uv_faces"), source, Polygons.from_members(members),
     )  # fmt: skip
-
-
-def _map_members(path: Path) -> dict[str, np.ndarray]:
-    """Every member of an uncompressed .npz as an array mapped from the file; compressed members are read."""
-    members: dict[str, np.ndarray] = {}
-    with zipfile.ZipFile(path) as archive, path.open("rb") as raw:
-        for info in archive.infolist():
-            name = info.filename.removesuffix(".npy")
-            if info.compress_type != zipfile.ZIP_STORED or info.file_size == 0:
-                with archive.open(info) as member:
-                    members[name] = np.lib.format.read_array(member, allow_pickle=False)
-                continue
-            raw.seek(info.header_offset + 26)
-            name_length, extra_length = np.frombuffer(raw.read(4), dtype="<u2").tolist()
-            start = info.header_offset + 30 + name_length + extra_length
-            raw.seek(start)
-            version = np.lib.format.read_magic(raw)
-            read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-            shape, fortran, dtype = read_header[version](raw)
-            if dtype.hasobject:
-                raise ValueError(f"member {name} holds Python objects")
-            data = raw.tell()
-            if data + int(np.prod(shape)) * dtype.itemsize > start + info.file_size:
-                raise ValueError(f"member {name} is cut short")
-            if int(np.prod(shape)) * dtype.itemsize < 4096:
-                raw.seek(data)
-                values = np.frombuffer(raw.read(int(np.prod(shape)) * dtype.itemsize), dtype=dtype)
-                members[name] = values.reshape(shape, order="F" if fortran else "C")
-            else:
-                members[name] = np.memmap(path, dtype, "r", data, shape, "F" if fortran else "C")
-    return members
 
 
 class TrajectoryWriter:

@@ -15,6 +15,7 @@ import numpy as np
 
 from pb4u.errors import Pb4uError
 from pb4u.garment.garment import SourceMap
+from pb4u.scene.polygons import Polygons
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Frame, SourceTrack, Trajectory, TrajectoryHeader, TrajectoryWriter
@@ -155,7 +156,10 @@ def _source_track(source_map: SourceMap) -> SourceTrack:
     corners, _ = triangulate(mesh.vertices, mesh.polygons)
     uv_faces = None if mesh.polygon_uvs is None else np.concatenate(mesh.polygon_uvs)[corners]
     faces = np.concatenate(mesh.polygons)[corners]
-    return SourceTrack(faces, source_map.triangle, source_map.barycentric, mesh.uvs, uv_faces)
+    return SourceTrack(
+        faces, source_map.triangle, source_map.barycentric, mesh.uvs, uv_faces,
+        Polygons.of(mesh.polygons, mesh.polygon_uvs),
+    )  # fmt: skip
 
 
 def _heading(scene: Scene) -> float:

@@ -1,0 +1,117 @@
+"""What has to hold between the members of a trajectory file before anything is made of them."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pb4u.errors import InputError
+
+_LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "positions": ("f", ("frames", "vertices", 3)),
+    "velocities": ("f", ("frames", "vertices", 3)),
+    "body_positions": ("f", ("frames", "body vertices", 3)),
+    "rest_positions": ("f", ("vertices", 3)),
+    "pinned": ("b", ("vertices",)),
+    "vertex_garment": ("iu", ("vertices",)),
+    "body_contact": ("b", ("body vertices",)),
+    "faces": ("iu", ("faces", 3)),
+    "body_faces": ("iu", ("body faces", 3)),
+    "fps": ("f", ()),
+    "metadata": ("U", ()),
+    "uvs": ("f", ("uv points", 2)),
+    "uv_faces": ("iu", ("faces", 3)),
+    "polygon_sizes": ("iu", ("polygons",)),
+    "polygon_corners": ("iu", ("corners",)),
+    "polygon_uv_corners": ("iu", ("corners",)),
+    "source_triangle": ("iu", ("source vertices",)),
+    "source_barycentric": ("f", ("source vertices", 3)),
+    "source_faces": ("iu", ("source faces", 3)),
+    "source_uvs": ("f", ("source uv points", 2)),
+    "source_uv_faces": ("iu", ("source faces", 3)),
+    "source_polygon_sizes": ("iu", ("source polygons",)),
+    "source_polygon_corners": ("iu", ("source corners",)),
+    "source_polygon_uv_corners": ("iu", ("source corners",)),
+}
+"""Member -> kinds of number, shape. Counts of one name agree over all members."""
+
+_POINTS_AT = {
+    "faces": "vertices", "body_faces": "body vertices", "uv_faces": "uv points", "polygon_corners": "vertices",
+    "polygon_uv_corners": "uv points", "source_triangle": "faces", "source_faces": "source vertices",
+    "source_uv_faces": "source uv points", "source_polygon_corners": "source vertices",
+    "source_polygon_uv_corners": "source uv points",
+}  # fmt: skip
+"""Member of indices -> the count that they stay below."""
+
+_TOGETHER = (
+    ("uvs", "uv_faces"), ("source_uvs", "source_uv_faces"), ("source_triangle", "source_barycentric", "source_faces"),
+    ("polygon_sizes", "polygon_corners"), ("source_polygon_sizes", "source_polygon_corners"),
+)  # fmt: skip
+
+_KINDS = {"f": "decimal numbers", "b": "yes or no", "iu": "whole numbers", "U": "text"}
+
+
+def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, Any]:
+    """The metadata of a trajectory whose members fit together; frames may hold NaN, nothing else may.
+
+    Raises InputError naming the first member that does not fit.
+    """
+
+    def refuse(what: str) -> InputError:
+        return InputError(f"{path} is inconsistent: {what}; simulate it again.")
+
+    counts: dict[str, int] = {}
+    for name, (kinds, shape) in _LAYOUT.items():
+        values = members.get(name)
+        if values is None:
+            continue
+        if values.dtype.kind not in kinds:
+            raise refuse(f"{name} holds {values.dtype}, not {_KINDS[kinds]}")
+        fits = len(values.shape) == len(shape) and all(
+            length == (counts.setdefault(count, length) if isinstance(count, str) else count)
+            for length, count in zip(values.shape, shape, strict=True)
+        )
+        if not fits:
+            expected = ", ".join(f"{count} = {counts[count]}" if count in counts else str(count) for count in shape)
+            raise refuse(f"{name} has the shape {values.shape}, not ({expected})")
+    for count in ("frames", "vertices", "faces"):
+        if not counts[count]:
+            raise refuse(f"it has no {count}")
+    for together in _TOGETHER:
+        if 0 < sum(name in members for name in together) < len(together):
+            raise refuse(f"of {', '.join(together)} it has only a part")
+    for name, count in _POINTS_AT.items():
+        values = members.get(name)
+        if values is not None and values.size and (values.min() < 0 or values.max() >= counts.get(count, 0)):
+            raise refuse(f"{name} points outside of its {counts.get(count, 0)} {count}")
+    for prefix in ("", "source_"):
+        sizes = members.get(f"{prefix}polygon_sizes")
+        if sizes is not None and (
+            sizes.min(initial=3) < 3 or sizes.sum() != counts[f"{prefix.replace('_', ' ')}corners"]
+        ):
+            raise refuse(f"{prefix}polygon_sizes and {prefix}polygon_corners do not agree")
+    for name in ("fps", "rest_positions", "uvs", "source_barycentric", "source_uvs"):
+        if name in members and not np.isfinite(members[name]).all():
+            raise refuse(f"{name} is not finite")
+    if not members["fps"] > 0.0:
+        raise refuse(f"{float(members['fps']):g} frames per second")
+    return _metadata(str(members["metadata"]), refuse)
+
+
+def _metadata(text: str, refuse: Any) -> dict[str, Any]:
+    try:
+        metadata = json.loads(text)
+    except (json.JSONDecodeError, RecursionError):
+        raise refuse("its metadata is not JSON") from None
+    if not isinstance(metadata, dict):
+        raise refuse("its metadata is not a JSON object")
+    heading, held = metadata.get("heading", 0.0), metadata.get("held_frames", [])
+    if not isinstance(heading, int | float) or not math.isfinite(heading):
+        raise refuse("the heading in its metadata is not a number")
+    if not isinstance(held, list) or not all(isinstance(frame, int) for frame in held):
+        raise refuse("the held_frames in its metadata are not frame numbers")
+    return metadata

@@ -1,0 +1,114 @@
+"""Every example runs as it is, on a mesh of a few hundred triangles, and does what its first lines say."""
+
+from __future__ import annotations
+
+import os
+import runpy
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.export.readers import pc2_frames
+from tests.garment.cloth_shapes import quad_tube, saved
+
+from pb4u.garment.obj_file import read_obj
+from pb4u.scene.trajectory import Trajectory
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+TINY = ("--triangles", 400, "--frames", 6)
+
+Run = Callable[..., str]
+
+
+@pytest.fixture
+def example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Run:
+    """Runs an example in an empty folder and returns what it printed."""
+
+    def run(name: str, *arguments: object) -> str:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_each_is_tested_and_short() -> None:
+    tested = Path(__file__).read_text()
+    for file in sorted(EXAMPLES.glob("*.py")):
+        assert f'"{file.name}"' in tested
+        assert len(file.read_text().splitlines()) <= 80
+
+
+def test_simulate_and_save(example: Run, tmp_path: Path) -> None:
+    said = example("00_simulate_and_save.py", "--model", "skinning", *TINY)
+    assert "skinning: 6 frames" in said
+    assert Trajectory.open(tmp_path / "walk.npz").frame_count == 6
+    assert (tmp_path / "walk.glb").stat().st_size > 10_000
+
+
+@pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
+def test_your_own_garment(example: Run, tmp_path: Path) -> None:
+    mesh = quad_tube(low=0.6, high=1.0, radius=0.22)
+    saved(tmp_path, type(mesh)(100.0 * mesh.vertices, mesh.polygons, mesh.uvs, mesh.polygon_uvs), "mine.obj")
+    said = example("01_your_own_garment.py", "mine.obj", "--model", "skinning", *TINY)
+    assert "refused: The garment is in centimetres" in said
+    assert "Scaled by 0.01" in said
+    moved = read_obj(tmp_path / "moved_0005.obj")
+    np.testing.assert_array_equal(np.stack(moved.polygons), np.stack(mesh.polygons))
+    assert read_obj(tmp_path / "mine.obj").vertices.max() > 50.0
+
+
+def test_recorded_motion(example: Run, tmp_path: Path) -> None:
+    poses = np.zeros((90, 156))
+    poses[:, [16 * 3 + 2, 17 * 3 + 2]] = -1.1, 1.1  # both arms down
+    poses[:, 3] = 0.2 * np.sin(np.arange(90) / 9)
+    height = np.tile([0.0, 0.0, 0.95], (90, 1))
+    np.savez(tmp_path / "clip.npz", poses=poses, trans=height, mocap_framerate=60.0)
+    flags = ("--crop", 30, 42, "--arms-away", 5, "--triangles", 400, "--model", "skinning")
+    said = example("02_recorded_motion.py", "clip.npz", *flags)
+    assert "6 frames at 30 per second" in said
+    assert Trajectory.open(tmp_path / "recorded.npz").frame_count == 6
+
+
+def test_choose_a_resolution(example: Run, tmp_path: Path) -> None:
+    said = example("03_choose_a_resolution.py", "--triangles", 400, 900, "--frames", 3, "--model", "skinning")
+    rows = [line.split() for line in said.splitlines()[2:]]
+    assert [abs(int(row[0]) / asked - 1) < 0.05 for row, asked in zip(rows, (400, 900), strict=True)] == [True, True]
+    assert float(rows[0][1]) > float(rows[1][1])
+    assert (tmp_path / "resolution_900.npz").is_file()
+
+
+def test_change_the_material(example: Run, tmp_path: Path) -> None:
+    said = example("04_change_the_material.py", "--materials", "silk", "--model", "skinning", *TINY)
+    masses = [float(line.split(":")[1].split("g")[0]) for line in said.splitlines()[1:]]
+    assert masses[1] == pytest.approx(masses[0] * 0.5 / 0.06, rel=0.02)
+    assert Trajectory.open(tmp_path / "cloth_felt.npz").metadata["material"]["thickness"] == pytest.approx(2e-3)
+
+
+def test_compare_with_the_solver(example: Run, tmp_path: Path) -> None:
+    said = example(
+        "05_compare_with_the_solver.py", "--model", "skinning", "--triangles", 300, "--frames", 3, "--lead-in", 2
+    )
+    energies = {row[0]: (float(row[-2]), float(row[-1])) for row in map(str.split, said.splitlines()) if "[J]" in row}
+    assert energies["total"][1] < energies["total"][0]
+    solver = Trajectory.open(tmp_path / "compared_solver.npz")
+    assert solver.metadata["model"] == "solver"
+    assert Trajectory.open(tmp_path / "compared_model.npz").positions.shape == solver.positions.shape
+
+
+def test_into_blender(example: Run, tmp_path: Path) -> None:
+    said = example("06_into_blender.py", "--model", "skinning", *TINY, "--garment", "skirt")
+    lines = (tmp_path / "skirt_in_blender.py").read_text()
+    assert lines in said
+    compile(lines, "skirt_in_blender.py", "exec")
+    assert str(tmp_path / "skirt.pc2") in lines
+    assert len(pc2_frames(tmp_path / "skirt.pc2")) == 6
+    assert (tmp_path / "skirt.obj").is_file()
+    python = os.environ.get("PB4U_BLENDER_PYTHON", sys.executable)
+    if subprocess.run([python, "-c", "import bpy"], capture_output=True).returncode == 0:
+        ended = subprocess.run([python, tmp_path / "skirt_in_blender.py"], capture_output=True, text=True)
+        assert ended.returncode == 0, ended.stderr

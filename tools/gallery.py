@@ -1,0 +1,103 @@
+"""Draws the gallery: every garment at two triangle counts, one late frame by each model: docs/images/gallery.png.
+
+python tools/gallery.py [--models skinning,pb4u,solver] [--triangles 2500,11000] [--garments dress,skirt] [--out FILE]
+
+A model is a name or a checkpoint's path. Pictures are kept in --cells as they are drawn, so that a run that was
+stopped goes on where it was; a picture is drawn anew when its scene, its size or its model's file changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import time
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from picture_table import captioned, colour_of, last_frame, table
+from PIL import Image
+
+from pb4u import Pb4uError, load_simulator, make_scene
+from pb4u.export.picture import View
+from pb4u.garment.library import garment_names
+from pb4u.simulation.models import default_model
+
+SHOWN = {
+    "tshirt": ("man", "walk", 14, 30.0),
+    "tanktop": ("woman", "run", 12, -30.0),
+    "longsleeve": ("man", "arms", 14, 20.0),
+    "dress": ("woman", "turn", 18, 25.0),
+    "fitted_dress": ("woman", "walk", 16, -35.0),
+    "cardigan": ("woman", "walk", 12, 30.0),
+    "trousers": ("man", "squat", 14, 40.0),
+    "skirt": ("woman", "twist", 14, 25.0),
+}
+"""Garment -> body, motion, the frame of it that is drawn, azimuth of the view [degrees]."""
+
+LEAD_IN = 12
+FAILED_INK = (190, 30, 30)
+
+
+def cell(garment: str, triangles: int, model: str, size: int, folder: Path) -> np.ndarray:
+    """The picture of one garment by one model, from the folder where it is there."""
+    body, motion, moment, azimuth = SHOWN[garment]
+    weights = Path(model).read_bytes() if Path(model).is_file() else b""
+    recipe = f"{body} {motion} {moment} {azimuth} {LEAD_IN} {size} {model}".encode() + weights
+    kept = folder / f"{garment}_{triangles}_{Path(model).stem}_{hashlib.sha256(recipe).hexdigest()[:8]}.png"
+    if kept.is_file():
+        return np.asarray(Image.open(kept).convert("RGB"))
+    began = time.perf_counter()
+    picture = draw(garment, triangles, model, View(size * 3 // 4, size, azimuth, cloth=colour_of(garment)))
+    Image.fromarray(picture).save(kept)
+    print(f"{kept.name}: {time.perf_counter() - began:.0f} s", flush=True)
+    return picture
+
+
+def draw(garment: str, triangles: int, model: str, view: View) -> np.ndarray:
+    """Simulate up to the frame that is shown, and draw it; a simulation that came apart says so in red."""
+    body, motion, moment, _ = SHOWN[garment]
+    simulator = load_simulator(model)
+    scene = make_scene(
+        garment, body, motion, triangles=triangles, frames=moment + 1, lead_in=LEAD_IN, fps=simulator.fps or 30.0
+    )
+    caption = f"{garment}\n{scene.garments[0].garment.triangle_count:,}\n{Path(model).stem}"
+    try:
+        trajectory = simulator.simulate(scene)
+    except Pb4uError:
+        return captioned(np.full((view.height, view.width, 3), 245, np.uint8), f"{caption}\ncame apart", FAILED_INK)
+    picture = last_frame(trajectory, view)
+    if trajectory.frame_count < scene.frames:
+        return captioned(picture, f"{caption}\ncame apart", FAILED_INK)
+    return captioned(picture, caption)
+
+
+def main() -> None:
+    """Draw what is missing and put the gallery together."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--models", default=",".join(dict.fromkeys(("skinning", default_model(), "solver"))))
+    parser.add_argument("--triangles", default="2500,11000")
+    parser.add_argument("--garments", default=",".join(garment_names()))
+    parser.add_argument("--across", type=int, default=1, help="garments in a row")
+    parser.add_argument("--size", type=int, default=280, help="height of a picture in pixels")
+    parser.add_argument("--cells", type=Path, default=Path("build/gallery"), help="folder of the finished pictures")
+    parser.add_argument("--out", type=Path, default=Path("docs/images/gallery.png"))
+    options = parser.parse_args()
+    options.cells.mkdir(parents=True, exist_ok=True)
+    strips = [
+        [
+            cell(garment, int(count), model, options.size, options.cells)
+            for count in options.triangles.split(",")
+            for model in options.models.split(",")
+        ]
+        for garment in options.garments.split(",")
+    ]
+    blank = [np.full_like(strips[0][0], 255)] * len(strips[0])
+    strips += [blank] * (-len(strips) % options.across)
+    rows = [list(chain(*strips[k : k + options.across])) for k in range(0, len(strips), options.across)]
+    table(rows).save(options.out, optimize=True)
+    print(options.out)
+
+
+if __name__ == "__main__":
+    main()
