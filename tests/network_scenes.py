@@ -115,7 +115,11 @@ def accelerations(
     fixed_shapes: bool = False,
 ) -> Tensor:
     prepared = prepared_for(model, at, steps, dtype, fixed_shapes)
-    return model(prepared.graph(at.state, at.collider, DT, origin), prepared)
+    extra = {
+        feature.name: torch.zeros(at.garments.vertex_count, feature.width, dtype=dtype)
+        for feature in model.network.layout.extra
+    }
+    return model(prepared.graph(at.state, at.collider, DT, origin, extra), prepared)
 
 
 def prepared_for(

@@ -74,8 +74,10 @@ def test_a_resumed_training_takes_no_new_preset(pb4u: Call, tmp_path: Path) -> N
 
 def test_a_pack_of_built_in_assets_can_be_trained_on(pb4u: Call, tmp_path: Path) -> None:
     pack = tmp_path / "pack.npz"
-    ended = pb4u("assets", "pack", pack, "--preset", "smoke")
+    ended = pb4u("assets", "pack", pack, "--preset", "smoke", "--json", tmp_path / "r.json")
     assert ended.code == 0, ended.err
+    told = json.loads((tmp_path / "r.json").read_text())
+    assert (told["garments"], told["clips"], told["bytes"]) == (1, 2, pack.stat().st_size)
     assert "1 bodies, 1 garments, 2 clips" in ended.out
     data = load_training_data(pack)
     assert {clip.split for clip in data.clips} == {"train", "validation"}
@@ -88,6 +90,7 @@ def test_a_pack_of_built_in_assets_can_be_trained_on(pb4u: Call, tmp_path: Path)
     [
         (("pack.zip",), "is an .npz"),
         (("absent/pack.npz",), "does not exist"),
+        (("pack.npz", "--json", "absent/r.json"), "does not exist"),
         (("pack.npz", "--set", "data.bodies=nobody"), "is none"),
         (("pack.npz", "--preset", "smoke", "--set", "data.motions=fly"), "no built-in motion 'fly'"),
         (("pack.npz", "--preset", "smoke", "--recordings", "."), "holds none of the recordings"),

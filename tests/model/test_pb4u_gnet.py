@@ -170,6 +170,8 @@ def test_the_paper_size_model_has_about_four_million_parameters():
 def test_every_preset_runs_and_uses_all_its_weights():
     at = moment([sheet(6, 7)], dtype=torch.float32)
     for name, configuration in NETWORKS.items():
+        if not isinstance(configuration, Pb4uConfiguration):
+            continue
         model = AccelerationModel(replace(configuration, width=8, blocks=2).network())
         accelerations(model, at, dtype=torch.float32).square().sum().backward()
         unused = [parameter for parameter, p in model.named_parameters() if p.grad is None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -20,6 +21,23 @@ from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
 
 REFERENCE_DT = 1.0 / 30.0
+
+
+class EdgeFinder(Protocol):
+    """Finds edges between garment vertices anew at every step, such as those of cloth that comes near itself."""
+
+    def find(self, positions: Tensor) -> Mapping[str, Tensor]:
+        """Undirected edges (edges, 2) int64 between vertices of a garment at `positions` (vertices, 3) [m], by kind.
+
+        Every kind is always there, without edges where none is found.
+        """
+
+
+class NoFoundEdges:
+    """Finds nothing."""
+
+    def find(self, positions: Tensor) -> Mapping[str, Tensor]:
+        return {}
 
 
 class ContactVertices:
@@ -51,6 +69,10 @@ class GraphBuilder:
         world_edges: which body vertices a garment vertex sees.
         fixed_shapes: keep absent world edges, masked, and all body vertices, so that shapes never change (a captured
             accelerator step); else only what is near.
+        finder: edges that change from step to step.
+        rest: handed on to every graph (`Graph.rest`).
+
+    Raises InputError where shapes are to be fixed and a finder changes them.
     """
 
     static: GarmentGraph
@@ -58,6 +80,12 @@ class GraphBuilder:
     world_edges: WorldEdgeRule
     fixed_shapes: bool = False
     contact_vertices: ContactVertices = field(default_factory=ContactVertices)
+    finder: EdgeFinder = field(default_factory=NoFoundEdges)
+    rest: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.fixed_shapes and not isinstance(self.finder, NoFoundEdges):
+            raise InputError("This network finds edges anew at every step; its graphs cannot have fixed shapes.")
 
     @property
     def dtype(self) -> torch.dtype:
@@ -86,9 +114,11 @@ class GraphBuilder:
         step_dt = positions.new_full((1,), math.log(dt / REFERENCE_DT))
         nodes = {GARMENT: self._garment_nodes(state, positions, dt, step_dt, extra or {})}
         edges = {name: self._garment_edges(name, of, positions, step_dt) for name, of in self.static.edges.items()}
+        for name, pairs in self.finder.find(positions).items():
+            edges[name] = self._found_edges(name, pairs, positions, (state.velocities * dt).to(self.dtype), step_dt)
         if collider is not None:
-            self._add_body(nodes, edges, collider, positions, origin, step_dt)
-        return Graph(nodes, edges, self.static.vertex_offsets)
+            self._add_body(nodes, edges, collider, positions, state.velocities * dt, origin, step_dt)
+        return Graph(nodes, edges, self.static.vertex_offsets, self.rest)
 
     def _localise(self, positions: Tensor, origin: Tensor | None) -> Tensor:
         return (positions if origin is None else positions - origin.to(positions)).to(self.dtype)
@@ -133,12 +163,43 @@ class GraphBuilder:
         features = torch.cat([columns[name] for name in self.layout.mesh_edge], dim=1)
         return EdgeSet(kind, GARMENT, GARMENT, edges.senders, edges.receivers, features, runs=edges.runs)
 
+    def _found_edges(self, kind: str, pairs: Tensor, positions: Tensor, velocities: Tensor, step_dt: Tensor) -> EdgeSet:
+        count, material = len(positions), self.static.node_material
+        both = torch.cat([pairs, pairs.flip(1)])
+        both = both[torch.argsort(both[:, 1] * count + both[:, 0])]
+        sender, receiver = both[:, 0].contiguous(), both[:, 1].contiguous()
+        vector = positions.index_select(0, sender) - positions.index_select(0, receiver)
+        velocity = velocities.index_select(0, sender) - velocities.index_select(0, receiver)
+        columns = {
+            "relative_position": vector,
+            "length": vector.norm(dim=1, keepdim=True),
+            "previous_relative_position": vector - velocity,
+            "previous_length": (vector - velocity).norm(dim=1, keepdim=True),
+            "relative_velocity": velocity,
+            "relative_speed": velocity.norm(dim=1, keepdim=True),
+            "dt": step_dt.expand(len(both), 1),
+            "material": 0.5 * (material.index_select(0, sender) + material.index_select(0, receiver)),
+        }
+        features = torch.cat([columns[name] for name in self.layout.found_edge], dim=1)
+        receivers = incidence(receiver, count)
+        return EdgeSet(
+            kind,
+            GARMENT,
+            GARMENT,
+            incidence(sender, count),
+            receivers,
+            features,
+            runs=receiver_runs(receivers.offsets),
+            columns="found_edge",
+        )
+
     def _add_body(
         self,
         nodes: dict[str, NodeSet],
         edges: dict[str, EdgeSet],
         collider: ColliderFrame,
         positions: Tensor,
+        velocities: Tensor,
         origin: Tensor | None,
         step_dt: Tensor,
     ) -> None:
@@ -160,10 +221,11 @@ class GraphBuilder:
 
         relative_now = positions.index_select(0, garment) - now.index_select(0, body)
         relative_next = positions.index_select(0, garment) - following.index_select(0, body)
+        approach = velocities.to(self.dtype).index_select(0, garment) - (following - now).index_select(0, body)
         edge_mask = mask[:, None].to(self.dtype) if self.fixed_shapes else None
         to_garment = incidence(garment, len(positions))
         from_body = incidence(body_node, len(kept))
-        features = self._world_features(relative_now, relative_next, step_dt)
+        features = self._world_features(relative_now, relative_next, approach, step_dt)
         edges["body_to_garment"] = EdgeSet(
             "world",
             BODY,
@@ -173,6 +235,7 @@ class GraphBuilder:
             features,
             edge_mask,
             receiver_runs(to_garment.offsets),
+            "world_edge",
         )
         order = from_body.order
         to_body = incidence(body_node[order], len(kept))
@@ -182,9 +245,10 @@ class GraphBuilder:
             BODY,
             incidence(garment[order], len(positions)),
             to_body,
-            self._world_features(-relative_now[order], -relative_next[order], step_dt),
+            self._world_features(-relative_now[order], -relative_next[order], -approach[order], step_dt),
             None if edge_mask is None else edge_mask[order],
             receiver_runs(to_body.offsets),
+            "world_edge",
         )
 
     def _body_nodes(
@@ -222,12 +286,14 @@ class GraphBuilder:
         kept, position = torch.unique(body, return_inverse=True)
         return kept, position
 
-    def _world_features(self, relative_now: Tensor, relative_next: Tensor, step_dt: Tensor) -> Tensor:
+    def _world_features(self, relative_now: Tensor, relative_next: Tensor, approach: Tensor, step_dt: Tensor) -> Tensor:
         columns = {
             "relative_now": relative_now,
             "distance_now": relative_now.norm(dim=1, keepdim=True),
             "relative_next": relative_next,
             "distance_next": relative_next.norm(dim=1, keepdim=True),
+            "relative_velocity": approach,
+            "relative_speed": approach.norm(dim=1, keepdim=True),
             "dt": step_dt.expand(len(relative_now), 1),
         }
         return torch.cat([columns[name] for name in self.layout.world_edge], dim=1)
@@ -246,7 +312,14 @@ def graph_builder(
     dtype: torch.dtype = torch.float32,
     fixed_shapes: bool = False,
     further_edges: Mapping[str, Tensor] | None = None,
+    finder: EdgeFinder | None = None,
+    rest: Mapping[str, Tensor] | None = None,
 ) -> GraphBuilder:
-    """A builder for `garments`, on their device, making features in `dtype`; `further_edges` as in `garment_graph`."""
+    """A builder for `garments`, on their device, making features in `dtype`; `further_edges` as in `garment_graph`.
+
+    Raises InputError where shapes are to be fixed and a finder changes them.
+    """
     static = garment_graph(garments, layout.material_range, dtype, further_edges)
-    return GraphBuilder(static, layout, world_edges, fixed_shapes)
+    return GraphBuilder(
+        static, layout, world_edges, fixed_shapes, finder=finder or NoFoundEdges(), rest=dict(rest or {})
+    )

@@ -67,7 +67,22 @@ WORLD_EDGE_FEATURES = _index(
     Feature("distance_now", 1, "m", True, 1e-2, "its norm"),
     Feature("relative_next", 3, "m", True, 1e-2, "receiver - sender, garment now and body next (ref. 1.2)"),
     Feature("distance_next", 1, "m", True, 1e-2, "its norm"),
+    Feature(
+        "relative_velocity", 3, "m/step", True, 1e-2, "garment's velocity - body's to come: ContourCraft (ref. 6.1)"
+    ),
+    Feature("relative_speed", 1, "m/step", True, 1e-2, "its norm: ContourCraft"),
     DT,
+)
+
+FOUND_EDGE_FEATURES = _index(
+    Feature("relative_position", 3, "m", True, 1e-2, "sender - receiver, now (ref. 6.1)"),
+    Feature("length", 1, "m", True, 1e-2, "its norm"),
+    Feature("previous_relative_position", 3, "m", True, 1e-2, "sender - receiver, a step before"),
+    Feature("previous_length", 1, "m", True, 1e-2, "its norm"),
+    Feature("relative_velocity", 3, "m/step", True, 1e-2, "sender's velocity - receiver's"),
+    Feature("relative_speed", 1, "m/step", True, 1e-2, "its norm"),
+    DT,
+    Feature("material", 3, "1", False, 1.0, "mean of both ends' bending, mu, lambda"),
 )
 
 
@@ -75,7 +90,9 @@ DESCENT = Feature(
     "descent", 3, "1", True, 0.05, "Jacobi descent of the incremental potential at free flight, in edge lengths; ours"
 )
 
-EXTRA_FEATURES = _index(DESCENT)
+ADVANCE = Feature("advance", 3, "cm/step^2", False, 1.0, "acceleration found by earlier passes of the same step; ours")
+
+EXTRA_FEATURES = _index(DESCENT, ADVANCE)
 
 
 @dataclass(frozen=True)
@@ -93,7 +110,8 @@ class FeatureLayout:
     """Which columns a network reads, in order.
 
     Args:
-        node, mesh_edge, world_edge: names from the tables above.
+        node, mesh_edge, world_edge, found_edge: names from the tables above; found edges join garment vertices that
+            come near each other.
         extra: further node features that the caller hands over by name; zero on the body.
         material_range: where materials are mapped to [0, 1].
     """
@@ -103,9 +121,15 @@ class FeatureLayout:
     world_edge: tuple[str, ...] = ("relative_now", "distance_now", "relative_next", "distance_next", "dt")
     extra: tuple[Feature, ...] = ()
     material_range: MaterialRange = field(default_factory=MaterialRange)
+    found_edge: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        tables = (("node", NODE_FEATURES), ("mesh_edge", MESH_EDGE_FEATURES), ("world_edge", WORLD_EDGE_FEATURES))
+        tables = (
+            ("node", NODE_FEATURES),
+            ("mesh_edge", MESH_EDGE_FEATURES),
+            ("world_edge", WORLD_EDGE_FEATURES),
+            ("found_edge", FOUND_EDGE_FEATURES),
+        )
         for label, table in tables:
             for name in getattr(self, label):
                 if name not in table:
@@ -122,6 +146,10 @@ class FeatureLayout:
     @property
     def world_edge_columns(self) -> tuple[Feature, ...]:
         return tuple(WORLD_EDGE_FEATURES[name] for name in self.world_edge)
+
+    @property
+    def found_edge_columns(self) -> tuple[Feature, ...]:
+        return tuple(FOUND_EDGE_FEATURES[name] for name in self.found_edge)
 
 
 def total_width(columns: tuple[Feature, ...]) -> int:

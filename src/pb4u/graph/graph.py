@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import torch
@@ -55,12 +55,13 @@ class EdgeSet:
     """Directed edges of one kind, in ascending order of receiver.
 
     Args:
-        kind: which weights treat them: mesh, world, coarse, garment_garment.
+        kind: which weights treat them: mesh, world, or what a network adds (coarse levels, repulsion, attraction).
         sender_set, receiver_set: names of the node sets they join.
         senders, receivers: the ends.
         features: (edges, columns).
         mask: (edges, 1), 0 where an edge of a fixed-size list is absent, or None where all exist.
         runs: spans of edges and of their receivers, small enough to stay in cache; they cover everything in order.
+        columns: which table the features are of: "mesh_edge", "world_edge" or "found_edge".
     """
 
     kind: str
@@ -71,6 +72,7 @@ class EdgeSet:
     features: Tensor
     mask: Tensor | None = None
     runs: tuple[tuple[Span, Span], ...] = ()
+    columns: str = "mesh_edge"
 
     @property
     def edge_count(self) -> int:
@@ -130,11 +132,13 @@ class Graph:
         nodes: node sets by name: "garment", and "body" where a body is near.
         edges: edge sets by name: "mesh", what a network adds ("coarse"), "body_to_garment", "garment_to_body".
         vertex_offsets: first garment node of each garment, and the total.
+        rest: what the network derived once from the garments at rest (`GraphNetwork.rest_quantities`).
     """
 
     nodes: dict[str, NodeSet]
     edges: dict[str, EdgeSet]
     vertex_offsets: tuple[int, ...]
+    rest: Mapping[str, Tensor] = field(default_factory=dict)
 
     def with_features(self, nodes: dict[str, Tensor], edges: dict[str, Tensor]) -> Graph:
         """The same graph with other features, by name of the set."""

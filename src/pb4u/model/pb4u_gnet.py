@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor, nn
 
+from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout, total_width
 from pb4u.graph.garment_graph import GarmentGraph
 from pb4u.graph.graph import GARMENT, Graph, NodeType
@@ -34,6 +35,7 @@ class Pb4uConfiguration:
         scaling: how large an update.
         layout: the columns read.
         world_edges: which body vertices a garment vertex sees.
+        passes: how often the network is asked in one time step; above 1 the layout should name "descent" and "advance".
     """
 
     width: int = 128
@@ -43,6 +45,11 @@ class Pb4uConfiguration:
     scaling: PerVertexScaling | MeanScaling | NoScaling = field(default_factory=PerVertexScaling)
     layout: FeatureLayout = field(default_factory=FeatureLayout)
     world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
+    passes: int = 1
+
+    def __post_init__(self) -> None:
+        if self.passes < 1:
+            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
 
     def network(self) -> Pb4uGNet:
         """A network of this configuration with fresh weights."""
@@ -57,6 +64,7 @@ class Pb4uGNet(GraphNetwork):
         self.configuration = configuration
         self.layout = layout = configuration.layout
         self.world_edges = configuration.world_edges
+        self.passes = configuration.passes
         self.control: PropagationControl = configuration.control
         self.scaling: UpdateScaling = configuration.scaling
         width = configuration.width

@@ -5,15 +5,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.graph.builder import GraphBuilder, graph_builder
+from pb4u.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges, graph_builder
 from pb4u.graph.features import Feature, FeatureLayout
 from pb4u.graph.garment_graph import GarmentGraph
-from pb4u.graph.graph import Graph
+from pb4u.graph.graph import EdgeSet, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.nn.normaliser import Normaliser
 from pb4u.scene.packed import ColliderFrame, PackedGarments
@@ -23,16 +24,30 @@ ACCELERATION = Feature("acceleration", 3, "m/step^2", True, 3e-3, "x(t+1) - 2 x(
 MOST_PROPAGATION_STEPS = 500
 
 
+class FurtherLoss(Protocol):
+    """What a method minimises in training besides the incremental potential."""
+
+    name: str
+
+    def energies(self, garments: PackedGarments, before: Tensor, after: Tensor, progress: float) -> Tensor:
+        """(garments,) losses [J] of a step between positions `before` and `after` (vertices, 3) [m]; differentiable.
+
+        `progress` is the fraction of the training's budget that is spent.
+        """
+
+
 class GraphNetwork(nn.Module, ABC):
     """A network on normalised features; a baseline differs from ours in this and in nothing else.
 
     Attributes:
         layout: the columns it reads.
         world_edges: which body vertices a garment vertex sees.
+        passes: how often it is asked in one time step, each time from where it left off; 1 in the paper.
     """
 
     layout: FeatureLayout
     world_edges: WorldEdgeRule
+    passes: int = 1
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
@@ -52,6 +67,18 @@ class GraphNetwork(nn.Module, ABC):
         They carry the columns of mesh edges and share their normaliser.
         """
         return {}
+
+    def edge_finder(self, garments: PackedGarments) -> EdgeFinder:
+        """What finds edges between garment vertices anew at every step; they have the layout's `found_edge` columns."""
+        return NoFoundEdges()
+
+    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
+        """Tensors derived once from the garments at rest and found again in `Graph.rest`, by name."""
+        return {}
+
+    def further_losses(self) -> tuple[FurtherLoss, ...]:
+        """What is minimised in training besides the incremental potential."""
+        return ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +109,12 @@ class PreparedGarments:
     def with_steps(self, steps: int | Sequence[int]) -> PreparedGarments:
         """The same garments taking other numbers of propagation steps, one for all or one a garment.
 
+        A method without propagation steps takes none whatever is asked.
+
         Raises InputError where a number is not between 1 and 500.
         """
+        if not any(self.steps):
+            return self
         count = len(self.steps)
         chosen = (steps,) * count if isinstance(steps, int) else tuple(steps)
         for number in chosen:
@@ -111,6 +142,8 @@ class AccelerationModel(nn.Module):
         self.mesh_edge_normaliser = Normaliser(layout.mesh_edge_columns)
         self.world_edge_normaliser = Normaliser(layout.world_edge_columns)
         self.acceleration_normaliser = Normaliser((ACCELERATION,))
+        # Absent where no edges are found, so that such a network's checkpoint holds nothing of them.
+        self.found_edge_normaliser = Normaliser(layout.found_edge_columns) if layout.found_edge else None
 
     def prepare(
         self,
@@ -127,11 +160,18 @@ class AccelerationModel(nn.Module):
             dtype: precision of features and accelerations.
             fixed_shapes: same shapes every step, for a captured accelerator step.
 
-        Raises InputError where the override is not between 1 and 500.
+        Raises InputError where the override is not between 1 and 500, or where shapes are to be fixed that change.
         """
         network = self.network
         builder = graph_builder(
-            garments, network.layout, network.world_edges, dtype, fixed_shapes, network.further_edges(garments)
+            garments,
+            network.layout,
+            network.world_edges,
+            dtype,
+            fixed_shapes,
+            network.further_edges(garments),
+            network.edge_finder(garments),
+            network.rest_quantities(garments),
         )
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
         prepared = PreparedGarments(builder, steps, network.update_scale(builder.static))
@@ -147,7 +187,7 @@ class AccelerationModel(nn.Module):
         """The graph with centred and scaled features, in the precision of the network's weights."""
         dtype = next(self.network.parameters()).dtype
         nodes = {name: self.node_normaliser(node_set.features).to(dtype) for name, node_set in graph.nodes.items()}
-        edges = {name: self._edge_normaliser(s.kind)(s.features).to(dtype) for name, s in graph.edges.items()}
+        edges = {name: self._edge_normaliser(s)(s.features).to(dtype) for name, s in graph.edges.items()}
         return graph.with_features(nodes, edges)
 
     @torch.no_grad()
@@ -164,16 +204,17 @@ class AccelerationModel(nn.Module):
         for edge_set in graph.edges.values():
             edge_owner = graph.nodes[edge_set.receiver_set].owner[edge_set.receivers.index]
             present = None if edge_set.mask is None else edge_set.mask[:, 0] > 0
-            self._edge_normaliser(edge_set.kind).gather(edge_set.features, edge_owner, garments, present)
+            self._edge_normaliser(edge_set).gather(edge_set.features, edge_owner, garments, present)
         self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].owner, garments)
 
     def normalisers(self) -> tuple[Normaliser, ...]:
-        """All four, in a fixed order: to add their sums over devices."""
+        """All there are, in a fixed order: to add their sums over devices."""
         return (
             self.node_normaliser,
             self.mesh_edge_normaliser,
             self.world_edge_normaliser,
             self.acceleration_normaliser,
+            *((self.found_edge_normaliser,) if self.found_edge_normaliser is not None else ()),
         )
 
     def freeze_statistics(self) -> None:
@@ -181,8 +222,9 @@ class AccelerationModel(nn.Module):
         for normaliser in self.normalisers():
             normaliser.freeze()
 
-    def _edge_normaliser(self, kind: str) -> Normaliser:
-        return self.world_edge_normaliser if kind == "world" else self.mesh_edge_normaliser
+    def _edge_normaliser(self, edges: EdgeSet) -> Normaliser:
+        normaliser: Normaliser = getattr(self, f"{edges.columns}_normaliser")
+        return normaliser
 
 
 def _counted(active: Tensor | None, rows: int, device: torch.device) -> Tensor:

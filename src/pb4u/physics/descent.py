@@ -31,8 +31,8 @@ class JacobiDescent:
 def membrane_stiffness(garments: PackedGarments) -> Tensor:
     """(vertices,) [N/m] mean in-plane stiffness against moving one vertex of the garments at rest alone.
 
-    Half the trace of the second derivative of the stretch energy at F = 1: a face adds A h (3 mu + lambda) / 2 times the
-    squared gradient of the corner's shape function.
+    Half the trace of the second derivative of the stretch energy at F = 1: a face adds A h (3 mu + lambda) / 2 times
+    the squared gradient of the corner's shape function.
     """
     of_b, of_c = garments.inverse_rest_shape[:, 0], garments.inverse_rest_shape[:, 1]
     squared = torch.stack([g.square().sum(-1) for g in (of_b + of_c, of_b, of_c)], dim=1)

@@ -5,6 +5,11 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass
 from typing import Any, Protocol, cast
 
+from pb4u.baselines.contact_losses import ContourLength, Ramp, Repulsion
+from pb4u.baselines.contourcraft import ContourCraftConfiguration
+from pb4u.baselines.eslr import EslrConfiguration
+from pb4u.baselines.hood import HoodConfiguration, LevelsByHops, LevelsByLength
+from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.errors import InputError
 from pb4u.graph.features import Feature, FeatureLayout, MaterialRange
 from pb4u.graph.world_edges import WorldEdgeRule
@@ -22,7 +27,13 @@ class NetworkConfiguration(Protocol):
         """A network of this configuration with fresh weights."""
 
 
-NETWORK_TYPES: tuple[type, ...] = (Pb4uConfiguration,)
+NETWORK_TYPES: tuple[type, ...] = (
+    Pb4uConfiguration,
+    MeshGraphNetConfiguration,
+    HoodConfiguration,
+    EslrConfiguration,
+    ContourCraftConfiguration,
+)
 
 PART_TYPES: tuple[type, ...] = (
     FeatureLayout,
@@ -35,6 +46,11 @@ PART_TYPES: tuple[type, ...] = (
     PerVertexScaling,
     MeanScaling,
     NoScaling,
+    LevelsByHops,
+    LevelsByLength,
+    Ramp,
+    Repulsion,
+    ContourLength,
 )
 
 

@@ -41,6 +41,13 @@ class NetworkPredictor(Predictor):
 
     @torch.inference_mode()
     def _accelerations(self, situation: Situation) -> Tensor:
+        found = torch.zeros_like(situation.state.positions)
+        for _ in range(self.model.network.passes):
+            found = found + self._pass(situation, found).to(found)
+        return found
+
+    def _pass(self, situation: Situation, found: Tensor) -> Tensor:
+        """What the network adds to the accelerations `found` by earlier passes."""
         state = replace(
             situation.state,
             positions=situation.state.positions.to(self.device),
@@ -48,7 +55,7 @@ class NetworkPredictor(Predictor):
         )
         collider = self._on_device(situation.collider)
         origin = local_origin(situation.collider).to(self.device)
-        extra = {name: values.to(self.device) for name, values in self._features.of(situation).items()}
+        extra = {name: values.to(self.device) for name, values in self._features.of(situation, found).items()}
         graph = self.prepared.graph(state, collider, situation.dt, origin, extra)
         return self.model(graph, self.prepared)
 
@@ -63,7 +70,7 @@ class NetworkPredictor(Predictor):
         return replace(self._static[1], **moving)
 
     def predict(self, situation: Situation) -> State:
-        acceleration = self._accelerations(situation).to(situation.state.positions).clone()
+        acceleration = self._accelerations(situation).clone()
         return integrate(
             situation.state, acceleration, situation.dt, situation.garments.pinned, situation.pin_positions
         )
@@ -107,10 +114,10 @@ class NetworkSimulator(StepwiseSimulator):
         return {"refine": self.refine, "device": str(self.device), "weights_licence": self.checkpoint.licence}
 
     def propagation_steps(self, scene: Scene) -> int | None:
-        if self.override is not None:
-            return self.override
-        steps = self.checkpoint.model.network.propagation_steps(scene.garments[0].garment.mean_edge_length)
-        return steps or None
+        ruled = self.checkpoint.model.network.propagation_steps(scene.garments[0].garment.mean_edge_length)
+        if not ruled:
+            return None
+        return ruled if self.override is None else self.override
 
     def parts(self, stage: Stage, record: RunRecord) -> StepParts:
         garments: PackedGarments = pack(stage.garments.garments, torch.float32, self.device)

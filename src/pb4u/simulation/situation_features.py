@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.graph.features import DESCENT
+from pb4u.graph.features import ADVANCE, DESCENT, Feature
 from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.physics.descent import JacobiDescent
 from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.integrator import integrate
 from pb4u.scene.packed import PackedGarments
-from pb4u.simulation.step import BallisticPredictor, Situation
+from pb4u.simulation.step import Situation
 
 _LINEAR_UP_TO = 0.05
 
@@ -22,23 +23,30 @@ _LINEAR_UP_TO = 0.05
 class SituationFeature(Protocol):
     """One node feature."""
 
-    def of(self, situation: Situation, incident_length: Tensor) -> Tensor:
-        """(vertices, width), given the mean rest length of the edges at each vertex (vertices,) [m]."""
+    def of(self, situation: Situation, found: Tensor, incident_length: Tensor) -> Tensor:
+        """(vertices, width).
+
+        Args:
+            found: (vertices, 3) accelerations that earlier passes of the step found [m per step^2].
+            incident_length: (vertices,) mean rest length of the edges at each vertex [m].
+        """
 
 
 class DescentFeature:
-    """Jacobi descent of the incremental potential at free flight, in edge lengths: a strain, the same at any resolution.
+    """Jacobi descent of the incremental potential where the step would end so far.
 
-    Steps beyond 5% of an edge grow as their logarithm: one vertex deep inside the body must not drown the others.
+    In edge lengths it is a strain, and looks the same at any resolution. Steps beyond 5% of an edge grow as their
+    logarithm: one vertex deep inside the body must not drown the others.
     """
 
     def __init__(self) -> None:
         self._made_for: tuple[PackedGarments, float] | None = None
 
-    def of(self, situation: Situation, incident_length: Tensor) -> Tensor:
-        x = BallisticPredictor().predict(situation).positions
+    def of(self, situation: Situation, found: Tensor, incident_length: Tensor) -> Tensor:
+        garments = situation.garments
+        x = integrate(situation.state, found, situation.dt, garments.pinned, situation.pin_positions).positions
         potential = IncrementalPotential().prepare(
-            situation.garments, situation.state, situation.collider, situation.dt, situation.gravity
+            garments, situation.state, situation.collider, situation.dt, situation.gravity
         )
         step = self._descent(situation).at(potential, x) / incident_length.to(x)[:, None]
         size = step.norm(dim=1, keepdim=True) / _LINEAR_UP_TO
@@ -49,6 +57,16 @@ class DescentFeature:
         if self._made_for is None or self._made_for[0] is not key[0] or self._made_for[1] != key[1]:
             self._made_for, self._made = key, JacobiDescent(*key)
         return self._made
+
+
+class AdvanceFeature:
+    """The accelerations that earlier passes of the same step found."""
+
+    def of(self, situation: Situation, found: Tensor, incident_length: Tensor) -> Tensor:
+        return 100.0 * found
+
+
+_MAKERS: dict[Feature, Callable[[], SituationFeature]] = {DESCENT: DescentFeature, ADVANCE: AdvanceFeature}
 
 
 class SituationFeatures:
@@ -62,11 +80,13 @@ class SituationFeatures:
         self._incident_length = prepared.builder.static.incident_length
         self._features: dict[str, SituationFeature] = {}
         for feature in prepared.builder.layout.extra:
-            if feature != DESCENT:
-                raise InputError(f"The network reads the node feature {feature.name!r}, which this version cannot make.")
-            self._features[feature.name] = DescentFeature()
+            if feature not in _MAKERS:
+                raise InputError(
+                    f"The network reads the node feature {feature.name!r}, which this version cannot make."
+                )
+            self._features[feature.name] = _MAKERS[feature]()
 
     @torch.no_grad()
-    def of(self, situation: Situation) -> Mapping[str, Tensor]:
-        """Every feature (vertices, width) by name."""
-        return {name: feature.of(situation, self._incident_length) for name, feature in self._features.items()}
+    def of(self, situation: Situation, found: Tensor) -> Mapping[str, Tensor]:
+        """Every feature (vertices, width) by name; `found` (vertices, 3) as in `SituationFeature.of`."""
+        return {name: feature.of(situation, found, self._incident_length) for name, feature in self._features.items()}

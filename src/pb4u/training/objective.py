@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import torch
 from torch import Tensor, nn
 
 from pb4u.graph.graph import Graph
-from pb4u.nn.acceleration_model import PreparedGarments
+from pb4u.nn.acceleration_model import GraphNetwork, PreparedGarments
 from pb4u.physics.collision import Collision
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential
 from pb4u.physics.integrator import integrate
@@ -26,23 +27,34 @@ class LearningPredictor(Predictor):
     Args:
         network: called with a graph and the prepared garments; the model itself, or what distributes it.
         prepared: with the propagation steps of this step.
+        found: (vertices, 3) [m per step^2] accelerations found by earlier passes, none by default.
+        passes: how many further passes to make; only the last is differentiable.
+
+    Attributes:
+        reached: accelerations after the latest prediction.
     """
 
-    def __init__(self, network: nn.Module, prepared: PreparedGarments) -> None:
-        self.network, self.prepared = network, prepared
+    reached: Tensor
+
+    def __init__(
+        self, network: nn.Module, prepared: PreparedGarments, found: Tensor | None = None, passes: int = 1
+    ) -> None:
+        self.network, self.prepared, self.found, self.passes = network, prepared, found, passes
         self._features = SituationFeatures(prepared)
 
-    def graph(self, situation: Situation) -> Graph:
-        """What the network sees."""
+    def graph(self, situation: Situation, found: Tensor | None = None) -> Graph:
+        """What the network sees after earlier passes `found` accelerations (vertices, 3) [m per step^2]."""
         origin = local_origin(situation.collider)
-        extra = self._features.of(situation)
+        extra = self._features.of(situation, torch.zeros_like(situation.state.positions) if found is None else found)
         return self.prepared.graph(situation.state, situation.collider, situation.dt, origin, extra)
 
     def predict(self, situation: Situation) -> State:
-        acceleration = self.network(self.graph(situation), self.prepared)
-        return integrate(
-            situation.state, acceleration, situation.dt, situation.garments.pinned, situation.pin_positions
-        )
+        found = torch.zeros_like(situation.state.positions) if self.found is None else self.found
+        for _ in range(self.passes):
+            before = found.detach()
+            found = before + self.network(self.graph(situation, before), self.prepared)
+        self.reached = found.detach()
+        return integrate(situation.state, found, situation.dt, situation.garments.pinned, situation.pin_positions)
 
 
 def step_energies(situation: Situation, positions: Tensor, collision_weight: float) -> Energies:
@@ -58,6 +70,21 @@ def mean_energies(energies: Energies) -> dict[str, Tensor]:
     """Every term and their `total`, averaged over the garments."""
     terms = {name: value.mean() for name, value in energies.terms.items()}
     return {**terms, "total": energies.total / len(energies.per_garment)}
+
+
+def further_losses(
+    network: GraphNetwork, situation: Situation, positions: Tensor, progress: float
+) -> dict[str, Tensor]:
+    """What the network's method minimises besides the potential, each averaged over the garments; mostly nothing.
+
+    Args:
+        network: that is trained. situation: before the step. positions: (vertices, 3) [m] after it.
+        progress: fraction of the training's budget spent.
+    """
+    return {
+        loss.name: loss.energies(situation.garments, situation.state.positions, positions, progress).mean()
+        for loss in network.further_losses()
+    }
 
 
 def comparable_total(terms: dict[str, float], collision_weight: float) -> float:

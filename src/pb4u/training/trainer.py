@@ -24,7 +24,14 @@ from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
 from pb4u.training.explosion_guard import ExplosionGuard
 from pb4u.training.learner import Learner
-from pb4u.training.objective import LearningPredictor, comparable_total, mean_energies, step_energies, strain_energy
+from pb4u.training.objective import (
+    LearningPredictor,
+    comparable_total,
+    further_losses,
+    mean_energies,
+    step_energies,
+    strain_energy,
+)
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.progress import Reporter
 from pb4u.training.run_folder import NotSavedError, RunFolder
@@ -34,6 +41,8 @@ from pb4u.training.windows import Sampler, Window, WindowLoader
 
 MOST_ROLLBACKS = 8
 IMPROVEMENT = 0.005
+LOST_TO_THE_BODY = 2e-6
+"""Collision term over its weight [m^5], a garment, above which it has sunk in: a quarter of a T-shirt 2 cm deep."""
 
 
 class TrainingFailedError(Pb4uError):
@@ -70,6 +79,7 @@ class Trainer:
         self.counters = Counters()
         self.sums: dict[str, float] = {}
         self.totals: list[float] = []
+        self.latest_collision = 0.0
         self.saved, self.saved_at = self.learner.state(), 0
         self._clock = time.monotonic()
 
@@ -130,11 +140,12 @@ class Trainer:
     def _train_window(self) -> bool:
         """Step through a window, an optimiser step after each step; whether all went well.
 
-        A window whose garment has come apart ends: nothing that follows would be worth learning.
+        A window whose garment is lost ends: nothing that follows would be worth learning.
         """
         length = self.configuration.curriculum.window_length(self.progress)
         if self.budget.steps is not None:
-            length = min(length, self.budget.steps - self.counters.step)
+            left = self.budget.steps - self.counters.step
+            length = min(length, math.ceil(left / self.model.network.passes))
         window, state, settle = self._begin(length)
         prepared = self.model.prepare(window.garments)
         first = self.counters.window * self.configuration.batch + self.share.start
@@ -143,18 +154,26 @@ class Trainer:
                 self.sampler.propagation_steps(first + garment, number, ruled)
                 for garment, ruled in enumerate(prepared.steps)
             ]
-            predictor = LearningPredictor(self.network, prepared.with_steps(steps))
             settling = settle and number == 0
             situation = window.settling(state) if settling else window.moving(state)
-            after = step(situation, StepParts(predictor))
-            if not self._learn(situation, after):
-                return False
+            found, after = None, state
+            for _ in range(self.model.network.passes):
+                predictor = LearningPredictor(self.network, prepared.with_steps(steps), found)
+                after = step(situation, StepParts(predictor))
+                if not self._learn(situation, after):
+                    return False
+                found = predictor.reached
             state = State(after.positions.detach(), after.velocities.detach(), after.frame)
             if settling:
                 state = self._set_off(window, state)
-            if self.workers.agreed(strain_percentile(window.garments, state.positions) > DIVERGED_STRAIN):
+            if self.workers.agreed(self._lost(window, state)):
                 break
         return True
+
+    def _lost(self, window: Window, state: State) -> bool:
+        """Whether a garment came apart or sank into the body; the collision term is that of the latest step."""
+        sunk = self.latest_collision > LOST_TO_THE_BODY
+        return sunk or strain_percentile(window.garments, state.positions) > DIVERGED_STRAIN
 
     def _set_off(self, window: Window, settled: State) -> State:
         """A settled garment, still in the row where it settled, with the velocity that it sets off with."""
@@ -174,7 +193,9 @@ class Trainer:
         finite = torch.isfinite(after.positions)
         positions = torch.where(finite, after.positions, situation.state.positions)
         terms = mean_energies(step_energies(situation, positions, weight))
-        gradient = self.learner.gradient(terms["total"])
+        further = further_losses(self.model.network, situation, positions, self.progress)
+        gradient = self.learner.gradient(torch.stack([terms["total"], *further.values()]).sum())
+        terms |= further
         watched = torch.stack([*(value.detach() for value in terms.values()), finite.all().to(positions)])
         *values, all_finite = self.workers.mean(watched).tolist()
         if all_finite < 1.0 or not all(math.isfinite(value) for value in (*values, gradient)):
@@ -182,6 +203,7 @@ class Trainer:
         self.counters.step += 1
         self.learner.step(rate, self.counters.step)
         named = dict(zip(terms, values, strict=True))
+        self.latest_collision = float(terms["collision"].detach()) / weight
         self.counters.guard = self.counters.guard.after(strain_energy(named, weight))
         extra = {"gradient": gradient, "rate": rate, "collision_weight": weight, "count": 1.0}
         self.totals.append(comparable_total(named, weight))

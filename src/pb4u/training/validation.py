@@ -84,7 +84,8 @@ class Validation:
     def _rollout(self, model: AccelerationModel, sample: Sample) -> tuple[int, float, float]:
         """Frames before divergence, and the sums of their energies [J] and strains."""
         window = self.loader.load([sample], self.frames)
-        parts = StepParts(LearningPredictor(model, model.prepare(window.garments)))
+        prepared = model.prepare(window.garments)
+        parts = StepParts(LearningPredictor(model, prepared, passes=model.network.passes))
         state, energy, strain = window.start(0.0, self.clearance), 0.0, 0.0
         for frame in range(self.frames):
             situation: Situation = window.moving(state) if frame else window.settling(state)

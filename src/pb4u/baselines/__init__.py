@@ -1,0 +1,1 @@
+"""The methods that the paper compares with, as networks behind the interface that ours has."""

@@ -1,0 +1,182 @@
+"""ESLR, reconstructed: smoothed message passing beside attention that knows geodesic distances.
+
+Liu et al. 2025 (arXiv 2504.11763) say in words what the two modules are; their code and many numbers (layers, heads,
+tokens, how the two join) are not public. What is not stated is our choice (reference 5.4): this is not the authors'
+network, and its results are not theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from pb4u.baselines.encode_process_decode import MESH_GRAPH_LAYOUT, EncodeProcessDecode, require_scipy
+from pb4u.baselines.geodesics import geodesic_landmarks
+from pb4u.errors import InputError
+from pb4u.graph.features import FeatureLayout
+from pb4u.graph.graph import GARMENT, Graph
+from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.nn.interaction_block import InteractionBlock
+from pb4u.nn.mlp import MLP, SplitMLP
+from pb4u.nn.segment import gather, segment_sum
+from pb4u.scene.packed import PackedGarments
+
+LANDMARKS, GEODESICS = "landmarks", "geodesics"
+_BIAS_WIDTH = 16
+_ROWS_PER_PIECE = 4096
+
+
+@dataclass(frozen=True)
+class EslrConfiguration:
+    """A reconstruction of ESLR.
+
+    Args:
+        width: of all latents and hidden layers.
+        layers: each one message passing beside one attention.
+        landmarks: vertices of a garment that attention runs over; 0 for no attention at all.
+        heads: of attention; they divide the width.
+        geodesic_scale: length that geodesic distances are measured in [m].
+        layout: the columns read.
+        world_edges: which body vertices a garment vertex sees.
+    """
+
+    width: int = 128
+    layers: int = 8
+    landmarks: int = 256
+    heads: int = 4
+    geodesic_scale: float = 0.1
+    layout: FeatureLayout = field(default_factory=lambda: MESH_GRAPH_LAYOUT)
+    world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
+
+    def __post_init__(self) -> None:
+        if self.landmarks < 0 or self.heads < 1 or self.width % self.heads or not self.geodesic_scale > 0.0:
+            raise InputError(
+                "ESLR needs 0 landmarks or more, a number of heads that divides the width and a scale above 0 m, not "
+                f"{self.landmarks}, {self.heads} and {self.geodesic_scale}."
+            )
+
+    def network(self) -> Eslr:
+        """A network of this configuration with fresh weights."""
+        return Eslr(self)
+
+
+class Eslr(EncodeProcessDecode):
+    """Layers of local message passing beside attention over landmarks."""
+
+    def __init__(self, configuration: EslrConfiguration) -> None:
+        require_scipy("ESLR")
+        super().__init__(configuration, ("mesh",))
+        self.configuration = configuration
+        self.layers = nn.ModuleList(_Layer(configuration) for _ in range(configuration.layers))
+
+    def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
+        """Normalised accelerations (garment vertices, 3); `steps` is not read."""
+        nodes, edges = self.encode(graph)
+        for layer in self.layers:
+            nodes, edges = layer(nodes, edges, graph)
+        return self.decoder(nodes[GARMENT])
+
+    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
+        count = self.configuration.landmarks
+        if count == 0:
+            return {}
+        landmarks, distances = [], []
+        for garment in range(garments.garment_count):
+            start, stop = garments.vertex_offsets[garment : garment + 2]
+            edges = garments.edges[garments.edge_garment == garment].cpu().numpy() - start
+            rest = garments.rest_positions[start:stop].to(torch.float64).cpu().numpy()
+            chosen, away = geodesic_landmarks(edges, rest, count)
+            landmarks.append(torch.from_numpy(chosen))
+            distances.append(torch.from_numpy(away) / self.configuration.geodesic_scale)
+        device = garments.device
+        return {LANDMARKS: torch.stack(landmarks).to(device), GEODESICS: torch.cat(distances).to(device)}
+
+
+class _Layer(nn.Module):
+    """V <- V + MLP([message passing and smoothing, attention]); bodies take part in message passing only."""
+
+    def __init__(self, configuration: EslrConfiguration) -> None:
+        super().__init__()
+        width = configuration.width
+        self.local = InteractionBlock(width, ("mesh", "world"))
+        self.smoothed = MLP(width, width, width, norm=True)
+        self.distant: nn.Module = (
+            GeodesicAttention(width, configuration.heads) if configuration.landmarks else Nothing()
+        )
+        self.fusion = SplitMLP((width, width), width, width, norm=True)
+
+    def forward(
+        self, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        before = nodes[GARMENT]
+        nodes, edges = self.local(nodes, edges, graph)
+        near = self.smoothed(_neighbour_mean(nodes[GARMENT], edges["mesh"], graph))
+        hidden = self.fusion.project(0, near, bias=True) + self.fusion.project(1, self.distant(before, graph))
+        return {**nodes, GARMENT: before + self.fusion.after_first(hidden)}, edges
+
+
+def _neighbour_mean(nodes: Tensor, latents: Tensor, graph: Graph) -> Tensor:
+    """(vertices, width) mean of v_j + e_ij over the mesh neighbours j of each vertex i; 0 where it has none."""
+    mesh = graph.edges["mesh"]
+    total = segment_sum(gather(nodes, mesh.senders) + latents, mesh.receivers)
+    return total / mesh.degrees().to(total).clamp_min(1.0)
+
+
+class Nothing(nn.Module):
+    """In attention's place where there is none."""
+
+    def forward(self, values: Tensor, graph: Graph) -> Tensor:
+        return torch.zeros_like(values)
+
+
+class GeodesicAttention(nn.Module):
+    """Landmarks attend to each other, then every vertex to them; scores have a learned bias of the distance."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.collect, self.spread = _Attention(width, heads), _Attention(width, heads)
+
+    def forward(self, values: Tensor, graph: Graph) -> Tensor:
+        """(vertices, width) of garment latents `values` (vertices, width), garment by garment."""
+        values = self.norm(values)
+        landmarks, geodesics, offsets = graph.rest[LANDMARKS], graph.rest[GEODESICS].to(values), graph.vertex_offsets
+        results = []
+        for garment in range(len(offsets) - 1):
+            own, away = (of[offsets[garment] : offsets[garment + 1]] for of in (values, geodesics))
+            # Where there are fewer vertices than landmarks, the landmarks beyond them do not exist.
+            marks, away = landmarks[garment, : len(own)], away[:, : len(own)]
+            tokens = own[marks]
+            tokens = tokens + self.collect(tokens, tokens, away[marks])
+            pieces = [
+                self.spread(own[start : start + _ROWS_PER_PIECE], tokens, away[start : start + _ROWS_PER_PIECE])
+                for start in range(0, len(own), _ROWS_PER_PIECE)
+            ]
+            results.append(torch.cat(pieces))
+        return torch.cat(results)
+
+
+class _Attention(nn.Module):
+    """softmax(Q K^T / sqrt(d) + b(g)) V, with b an MLP of the distance for each head."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.query, self.key, self.value = (nn.Linear(width, width, bias=False) for _ in range(3))
+        self.bias = nn.Sequential(nn.Linear(1, _BIAS_WIDTH), nn.ReLU(), nn.Linear(_BIAS_WIDTH, heads))
+        self.output = nn.Linear(width, width)
+
+    def forward(self, queries: Tensor, tokens: Tensor, distances: Tensor) -> Tensor:
+        """(queries, width), given latents and the distances (queries, tokens) in units of the scale."""
+        q, k, v = (self._split(values) for values in (self.query(queries), self.key(tokens), self.value(tokens)))
+        bias = self.bias(distances[..., None]).permute(2, 0, 1).contiguous()
+        mixed = F.scaled_dot_product_attention(q[None], k[None], v[None], attn_mask=bias[None])[0]
+        return self.output(mixed.transpose(0, 1).reshape(len(queries), -1))
+
+    def _split(self, values: Tensor) -> Tensor:
+        return values.view(len(values), self.heads, -1).transpose(0, 1)

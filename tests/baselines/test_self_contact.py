@@ -1,0 +1,181 @@
+"""Cloth near itself and through itself: finders against their readable twins, and losses that push the right way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from tests.baselines import readable_contours as readable
+from tests.baselines.scenes import dented, two_sheets
+from tests.network_scenes import sheet
+
+from pb4u.baselines.contact_losses import ContourLength, Ramp, Repulsion, squared_contour_length
+from pb4u.baselines.intersection_contours import ContourFinder
+from pb4u.baselines.near_pairs import near_pairs
+from pb4u.baselines.self_proximity import ATTRACTION, REPULSION, SelfProximity, SelfProximityEdges, facing_pairs
+from pb4u.garment.garment import Garment
+from pb4u.scene.packed import pack
+
+
+def shaken() -> tuple[np.ndarray, np.ndarray]:
+    """A sheet so shaken that it passes through itself in many places."""
+    garment = sheet(6, 7, seed=3)
+    shift = np.random.default_rng(0).normal(0.0, 0.014, garment.vertices.shape)
+    return garment.vertices + shift, garment.faces
+
+
+def dent() -> tuple[np.ndarray, np.ndarray]:
+    garment = two_sheets(6, 7)
+    return dented(garment, width=0.025), garment.faces
+
+
+SHAPES = {"dent": dent, "shaken": shaken}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_contours_equal_the_readable_twin(shape):
+    vertices, faces = SHAPES[shape]()
+    finder = ContourFinder(faces, len(vertices))
+    contours, edges = finder.find(vertices), finder.topology.edges
+    expected = readable.crossings(vertices, faces, edges)
+    edge, face = finder.crossings(vertices)
+    assert len(expected) > 10
+    assert list(zip(edge.tolist(), face.tolist(), strict=True)) == expected
+    segments = readable.segments(expected, faces, edges)
+    assert {tuple(sorted(pair)) for pair in contours.segments.tolist()} == segments
+    rings = readable.groups(len(expected), segments)
+    labels = [frozenset(np.flatnonzero(contours.contour == label).tolist()) for label in range(contours.count)]
+    assert set(labels) == set(map(frozenset, rings))
+    inside = readable.enclosed(len(vertices), edges, expected, labels)
+    found = [set(contours.enclosed[:, [label]].nonzero()[0].tolist()) for label in range(contours.count)]
+    assert found == inside
+
+
+def test_a_dent_makes_one_closed_contour_that_encloses_both_of_its_sides():
+    garment = two_sheets()
+    vertices = dented(garment)
+    contours = ContourFinder(garment.faces, len(vertices)).find(vertices)
+    assert contours.count == 1
+    assert (np.bincount(contours.segments.reshape(-1)) == 2).all()
+    half = len(vertices) // 2
+    lower, upper = contours.enclosed[:half].getnnz(), contours.enclosed[half:].getnnz()
+    assert 0 < lower < half / 2
+    through = vertices[half:, 1] < 1.0
+    np.testing.assert_array_equal(contours.enclosed[half:].toarray()[:, 0], through)
+    assert upper == through.sum() > 0
+
+
+def test_cloth_that_does_not_touch_itself_has_no_contours():
+    garment = two_sheets()
+    contours = ContourFinder(garment.faces, len(garment.vertices)).find(garment.vertices)
+    assert (contours.count, len(contours.segments), contours.enclosed.getnnz()) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_vertices_over_faces_equal_the_readable_twin(shape):
+    vertices, faces = SHAPES[shape]()
+    vertex, face, height = facing_pairs(vertices, faces, 0.01)
+    expected = readable.facing(vertices, faces, 0.01)
+    assert len(expected) > 10
+    assert set(zip(vertex.tolist(), face.tolist(), strict=True)) == expected
+    assert np.abs(height).max() <= 0.01
+
+
+def test_who_has_passed_through_is_attracted_and_everyone_else_repelled():
+    garment = two_sheets()
+    vertices = dented(garment)
+    proximity = SelfProximity(garment.faces, len(vertices), 0.03)
+    facing = proximity.find(vertices)
+    half, through = len(vertices) // 2, vertices[:, 1] < 1.0
+    of_upper = facing.vertices >= half
+    np.testing.assert_array_equal(facing.attracted[of_upper], through[facing.vertices[of_upper]])
+    assert 0 < facing.attracted.sum() < len(facing.vertices)
+    edges = SelfProximityEdges(pack([garment]), 0.03).find(torch.as_tensor(vertices))
+    for pairs in (edges[REPULSION].numpy(), edges[ATTRACTION].numpy()):
+        assert len(pairs) == len(np.unique(pairs, axis=0)) > 0
+        assert ((pairs[:, 0] < half) & (pairs[:, 1] >= half)).all()
+
+
+def test_garments_of_a_pack_are_not_near_each_other():
+    lower = two_sheets()
+    upper = Garment("upper", lower.vertices + [0.0, 0.004, 0.0], lower.faces, lower.material)
+    together = SelfProximityEdges(pack([lower, upper]), 0.03).find(
+        torch.as_tensor(np.concatenate([lower.vertices, upper.vertices]))
+    )
+    alone = SelfProximityEdges(pack([lower]), 0.03).find(torch.as_tensor(lower.vertices))
+    count = len(lower.vertices)
+    expected = np.concatenate([alone[REPULSION].numpy(), alone[REPULSION].numpy() + count])
+    np.testing.assert_array_equal(together[REPULSION].numpy(), expected)
+
+
+def test_what_is_not_finite_meets_nothing_and_what_has_collapsed_is_given_up():
+    vertices, faces = dent()
+    vertices[3] = np.nan
+    vertices[5] = np.inf
+    with np.errstate(all="raise"):
+        _, face = ContourFinder(faces, len(vertices)).crossings(vertices)
+        vertex, near, _ = facing_pairs(vertices, faces, 0.03)
+    assert len(face) > 0
+    assert not np.isin([3, 5], vertex).any()
+    assert not np.isin(faces[near], [3, 5]).any()
+    heap, radii = np.zeros((7000, 3)), np.full(7000, 1.0)
+    assert list(near_pairs(heap, radii, heap, radii)) == []
+
+
+def test_near_pairs_are_all_overlapping_balls_however_different_they_are():
+    rng = np.random.default_rng(1)
+    centres, others = rng.uniform(0, 1, (300, 3)), rng.uniform(0, 1, (200, 3))
+    radii, other_radii = 10 ** rng.uniform(-4, -0.5, 300), 10 ** rng.uniform(-4, -0.5, 200)
+    found = {pair for i, j in near_pairs(centres, radii, others, other_radii) for pair in zip(i, j, strict=True)}
+    away = np.linalg.norm(centres[:, None] - others[None], axis=2)
+    expected = set(zip(*np.nonzero(away <= radii[:, None] + other_radii[None]), strict=True))
+    assert found == expected
+
+
+@pytest.mark.parametrize("depth", [0.01, 0.012, 0.014])
+def test_the_contour_loss_falls_as_a_dent_is_pulled_out_and_its_gradient_says_so(depth):
+    garment = two_sheets()
+    finder = ContourFinder(garment.faces, len(garment.vertices))
+    by = 1e-5
+    here, less = (torch.as_tensor(dented(garment, depth=d)).requires_grad_(True) for d in (depth, depth - by))
+    length = squared_contour_length(finder, here)
+    (gradient,) = torch.autograd.grad(length, here)
+    told = float((gradient * (less - here) / by).sum().detach())
+    measured = float((squared_contour_length(finder, less) - length).detach()) / by
+    assert told < 0.0
+    # The ends of the edges count as fixed, which leaves out how they move up with the dent.
+    assert told == pytest.approx(measured, rel=0.1)
+
+
+def test_repulsion_counts_what_comes_within_3_mm_of_the_side_it_was_on():
+    garment = two_sheets(gap=0.005)
+    packed = pack([garment])
+    before = torch.as_tensor(garment.vertices)
+    half = len(before) // 2
+    loss = Repulsion(weight=Ramp(0.2, 0.6, 8.0))
+
+    def at(gap: float, progress: float = 1.0) -> torch.Tensor:
+        after = before.clone()
+        after[half:, 1] = 1.0 + gap
+        return loss.energies(packed, before, after.requires_grad_(True), progress)[0]
+
+    assert float(at(0.0031).detach()) == 0.0
+    # Every vertex of one sheet over a face of the other, once each way, at the same depth.
+    facing = SelfProximity(garment.faces, len(before), 0.01).find(garment.vertices)
+    area = packed.vertex_areas[torch.as_tensor(facing.vertices)].sum()
+    for gap in (0.002, -0.001):
+        torch.testing.assert_close(at(gap), 8.0 * area / 1.6e-4 * (0.003 - gap) ** 3)
+    torch.testing.assert_close(at(0.001, progress=0.4), 0.5 * at(0.001))
+    assert float(at(0.001, progress=0.1).detach()) == 0.0
+
+
+def test_losses_are_given_garment_by_garment():
+    still, through = two_sheets(), two_sheets(9, 10)
+    after = torch.as_tensor(np.concatenate([still.vertices, dented(through)]))
+    before = torch.as_tensor(np.concatenate([still.vertices, through.vertices]))
+    packed = pack([still, through])
+    for loss in (ContourLength(), Repulsion()):
+        energies = loss.energies(packed, before, after, 1.0)
+        assert energies.shape == (2,)
+        assert float(energies[0]) == 0.0 < float(energies[1])
+        torch.testing.assert_close(loss.energies(packed, before, after, 0.0), torch.zeros(2, dtype=torch.float64))
