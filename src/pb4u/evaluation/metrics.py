@@ -46,7 +46,7 @@ def measure(
             is not judged.
         progress: called with (frames done, frames in all).
     """
-    ruler = _Ruler(trajectory)
+    ruler = Ruler(trajectory)
     rows, paper_rows = [], []
     for t in range(trajectory.frame_count):
         row, paper_row = ruler.frame(t)
@@ -90,8 +90,13 @@ def garment_of(trajectory: Trajectory) -> Garment:
     return Garment(str(header.metadata.get("garment", "garment")), rest, header.faces, material, header.pinned)
 
 
-class _Ruler:
-    """Everything about a trajectory that measuring needs once."""
+class Ruler:
+    """Measures single frames; holds everything about a trajectory that measuring needs once.
+
+    Attributes:
+        garments: the garment, packed in float64.
+        surface: the body's surface, or None where it is open or nothing may touch it.
+    """
 
     def __init__(self, trajectory: Trajectory) -> None:
         header = trajectory.header

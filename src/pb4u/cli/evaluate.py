@@ -1,0 +1,151 @@
+"""`pb4u evaluate`: the paper's tables and figures, as a run that can stop at any time."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pb4u.cli.console import check_json_target, progress_bar, write_json
+from pb4u.errors import InputError, Pb4uError
+
+if TYPE_CHECKING:
+    from pb4u.evaluation.crew import Crew
+
+
+class Switch(str, Enum):
+    """On or off."""
+
+    on = "on"
+    off = "off"
+
+
+class Floors(str, Enum):
+    """Where the solver's results for the ratios come from."""
+
+    run = "run"
+    stored = "stored"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command("evaluate")(evaluate)
+
+
+def evaluate(
+    protocol: Annotated[
+        str, typer.Option(metavar="NAME", help="resolution, unseen, depth, efficiency or ablation.")
+    ] = "resolution",
+    models: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B", help="solver, skinning, newton, networks by name or .safetensors files. Default: protocol's."
+        ),
+    ] = None,
+    garments: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Built-in garments or mesh files. Default: protocol's.")
+    ] = None,
+    motions: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Built-in motions (walk, walk-7 with a seed), CMU trials (07_02) or files."),
+    ] = None,
+    bodies: Annotated[str | None, typer.Option(metavar="A,B", help="Bodies, by name or file. Default: woman.")] = None,
+    levels: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Resolutions: base, 11K, .. 38K, or numbers of triangles.")
+    ] = None,
+    propagation_steps: Annotated[
+        str | None, typer.Option(metavar="K,K", help="Numbers of propagation steps to set. Default: protocol's.")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(help="Frames of each rollout, at 30 a second. Default: 30.")] = None,
+    lead_in: Annotated[
+        int, typer.Option(help="Frames from the rest pose into the motion, simulated but not measured.")
+    ] = 30,
+    recordings: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of CMU recordings, SUBJECT/TRIAL.amc; they replace built-in motions."),
+    ] = None,
+    refine: Annotated[int, typer.Option(metavar="N", help="Solver iterations after each step of a network.")] = 0,
+    contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = Switch.off,
+    device: Annotated[str, typer.Option(help="Where networks compute: auto, cpu or cuda.")] = "auto",
+    floors: Annotated[
+        Floors, typer.Option(help="run the solver on scenes whose floor is not stored, or take what is stored.")
+    ] = Floors.run,
+    workers: Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")] = 1,
+    ray: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Try rollouts again that failed before.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the run. Default: evaluate_PROTOCOL.")
+    ] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Also put the plots into this folder.")] = None,
+    json: Annotated[
+        str | None, typer.Option(metavar="FILE|-", help="Also write results.json there; '-' is standard output.")
+    ] = None,
+) -> None:
+    """Run a protocol of the paper: tables, plots and one page, beside the paper's own figures.
+
+    Killed at any instant, the same command goes on where it was. Other flags with the same --out narrow or extend it.
+    """
+    from pb4u.evaluation.planning import Request
+    from pb4u.evaluation.session import PAGE, PLOTS
+    from pb4u.evaluation.session import evaluate as run
+
+    check_json_target(json)
+    if workers < 1:
+        raise InputError(f"The number of workers must be 1 or more, not {workers}.")
+    if refine < 0:
+        raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
+    request = Request(
+        protocol=protocol, models=_names(models), garments=_names(garments), motions=_names(motions),
+        bodies=_names(bodies), levels=_names(levels), steps=_counts(propagation_steps), frames=frames, lead_in=lead_in,
+        recordings=recordings, refine=refine, contact=contact is Switch.on, device=device,
+        floors=floors is Floors.run,
+    )  # fmt: skip
+
+    def crew() -> Crew:
+        if ray is not None:
+            from pb4u.evaluation.ray_crew import RayCrew
+
+            return RayCrew(ray, workers)
+        from pb4u.evaluation.crew import LocalCrew
+
+        return LocalCrew(workers)
+
+    folder = out or Path(f"evaluate_{protocol}")
+    results = run(
+        request, folder, crew, retry, say=lambda line: print(f"pb4u: {line}", file=sys.stderr), progress=progress_bar
+    )
+    if plots is not None:
+        plots.mkdir(parents=True, exist_ok=True)
+        for picture in (folder / PLOTS).iterdir():
+            shutil.copy2(picture, plots / picture.name)
+    if json:
+        write_json(results, json)
+    if json != "-":
+        print(f"Report: {folder / PAGE}")
+    if failures := results["failures"]:
+        raise Pb4uError(
+            f"{len(failures)} of {len(failures) + _done(results)} rollouts failed; the first: {failures[0]['job']}: "
+            f"{failures[0]['sentence']} The report lists them; --retry tries them again."
+        )
+
+
+def _done(results: dict) -> int:
+    return sum(row["result"] is not None for row in results["rollouts"])
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(entry.strip() for entry in text.split(",") if entry.strip())
+
+
+def _counts(text: str | None) -> tuple[int, ...] | None:
+    names = _names(text)
+    for name in names or ():
+        if not name.isdecimal():
+            raise InputError(f"--propagation-steps takes whole numbers such as 5,15,30; {name!r} is none.")
+    return None if names is None else tuple(int(name) for name in names)

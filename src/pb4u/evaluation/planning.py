@@ -1,0 +1,303 @@
+"""From what was asked for to the rollouts to make. Everything that can be refused is refused here, before any work."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from importlib import resources
+from itertools import product
+from pathlib import Path
+
+from pb4u.body.library import body_names, load_body
+from pb4u.errors import InputError
+from pb4u.evaluation.floors import FLOOR_LEAD_IN, stored_floor
+from pb4u.evaluation.protocols import Protocol, protocol_named
+from pb4u.evaluation.rollout_job import FPS, ModelRecord, RolloutJob, SceneRecord, Settings, digest
+from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES, garment_names
+from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
+from pb4u.motion.library import motion_names
+from pb4u.scene.catalogue import SEEDS, SceneName
+
+_TRIAL = re.compile(r"\d+_\d+")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What `pb4u evaluate` was asked for; None keeps the protocol's own choice.
+
+    Args:
+        protocol: its name.
+        models, garments, motions, bodies: names or files.
+        levels: names such as 11K, or numbers of triangles.
+        steps: numbers of propagation steps.
+        frames: frames to write of each scene.
+        lead_in: frames simulated before them.
+        recordings: folder of CMU trials, SUBJECT/TRIAL.amc beside SUBJECT/SUBJECT.asf.
+        refine: solver iterations after each step of a network.
+        contact: contact response after each step of networks and solver.
+        device: auto, cpu or cuda.
+        floors: run the solver on scenes whose floor is not stored.
+    """
+
+    protocol: str = "resolution"
+    models: tuple[str, ...] | None = None
+    garments: tuple[str, ...] | None = None
+    motions: tuple[str, ...] | None = None
+    bodies: tuple[str, ...] | None = None
+    levels: tuple[str, ...] | None = None
+    steps: tuple[int, ...] | None = None
+    frames: int | None = None
+    lead_in: int = 30
+    recordings: Path | None = None
+    refine: int = 0
+    contact: bool = False
+    device: str = "auto"
+    floors: bool = True
+
+
+@dataclass(frozen=True)
+class Case:
+    """A job in its place in the tables.
+
+    Args:
+        level: name of the resolution.
+        motion: what the motion is called.
+        job: the rollout.
+        floor: what the ratio is taken to: a rollout of the solver, the stored mean energies, or None.
+    """
+
+    level: str
+    motion: str
+    job: RolloutJob
+    floor: RolloutJob | dict[str, float] | None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run consists of.
+
+    Args:
+        protocol: narrowed to what was asked for.
+        cases: everything the tables are made of.
+        jobs: the rollouts to make, each once, in the order to make them; the solver's for the floors among them.
+        absent: a sentence on each thing left out.
+    """
+
+    protocol: Protocol
+    cases: tuple[Case, ...]
+    jobs: tuple[RolloutJob, ...]
+    absent: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """A motion as scenes take it: its name or file, its seed, and what it is called in tables and the catalogue."""
+
+    source: str
+    seed: int | None
+    label: str
+
+
+def plan(request: Request) -> Plan:
+    """The rollouts of a request. Raises InputError for anything unknown, unusable or empty."""
+    protocol = protocol_named(request.protocol)
+    _check_numbers(request)
+    protocol = replace(
+        protocol,
+        garments=tuple(_garment(name) for name in request.garments or protocol.garments),
+        bodies=tuple(_body(name) for name in request.bodies or protocol.bodies),
+        motions=request.motions or (protocol.recordings if request.recordings else protocol.motions),
+        levels=tuple(dict.fromkeys(_level(name)[0] for name in request.levels or protocol.levels)),
+        frames=request.frames or protocol.frames,
+        steps=request.steps or protocol.steps,
+    )
+    motions = [_motion(name, request.recordings) for name in protocol.motions]
+    device = _device(request.device)
+    models, absent = _models(request, protocol, device)
+    if any(steps is not None for steps in protocol.steps) and not any(model.adapts for model in models):
+        raise InputError(
+            " ".join(["None of the models has propagation steps to vary; name a network with --models.", *absent])
+        )
+    solver_runs = not request.contact and any(model.name == "solver" for model in models)
+    cases = []
+    for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, motions):
+        scene = _scene(garment, body, motion, _level(level)[1], protocol.frames, request.lead_in)
+        floor = _solver_on(scene) if solver_runs else _floor(scene, motion, level, request)
+        for model in models:
+            for steps in protocol.steps if model.adapts else (None,):
+                job = RolloutJob(scene, model, _settings(model, steps, request, device))
+                cases.append(Case(level, motion.label, job, floor))
+    jobs = {case.job.key: case.job for case in cases}
+    jobs |= {case.floor.key: case.floor for case in cases if isinstance(case.floor, RolloutJob)}
+    if request.floors:
+        jobs |= {job.key: job for job in _references(protocol, cases)}
+    # Coarse scenes first, so that tables fill early; the jobs of a scene together, so that it is made once.
+    order = sorted(jobs.values(), key=lambda job: job.scene.triangles)
+    scenes = {scene: rank for rank, scene in enumerate(dict.fromkeys(job.scene for job in order))}
+    order.sort(key=lambda job: scenes[job.scene])
+    return Plan(replace(protocol, models=tuple(model.label for model in models)), tuple(cases), tuple(order), absent)
+
+
+def _check_numbers(request: Request) -> None:
+    if request.frames is not None and request.frames < 1:
+        raise InputError(f"The number of frames must be 1 or more, not {request.frames}.")
+    if request.lead_in < 0:
+        raise InputError(f"The lead-in must be 0 frames or more, not {request.lead_in}.")
+    if any(steps < 1 for steps in request.steps or ()):
+        raise InputError(f"Numbers of propagation steps must be 1 or more, not {min(request.steps or ())}.")
+    if request.recordings is not None and not request.recordings.is_dir():
+        raise InputError(f"There is no folder of recordings {request.recordings}.")
+    for name in ("models", "garments", "motions", "bodies", "levels", "steps"):
+        if getattr(request, name) == ():
+            raise InputError(f"--{name} names nothing; give at least one, or leave it out.")
+
+
+def _garment(name: str) -> str:
+    if name in garment_names():
+        return name
+    if Path(name).suffix:
+        if not Path(name).is_file():
+            raise InputError(f"There is no garment file {name}.")
+        return name
+    raise InputError(_unknown("garment", name, garment_names()))
+
+
+def _body(name: str) -> str:
+    load_body(name)
+    return name
+
+
+def _level(name: str) -> tuple[str, int]:
+    """What a level is called, and its number of triangles. Raises InputError where it is none."""
+    named = {key.lower(): (key, count) for key, count in LEVELS.items()}
+    if name.lower() in named:
+        return named[name.lower()]
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)([kK]?)", name.strip())
+    if not match:
+        raise InputError(f"There is no level {name!r}; give a number of triangles, or one of {', '.join(LEVELS)}.")
+    triangles = round(float(match[1]) * (1000 if match[2] else 1))
+    if not FEWEST_TRIANGLES <= triangles <= MOST_TRIANGLES:
+        raise InputError(
+            f"A level has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles; {name} has {triangles}."
+        )
+    known = {count: key for key, count in LEVELS.items()}
+    return known.get(triangles, f"{triangles // 1000}K" if triangles % 1000 == 0 else str(triangles)), triangles
+
+
+def _motion(name: str, recordings: Path | None) -> _Motion:
+    clip, _, seed = name.rpartition("-")
+    if name in motion_names():
+        return _Motion(name, SEEDS["test"][0], name)
+    if clip in motion_names() and seed.isdecimal():
+        return _Motion(clip, int(seed), name)
+    if _TRIAL.fullmatch(name):
+        file = (recordings or Path()) / name.split("_")[0] / f"{name}.amc"
+        if recordings is None or not file.is_file():
+            raise InputError(
+                f"The CMU trial {name} is not there"
+                + (f" as {file}." if recordings else "; give the folder of recordings with --recordings.")
+            )
+        return _Motion(str(file), None, name)
+    if Path(name).suffix.lower() in MOTION_SUFFIXES:
+        if not Path(name).is_file():
+            raise InputError(f"There is no motion file {name}.")
+        return _Motion(name, None, Path(name).stem)
+    raise InputError(_unknown("motion", name, motion_names()) + " CMU trials are written as 07_02.")
+
+
+def _unknown(what: str, name: str, known: tuple[str, ...]) -> str:
+    near = get_close_matches(name.lower(), known, n=2, cutoff=0.5)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(known)}."
+    return f"There is no {what} {name!r}; {hint}"
+
+
+def _scene(garment: str, body: str, motion: _Motion, triangles: int, frames: int, lead_in: int) -> SceneRecord:
+    files = {"garment": garment, "body": body, "motion": motion.source}
+    built_in = (*garment_names(), *body_names(), *motion_names())
+    digests = tuple(
+        (field, digest(Path(file))) for field, file in files.items() if file not in built_in and Path(file).is_file()
+    )
+    return SceneRecord(garment, body, motion.source, motion.seed, triangles, frames, lead_in, digests)
+
+
+def _floor(scene: SceneRecord, motion: _Motion, level: str, request: Request) -> RolloutJob | dict[str, float] | None:
+    name = motion.label if motion.seed is None else motion.source
+    if (scene.body, scene.lead_in) == ("woman", FLOOR_LEAD_IN) and "garment" not in dict(scene.digests):
+        stored = stored_floor(str(SceneName("test", scene.garment, name, motion.seed)), level, scene.frames)
+        if stored is not None:
+            return stored
+    return _solver_on(scene) if request.floors else None
+
+
+def _solver_on(scene: SceneRecord) -> RolloutJob:
+    """The run that a floor is taken from: nothing but the potential is at work."""
+    return RolloutJob(scene, ModelRecord("solver", "solver"), Settings())
+
+
+def _references(protocol: Protocol, cases: list[Case]) -> list[RolloutJob]:
+    """The solver's rollouts that pictures show beside the models'."""
+    scenes = dict.fromkeys(
+        case.job.scene for case in cases if protocol.pictures(case.level, case.motion, case.job.scene.body)
+    )
+    return [_solver_on(scene) for scene in scenes]
+
+
+def _settings(model: ModelRecord, steps: int | None, request: Request, device: str) -> Settings:
+    if model.weights is not None:
+        return Settings(steps, request.refine, request.contact, device)
+    return Settings(contact=request.contact if model.name == "solver" else False)
+
+
+def _device(asked: str) -> str:
+    import torch
+
+    if asked not in ("auto", "cpu", "cuda"):
+        raise InputError(f"A device is auto, cpu or cuda, not {asked!r}.")
+    return "cuda" if asked == "cuda" or (asked == "auto" and torch.cuda.is_available()) else "cpu"
+
+
+def _models(request: Request, protocol: Protocol, device: str) -> tuple[list[ModelRecord], tuple[str, ...]]:
+    """The models to run, and a sentence on the protocol's own that have no weights yet."""
+    from pb4u.simulation.models import model_descriptions
+
+    wanted = tuple(dict.fromkeys(request.models or protocol.models))
+    missing = () if request.models else tuple(name for name in wanted if name not in model_descriptions())
+    present = [name for name in wanted if name not in missing]
+    labels = [Path(name).stem if Path(name).suffix else name for name in present]
+    # Checkpoints are often all called best: then each goes by its path.
+    labels = [name if labels.count(label) > 1 else label for name, label in zip(present, labels, strict=True)]
+    records = [_model(name, label, device) for name, label in zip(present, labels, strict=True)]
+    absent = (f"No weights are there yet for {', '.join(missing)}: left out.",) if missing else ()
+    return records, absent
+
+
+def _model(name: str, label: str, device: str) -> ModelRecord:
+    from pb4u.simulation.models import load_simulator
+    from pb4u.simulation.network_simulator import NetworkSimulator
+
+    if Path(name).suffix and not Path(name).is_file():
+        raise InputError(f"There is no model file {name}.")
+    simulator = load_simulator(name, contact=False, refine=0, device="cuda" if device == "cuda" else "cpu")
+    if simulator.fps is not None and not math.isclose(simulator.fps, FPS, rel_tol=1e-3):
+        raise InputError(f"{name} runs at {simulator.fps:g} frames per second; the protocols run at {FPS:g}.")
+    if not isinstance(simulator, NetworkSimulator):
+        return ModelRecord(name, label)
+    adapts = simulator.checkpoint.model.network.propagation_steps(0.015) > 0
+    with weights_file(name) as path:
+        return ModelRecord(name, label, digest(path), adapts)
+
+
+@contextmanager
+def weights_file(name: str) -> Iterator[Path]:
+    """The file of a network's weights, shipped or the user's own."""
+    from pb4u.simulation.checkpoint import SUFFIX, built_in_models
+
+    if name in built_in_models():
+        with resources.as_file(resources.files("pb4u.simulation") / "weights" / (name + SUFFIX)) as path:
+            yield path
+    else:
+        yield Path(name)
