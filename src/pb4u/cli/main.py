@@ -9,7 +9,7 @@ import warnings
 
 import typer
 
-from pb4u.cli import assets, check, convert, info, simulate, train
+from pb4u.cli import assets, check, convert, evaluate, info, simulate, train, view
 from pb4u.errors import InputWarning, Pb4uError
 
 app = typer.Typer(
@@ -20,7 +20,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for verb in (simulate, check, convert, train, assets, info):
+for verb in (simulate, view, check, convert, train, evaluate, assets, info):
     verb.register(app)
 
 

@@ -39,7 +39,7 @@ pb4u_small = replace(pb4u_paper, width=64, blocks=4)
 
 pb4u_small_descent = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT,)))
 
-pb4u_small_two_passes = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT, ADVANCE)), passes=2)
+pb4u_small_passes = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT, ADVANCE)), passes=4)
 
 without_propagation_control = replace(pb4u_paper, control=FixedSteps(15))
 
@@ -94,7 +94,7 @@ NETWORKS: dict[str, Configuration] = {
     "pb4u_all_pairs": pb4u_all_pairs,
     "pb4u_small": pb4u_small,
     "pb4u_small_descent": pb4u_small_descent,
-    "pb4u_small_two_passes": pb4u_small_two_passes,
+    "pb4u_small_passes": pb4u_small_passes,
     "without_propagation_control": without_propagation_control,
     "without_update_scaling": without_update_scaling,
     "without_both": without_both,

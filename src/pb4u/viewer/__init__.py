@@ -1,0 +1,1 @@
+"""The studio: a page in the browser that plays, compares, simulates and exports."""

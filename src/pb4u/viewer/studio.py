@@ -1,0 +1,101 @@
+"""The studio: a server that gives every browser window a session of its own."""
+
+from __future__ import annotations
+
+import io
+import socket
+import threading
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pb4u.errors import InputError, MissingExtraError
+from pb4u.viewer.clip import Clip
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+    from pb4u.viewer.session import Session
+
+DEFAULT_PORT = 8094
+
+
+class Studio:
+    """Serves the studio until it is closed.
+
+    Args:
+        clips: what every new window shows first: none, one, or two side by side.
+        host: address to listen on.
+        port: port to listen on; 0 takes a free one.
+        out: folder that exports are kept in besides being downloaded, or None.
+
+    Raises MissingExtraError without the "view" extra, InputError when the port is taken or the folder is not there.
+    """
+
+    def __init__(
+        self, clips: tuple[Clip, ...] = (), host: str = "127.0.0.1", port: int = DEFAULT_PORT, out: Path | None = None
+    ) -> None:
+        try:
+            import viser
+        except ImportError as error:
+            raise MissingExtraError("view", "The studio") from error
+        from pb4u.viewer.stage import light
+
+        if out is not None and not out.is_dir():
+            raise InputError(f"The folder {out} does not exist; make it first.")
+        check_port(host, port)
+        self._clips, self._out = clips, out
+        self._lock = threading.Lock()
+        self._sessions: dict[int, Session] = {}
+        # The library announces itself on standard output, where the caller has something of its own to say.
+        with redirect_stdout(io.StringIO()):
+            self._server = viser.ViserServer(host, port, label="pb4u studio", verbose=False)
+        self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(42, 92, 158))
+        light(self._server.scene)
+        self._server.on_client_connect(self._connected)
+        self._server.on_client_disconnect(self._disconnected)
+        self.url = f"http://{'localhost' if host in ('', '0.0.0.0', '127.0.0.1') else host}:{self._server.get_port()}"
+
+    @property
+    def sessions(self) -> tuple[Session, ...]:
+        """Those of the windows that are open."""
+        with self._lock:
+            return tuple(self._sessions.values())
+
+    def _connected(self, client: ClientHandle) -> None:
+        from pb4u.viewer.session import Session
+
+        session = Session(client, self._clips, self._out)
+        with self._lock:
+            self._sessions[client.client_id] = session
+        # A window may be gone before its session was ready.
+        if client.client_id not in self._server.get_clients():
+            self._disconnected(client)
+
+    def _disconnected(self, client: ClientHandle) -> None:
+        with self._lock:
+            session = self._sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+
+    def close(self) -> None:
+        """End every session and stop listening."""
+        for session in self.sessions:
+            session.close(timeout=2.0)
+        with redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+
+def check_port(host: str, port: int) -> None:
+    """Raises InputError when nothing can listen there."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OverflowError as error:
+            raise InputError(f"A port is a number from 0 to 65535, not {port}.") from error
+        except OSError as error:
+            raise InputError(
+                f"Cannot listen on port {port} of {host} ({error.strerror}); choose another with --port, or 0 for any."
+            ) from error

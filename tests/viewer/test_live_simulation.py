@@ -1,0 +1,108 @@
+"""Simulations that a page starts: their frames, their end, and what they say when they cannot run."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from pb4u.errors import InputError
+from pb4u.viewer.clip import GrowingClip
+from pb4u.viewer.live_simulation import LiveSimulation, SimulationRequest
+
+TINY = SimulationRequest(model="skinning", triangles=400, frames=5, lead_in=3)
+
+
+class Hearer:
+    """Notes what a simulation tells, and may answer."""
+
+    def __init__(self) -> None:
+        self.steps: list[tuple[int, int]] = []
+        self.frames: list[int] = []
+        self.sentence, self.well = "", False
+        self.over = threading.Event()
+        self.clip: GrowingClip | None = None
+
+    def simulation_started(self, clip: GrowingClip) -> None:
+        self.clip = clip
+
+    def simulation_advanced(self, clip: GrowingClip, done: int, total: int) -> None:
+        self.steps.append((done, total))
+        self.frames.append(clip.frame_count)
+
+    def simulation_ended(self, clip: GrowingClip | None, sentence: str, well: bool) -> None:
+        assert clip is self.clip
+        self.sentence, self.well = sentence, well
+        self.over.set()
+
+
+def test_frames_arrive_one_by_one() -> None:
+    hearer = Hearer()
+    simulation = LiveSimulation(TINY, hearer)
+    simulation.start()
+    assert simulation.join(60.0)
+    assert hearer.well
+    assert hearer.sentence.startswith("5 frames of tshirt, walk, skinning")
+    assert sorted(set(hearer.frames)) == [0, 1, 2, 3, 4, 5]
+    assert hearer.steps[-1] == (8, 8)
+    assert hearer.clip is not None
+    made = hearer.clip.trajectory()
+    assert made.frame_count == 5
+    assert np.isfinite(made.positions).all()
+    assert made.metadata["model"] == "skinning"
+
+
+@pytest.mark.parametrize("after", [2, 5])
+def test_cancelling_ends_it_before_the_next_step(after: int) -> None:
+    """In the lead-in, where no frame comes out, as well as later."""
+
+    class Impatient(Hearer):
+        def simulation_advanced(self, clip: GrowingClip, done: int, total: int) -> None:
+            super().simulation_advanced(clip, done, total)
+            if done == after:
+                simulation.cancel()
+
+    hearer = Impatient()
+    simulation = LiveSimulation(TINY, hearer)
+    simulation.start()
+    assert simulation.join(60.0)
+    assert not hearer.well
+    assert hearer.sentence == f"Cancelled; {max(after - 3, 0)} of 5 frames are there."
+    assert max(done for done, _ in hearer.steps) == after
+
+
+def test_what_fails_becomes_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("hidden detail")
+
+    monkeypatch.setattr("pb4u.viewer.live_simulation.make_scene", fail)
+    hearer = Hearer()
+    simulation = LiveSimulation(TINY, hearer)
+    simulation.start()
+    assert simulation.join(60.0)
+    assert hearer.sentence == (
+        "Something unforeseen went wrong (ZeroDivisionError); the terminal shows where. The page goes on."
+    )
+    assert "hidden detail" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"garment": "../../etc/passwd"}, "There is no garment"),
+        ({"body": "/tmp/body.pkl"}, "There is no body"),
+        ({"motion": "walk.npz"}, "There is no motion"),
+        ({"material": "x.json"}, "There is no material"),
+        ({"model": "weights.safetensors"}, "There is no model"),
+        ({"triangles": 399}, "triangles must lie between 400 and 40,000"),
+        ({"triangles": 40_001}, "triangles must lie between 400 and 40,000"),
+        ({"frames": 0}, "frames must lie between 1 and 600"),
+        ({"lead_in": -1}, "lead-in frames must lie between 0"),
+        ({"refine": 101}, "refining iterations must lie between 0 and 100"),
+    ],
+)
+def test_a_page_cannot_ask_for_anything_else(wrong: dict, says: str) -> None:
+    """A page is not trusted: it names what is built in, never a file."""
+    with pytest.raises(InputError, match=says):
+        SimulationRequest(**wrong).check()

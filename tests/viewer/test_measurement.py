@@ -1,0 +1,95 @@
+"""Plots: what is measured, how it is drawn; and export for the browser."""
+
+from __future__ import annotations
+
+import io
+import threading
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.viewer.clips import header, trajectory
+
+from pb4u.errors import InputError
+from pb4u.evaluation.metrics import measure
+from pb4u.scene.trajectory import Trajectory
+from pb4u.viewer.chart import chart_data
+from pb4u.viewer.clip import GrowingClip, RecordedClip
+from pb4u.viewer.delivery import deliver
+from pb4u.viewer.measurement import Measurement
+
+
+def test_measurements_are_those_of_the_command_line() -> None:
+    made = trajectory(4, lost=(2,), widen=0.01)
+    measurement = Measurement(RecordedClip(made, "a"), lambda: None)
+    assert measurement.join(30.0)
+    expected = measure(made)["metrics"]
+    for name in ("stretch", "total", "strain_p95", "penetration_percent"):
+        np.testing.assert_allclose(measurement.series(name), expected[name]["per_frame"], rtol=1e-9)
+    assert np.isnan(measurement.series("stretch")[2])
+
+
+def test_measuring_can_be_ended() -> None:
+    one, go_on = threading.Event(), threading.Event()
+
+    def advanced() -> None:
+        one.set()
+        go_on.wait(10.0)
+
+    measurement = Measurement(RecordedClip(trajectory(8), "a"), advanced)
+    assert one.wait(10.0)
+    measurement.cancel()
+    go_on.set()
+    assert measurement.join(10.0)
+    assert measurement.done == 1
+    assert np.isfinite(measurement.series("stretch")).tolist() == [True] + 7 * [False]
+
+
+def test_what_cannot_be_measured_says_so() -> None:
+    clip = GrowingClip(header().with_metadata(material={"density": 1.0}), 2, "bare")
+    measurement = Measurement(clip, lambda: None)
+    assert measurement.join(10.0)
+    assert measurement.failure is not None
+
+
+def test_the_line_stands_at_the_frame_and_spans_the_curves() -> None:
+    curve, gap = np.array([1.0, 3.0, 5.0, 4.0]), np.array([2.0, np.nan, np.nan, np.nan])
+    abscissa, first, second, line = chart_data([curve, gap], frame=1.0)
+    assert abscissa.tolist() == [0.0, 1.0, 1.0, 1.0, 2.0, 3.0]
+    assert first.tolist() == [1.0, 3.0, 3.0, 3.0, 5.0, 4.0]
+    assert np.isnan(second[1:]).all()
+    assert abscissa[np.isfinite(line)].tolist() == [1.0, 1.0]
+    assert line[np.isfinite(line)].tolist() == [1.0, 5.0]
+    assert (np.diff(abscissa) >= 0).all()
+
+
+def test_a_chart_of_nothing_is_still_a_chart() -> None:
+    abscissa, _, line = chart_data([np.full(3, np.nan)], frame=2.0)
+    assert len(abscissa) == 5
+    assert np.isfinite(line).sum() == 2
+
+
+def test_an_export_is_the_file_and_can_be_kept(tmp_path: Path) -> None:
+    clip = RecordedClip(trajectory(3), "a walk, the solver")
+    name, content, kept = deliver(clip, ".npz", tmp_path)
+    assert name == "a_walk_the_solver.npz"
+    assert kept == tmp_path / name
+    assert kept.read_bytes() == content
+    assert Trajectory.open(kept).frame_count == 3
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_several_files_come_as_one_archive() -> None:
+    name, content, kept = deliver(RecordedClip(trajectory(3), "walk"), ".obj")
+    assert kept is None
+    assert name == "walk.zip"
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert len([entry for entry in archive.namelist() if entry.endswith(".obj")]) == 3
+
+
+@pytest.mark.parametrize(("suffix", "frames", "says"), [(".exe", 1, "no format"), (".npz", 0, "no frame to export")])
+def test_exports_are_refused_in_a_sentence(suffix: str, frames: int, says: str) -> None:
+    clip = RecordedClip(trajectory(1), "a") if frames else GrowingClip(header(), 1, "a")
+    with pytest.raises(InputError, match=says):
+        deliver(clip, suffix)
