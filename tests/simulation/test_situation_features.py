@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -15,7 +16,9 @@ from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.physics.integrator import integrate
 from pb4u.scene.packed import pack
 from pb4u.scene.state import State
-from pb4u.simulation.network_simulator import NetworkPredictor, local_origin
+from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
+from pb4u.simulation.models import load_simulator
+from pb4u.simulation.network_simulator import NetworkPredictor, NetworkSimulator, local_origin
 from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import Situation
@@ -100,3 +103,21 @@ def test_a_feature_that_nothing_makes_is_refused() -> None:
 def test_less_than_one_pass_is_refused() -> None:
     with pytest.raises(InputError, match="at least 1 pass"):
         replace(TINY, passes=0)
+
+
+def test_passes_can_be_chosen_and_are_one_where_the_solver_refines(tmp_path: Path) -> None:
+    path = tmp_path / "tiny.safetensors"
+    save_checkpoint(path, model(), TINY, TrainingRecord(1 / 30, (0.01, 0.06), (1, 30)))
+    assert NetworkSimulator(load_checkpoint(path)).passes == 3
+    assert NetworkSimulator(load_checkpoint(path), refine=5).passes == 1
+    assert load_simulator(path, refine=5, passes=2).simulate(ball_scene(frames=2)).metadata["passes"] == 2
+    with pytest.raises(InputError, match="at least 1 pass"):
+        load_simulator(path, passes=0)
+
+
+def test_a_network_of_one_pass_cannot_take_more(tmp_path: Path) -> None:
+    path = tmp_path / "plain.safetensors"
+    plain = Pb4uConfiguration(width=8, blocks=1)
+    save_checkpoint(path, model(plain), plain, TrainingRecord(1 / 30, (0.01, 0.06), (1, 30)))
+    with pytest.raises(InputError, match="one pass"):
+        load_simulator(path, passes=2)

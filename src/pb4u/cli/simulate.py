@@ -99,6 +99,10 @@ def simulate(
     propagation_steps: Annotated[
         int | None, typer.Option(metavar="K", help="Override the number of propagation steps of a network.")
     ] = None,
+    passes: Annotated[
+        int | None,
+        typer.Option(help="Passes of a network a step; default its own number, or 1 where the solver refines."),
+    ] = None,
     refine: Annotated[int, typer.Option(metavar="N", help="Solver iterations after each step of a network.")] = 5,
     contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = Switch.on,
     device: Annotated[Device, typer.Option(help="Where to compute.")] = Device.auto,
@@ -128,7 +132,12 @@ def simulate(
     if not 1.0 <= fps <= 1000.0:
         raise InputError(f"Frames per second must lie between 1 and 1000, not {fps:g}.")
     simulator = load_simulator(
-        model, contact=contact is Switch.on, refine=refine, propagation_steps=propagation_steps, device=device.value
+        model,
+        contact=contact is Switch.on,
+        refine=refine,
+        propagation_steps=propagation_steps,
+        passes=passes,
+        device=device.value,
     )
     asked_frames, simulated_fps = frames, simulator.fps or fps
     if frames is not None and keep_lead_in:

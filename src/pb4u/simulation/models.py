@@ -38,6 +38,7 @@ def load_simulator(
     contact: bool = True,
     refine: int = 5,
     propagation_steps: int | None = None,
+    passes: int | None = None,
     device: str = "auto",
 ) -> Simulator:
     """The simulator called `name`.
@@ -47,6 +48,7 @@ def load_simulator(
         contact: push the garment out of the body after each step (networks and solver).
         refine: solver iterations after each step of a network.
         propagation_steps: override of K for a network; None follows the paper's rule.
+        passes: how often a network is asked in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
 
     Raises InputError for an unknown name, a bad file or an impossible option.
@@ -77,7 +79,7 @@ def load_simulator(
     from pb4u.simulation.checkpoint import from_pretrained
     from pb4u.simulation.network_simulator import NetworkSimulator
 
-    return NetworkSimulator(from_pretrained(wanted), propagation_steps, refine, answering, _device(device))
+    return NetworkSimulator(from_pretrained(wanted), propagation_steps, refine, answering, _device(device), passes)
 
 
 def _device(name: str) -> str:

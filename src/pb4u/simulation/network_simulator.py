@@ -8,6 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pb4u.errors import InputError
+from pb4u.graph.features import ADVANCE
 from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.physics.integrator import integrate
 from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
@@ -31,10 +33,12 @@ class NetworkPredictor(Predictor):
     Args:
         model: the network between its normalisers, on the device to compute on.
         prepared: what it derived once from the garments.
+        passes: how often the network is asked, each time from where it left off; None is its own number.
     """
 
-    def __init__(self, model: AccelerationModel, prepared: PreparedGarments) -> None:
+    def __init__(self, model: AccelerationModel, prepared: PreparedGarments, passes: int | None = None) -> None:
         self.model, self.prepared = model, prepared
+        self.passes = model.network.passes if passes is None else passes
         self.device = next(model.parameters()).device
         self._features = SituationFeatures(prepared)
         self._static: tuple[ColliderFrame, ColliderFrame] | None = None
@@ -42,7 +46,7 @@ class NetworkPredictor(Predictor):
     @torch.inference_mode()
     def _accelerations(self, situation: Situation) -> Tensor:
         found = torch.zeros_like(situation.state.positions)
-        for _ in range(self.model.network.passes):
+        for _ in range(self.passes):
             found = found + self._pass(situation, found).to(found)
         return found
 
@@ -91,6 +95,10 @@ class NetworkSimulator(StepwiseSimulator):
         refine: solver iterations after each step; 0 for none.
         contact: what answers vertices left inside the body.
         device: where the network computes.
+        passes: how often the network is asked in a step; None is its own number, or 1 where the solver refines: what a
+            further pass improves, the solver improves more cheaply.
+
+    Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next.
     """
 
     def __init__(
@@ -100,6 +108,7 @@ class NetworkSimulator(StepwiseSimulator):
         refine: int = 0,
         contact: Contact | None = None,
         device: torch.device | str = "cpu",
+        passes: int | None = None,
     ) -> None:
         self.name = checkpoint.name
         self.fps = 1.0 / checkpoint.record.dt
@@ -108,10 +117,22 @@ class NetworkSimulator(StepwiseSimulator):
         self.refine = refine
         self.contact = contact or NoContact()
         self.device = torch.device(device)
+        self.passes = (1 if refine else checkpoint.model.network.passes) if passes is None else passes
+        if self.passes < 1:
+            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+        if self.passes > 1 and ADVANCE not in checkpoint.model.network.layout.extra:
+            raise InputError(
+                f"The network {checkpoint.name} was made for one pass a step; leave --passes out, or give 1."
+            )
         checkpoint.model.to(self.device)
 
     def settings(self) -> dict[str, Any]:
-        return {"refine": self.refine, "device": str(self.device), "weights_licence": self.checkpoint.licence}
+        return {
+            "refine": self.refine,
+            "passes": self.passes,
+            "device": str(self.device),
+            "weights_licence": self.checkpoint.licence,
+        }
 
     def propagation_steps(self, scene: Scene) -> int | None:
         ruled = self.checkpoint.model.network.propagation_steps(scene.garments[0].garment.mean_edge_length)
@@ -122,7 +143,7 @@ class NetworkSimulator(StepwiseSimulator):
     def parts(self, stage: Stage, record: RunRecord) -> StepParts:
         garments: PackedGarments = pack(stage.garments.garments, torch.float32, self.device)
         prepared = self.checkpoint.prepare(garments, self.override)
-        predictor = NetworkPredictor(self.checkpoint.model, prepared)
+        predictor = NetworkPredictor(self.checkpoint.model, prepared, self.passes)
         refinement = SolverRefinement(self.refine) if self.refine else NoRefinement()
         return StepParts(predictor, refinement, self.contact)
 
