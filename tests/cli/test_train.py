@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.training.ball_data import TINY, ball_data
 
@@ -106,16 +107,31 @@ def test_packs_that_cannot_be_made_are_refused(
     assert not (tmp_path / "pack.npz").exists()
 
 
-def test_a_folder_left_before_its_data_was_written_says_so(pb4u: Call, tmp_path: Path) -> None:
+def test_a_folder_without_its_data_makes_it_again(pb4u: Call, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert pb4u("train", "--preset", "smoke", "--steps", "2", "--out", run).code == 0
+    data = run / "data.npz"
+    before = load_training_data(data)
+    data.unlink()
+    assert pb4u("train", "--resume", run, "--steps", "3").code == 0
+    again = load_training_data(data)
+    for old, new in zip(before.clips, again.clips, strict=True):
+        assert np.array_equal(old.poses.rotations, new.poses.rotations)
+    for old, new in zip(before.outfits, again.outfits, strict=True):
+        assert np.allclose(old.garment.vertices, new.garment.vertices, atol=1e-6)
+
+
+def test_a_folder_that_lost_data_given_to_it_says_so(pb4u: Call, tmp_path: Path) -> None:
     (tmp_path / "configuration.json").write_text(
         json.dumps(
             {
                 "format_version": 1,
                 "budget": {"steps": 2, "minutes": None},
                 "training": training_to_json(TINY),
+                "data": "given",
             }
         )
     )
     ended = pb4u("train", "--resume", tmp_path)
     assert ended.code == 1
-    assert "left before its data was written" in ended.err
+    assert "has lost its data" in ended.err

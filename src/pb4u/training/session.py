@@ -26,6 +26,9 @@ from pb4u.training.progress import Reporter, collecting, draw_curve, reporter
 from pb4u.training.run_folder import CURVE, RunFolder
 from pb4u.training.trainer import Trainer
 
+BUILT_IN = "built in"
+"""Where the data of a run came from, if its configuration alone makes it again."""
+
 
 @dataclass(frozen=True)
 class Request:
@@ -92,6 +95,7 @@ def _created(
         "preset": request.preset or "small",
         "budget": asdict(budget),
         "training": training_to_json(configuration),
+        "data": BUILT_IN if request.pack is None and request.recordings is None else "given",
     }
     data = None
     if mine.leads:
@@ -118,8 +122,6 @@ def _opened(request: Request) -> tuple[RunFolder, TrainingConfiguration, Budget,
     if request.preset or request.settings or request.pack or request.recordings:
         raise InputError("A training goes on as it began: leave out --preset, --set, --pack and --recordings.")
     folder = RunFolder.open(request.resume)
-    if not folder.data.is_file():
-        raise InputError(f"{folder.path} was left before its data was written; delete it and start the training anew.")
     record = folder.configuration()
     try:
         configuration = training_from_json(record["training"])
@@ -129,7 +131,21 @@ def _opened(request: Request) -> tuple[RunFolder, TrainingConfiguration, Budget,
     if request.steps is not None or request.minutes is not None:
         budget = Budget(request.steps, request.minutes)
         folder.configure({**record, "budget": asdict(budget)})
+    if not folder.data.is_file():
+        _make_anew(folder, configuration, record)
     return folder, configuration, budget, load_training_data(folder.data)
+
+
+def _make_anew(folder: RunFolder, configuration: TrainingConfiguration, record: dict[str, Any]) -> None:
+    """The data of a run that was left before it was written, or that travelled without it."""
+    if record.get("data") != BUILT_IN:
+        raise InputError(
+            f"{folder.path} has lost its data, which came from a pack or recordings; start the training anew."
+        )
+    from pb4u.training.collection import collect
+
+    with collecting() as progress:
+        save_training_data(collect(configuration.data, None, configuration.seed, progress), folder.data)
 
 
 def _restore(trainer: Trainer, folder: RunFolder) -> None:
