@@ -10,7 +10,7 @@ import torch
 from tests.physics.shapes import EVALUATION, at_rest, capsule, collider, packed, sheet, tube
 
 from pb4u.physics.collision import REFERENCE_AREA
-from pb4u.physics.energy_term import EnergyTerm, NullTerm, TimeStep
+from pb4u.physics.energy_term import ElementBlocks, EnergyTerm, NullTerm, TimeStep, corner_pairs
 from pb4u.physics.friction import Friction
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.scene.packed import PackedGarments
@@ -190,9 +190,20 @@ def test_gradient_of_the_exact_potential_is_that_of_finite_differences() -> None
     assert float(slope) == pytest.approx(float(difference), rel=1e-6)
 
 
+def dense(part: ElementBlocks) -> torch.Tensor:
+    """(elements, k, 3, k, 3) whole matrices."""
+    k = part.vertices.shape[1]
+    whole = part.blocks.new_zeros((len(part.vertices), k, 3, k, 3))
+    for pair, (i, j) in enumerate(corner_pairs(k)):
+        block = part.blocks[:, :, pair].permute(2, 0, 1)
+        whole[:, i, :, j], whole[:, j, :, i] = block, block.transpose(1, 2)
+    return whole
+
+
 @pytest.mark.parametrize("name", ["stretch", "inertia", "collision", "friction"])
-def test_curvature_is_the_derivative_of_the_gradient(name: str) -> None:
-    """Exact for all but bending (Gauss-Newton) and deep contacts (softened on purpose)."""
+def test_curvature_is_the_derivative_of_the_gradient(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exact for all but bending (Gauss-Newton), deep contacts and slip (changed on purpose)."""
+    monkeypatch.setattr("pb4u.physics.friction._SOFTENING", 1.0)
     step, x = crumpled(2)
     x = step.step.state.positions + 0.1 * (x - step.step.state.positions)
     term: EnergyTerm = getattr(IncrementalPotential(), name)
@@ -209,7 +220,7 @@ def test_curvature_is_the_derivative_of_the_gradient(name: str) -> None:
     product = torch.zeros_like(x)
     for part in (term.curvature(frozen, x), term.buckling(frozen, x)):
         if part is not None:
-            rows = torch.einsum("eijab,ejb->eia", part.blocks, direction[part.vertices])
+            rows = torch.einsum("eiajb,ejb->eia", dense(part), direction[part.vertices])
             product.index_add_(0, part.vertices.reshape(-1), rows.reshape(-1, 3))
     expected = (plus - minus) / (2 * h)
     torch.testing.assert_close(product, expected, rtol=1e-4, atol=1e-5 * float(expected.abs().max()))
@@ -218,10 +229,8 @@ def test_curvature_is_the_derivative_of_the_gradient(name: str) -> None:
 @pytest.mark.parametrize("name", ["stretch", "bending", "collision", "friction"])
 def test_curvature_is_positive_semi_definite(name: str) -> None:
     step, x = crumpled(3)
-    blocks = getattr(IncrementalPotential(), name).curvature(step.with_contact_at(x).step, x).blocks
-    k = blocks.shape[1]
-    dense = blocks.permute(0, 1, 3, 2, 4).reshape(-1, 3 * k, 3 * k)
-    values = torch.linalg.eigvalsh(dense)
+    part = getattr(IncrementalPotential(), name).curvature(step.with_contact_at(x).step, x)
+    values = torch.linalg.eigvalsh(dense(part).flatten(3).flatten(1, 2))
     assert float(values.min()) > -1e-10 * float(values.max())
 
 

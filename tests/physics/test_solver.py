@@ -13,9 +13,11 @@ from tests.physics.shapes import at_rest, capsule, collider, packed, sheet, tube
 from pb4u.errors import InputError
 from pb4u.physics.conjugate_gradient import conjugate_gradient
 from pb4u.physics.divergence import DivergedError, require_finite
+from pb4u.physics.energy_term import corner_pairs
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.integrator import integrate
 from pb4u.physics.solver import Progress, Solver
+from pb4u.physics.stiffness_matrix import StiffnessPattern
 from pb4u.physics.substeps import advance, substep_count
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
@@ -183,6 +185,35 @@ def test_integrator() -> None:
     after.positions.sum().backward()
     assert acceleration.grad is not None
     assert acceleration.grad.tolist() == [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
+
+
+@pytest.mark.parametrize("mkl", [True, False])
+def test_the_stiffness_matrix_is_the_sum_of_element_blocks(mkl: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against blocks put one by one where they belong; with and without the faster products."""
+    if mkl and not torch.backends.mkl.is_available():  # type: ignore[no-untyped-call]
+        pytest.skip("this PyTorch comes without MKL")
+    monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: mkl)
+    garments, step, start = hanging_sheet(5)
+    x = start + 0.01 * torch.randn(start.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    pattern = StiffnessPattern(garments)
+    blocks = step.curvature(x)
+    size = garments.vertex_count
+    expected = np.zeros((size, 3, size, 3))
+    for part in blocks:
+        for pair, (i, j) in enumerate(corner_pairs(part.vertices.shape[1])):
+            for element, corners in enumerate(part.vertices.tolist()):
+                block = part.blocks[:, :, pair, element].numpy()
+                expected[corners[i], :, corners[j]] += block
+                if i != j:
+                    expected[corners[j], :, corners[i]] += block.T
+    held = ~pattern.free.numpy()
+    expected[held], expected[:, :, held] = 0.0, 0.0
+    whole = expected.reshape(3 * size, 3 * size)
+    entries = pattern.assemble(blocks)
+    assert held.any()
+    np.testing.assert_allclose(pattern.matrix(entries).toarray(), whole, rtol=1e-12, atol=1e-12 * whole.max())
+    vector = np.random.default_rng(0).normal(size=3 * size)
+    np.testing.assert_allclose(pattern.product(entries) @ vector, whole @ vector, rtol=0, atol=1e-9 * whole.max())
 
 
 def test_conjugate_gradient_solves_and_notices_negative_curvature() -> None:

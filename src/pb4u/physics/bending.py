@@ -7,7 +7,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pb4u.physics.energy_term import ElementBlocks, EnergyTerm, TimeStep, dot, outer, sum_by_garment
+from pb4u.physics.energy_term import (
+    ElementBlocks,
+    EnergyTerm,
+    TimeStep,
+    columns,
+    corner_pairs,
+    dot,
+    sum_by_garment,
+    sum_by_vertex,
+)
 from pb4u.scene.packed import PackedGarments
 
 
@@ -34,16 +43,20 @@ class Bending(EnergyTerm):
         garments = step.garments
         bend, derivative = self._bend_and_derivative(garments, x)
         pull = _stiffness(garments) * bend
-        gradient = torch.zeros_like(x)
-        gradient.index_add_(0, garments.hinges.T.reshape(-1), torch.cat([pull[:, None] * d for d in derivative]))
-        return self._energies(garments, bend), gradient
+        forces = torch.cat([pull * d for d in derivative], dim=1)
+        return self._energies(garments, bend), sum_by_vertex(forces, garments.hinges.T.reshape(-1), len(x))
 
     def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
         """Gauss-Newton: stiffness times the outer product of the derivative of l (theta - theta0)."""
         garments = step.garments
         _, derivative = self._bend_and_derivative(garments, x)
-        stacked = torch.stack(derivative, dim=1) * _stiffness(garments).sqrt()[:, None, None]
-        return ElementBlocks(garments.hinges, outer(stacked[:, :, None], stacked[:, None]))
+        root = _stiffness(garments).sqrt()
+        scaled = [root * d for d in derivative]
+        pairs = corner_pairs(4)
+        blocks = x.new_empty((3, 3, len(pairs), len(root)))
+        for k, (i, j) in enumerate(pairs):
+            torch.mul(scaled[i][:, None], scaled[j][None], out=blocks[:, :, k])
+        return ElementBlocks(garments.hinges, blocks)
 
     def _rest(self, garments: PackedGarments) -> Tensor | float:
         return dihedral_angles(garments.rest_positions, garments.hinges) if self.rest_angles else 0.0
@@ -53,20 +66,21 @@ class Bending(EnergyTerm):
         return sum_by_garment(energy, garments.hinge_garment, garments.garment_count)
 
     def _bend_and_derivative(self, garments: PackedGarments, x: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """l (theta - theta0) [m] of each hinge and its derivative (hinges, 3) by each of the four vertices."""
-        x0, x1, x2, x3 = (x.index_select(0, garments.hinges[:, k]) for k in range(4))
-        edge = x1 - x0
-        length = edge.norm(dim=1).clamp_min(_tiny(x))
-        along = edge / length[:, None]
-        n0, n1 = torch.linalg.cross(edge, x2 - x0), torch.linalg.cross(x3 - x0, edge)
-        angle = torch.atan2(dot(along, torch.linalg.cross(n0, n1)), dot(n0, n1)) - self._rest(garments)
-        m0, m1 = n0 / dot(n0, n0).clamp_min(_tiny(x))[:, None], n1 / dot(n1, n1).clamp_min(_tiny(x))[:, None]
-        span = length[:, None]
-        by_x2, by_x3 = -(span * span) * m0, -(span * span) * m1
-        by_x0 = -span * (dot(x2 - x1, along)[:, None] * m0 + dot(x3 - x1, along)[:, None] * m1)
-        by_x1 = span * (dot(x2 - x0, along)[:, None] * m0 + dot(x3 - x0, along)[:, None] * m1)
-        lengthening = angle[:, None] * along
-        return length * angle, [by_x0 - lengthening, by_x1 + lengthening, by_x2, by_x3]
+        """l (theta - theta0) [m] of each hinge and its derivative (3, hinges) by each of the four vertices."""
+        x0, x1, x2, x3 = columns(x, garments.hinges.T.reshape(-1)).reshape(3, 4, -1).unbind(1)
+        edge, to_x2, to_x3 = x1 - x0, x2 - x0, x3 - x0
+        length = _inner(edge, edge).sqrt().clamp_min(_tiny(x))
+        along = edge / length
+        n0, n1 = torch.linalg.cross(edge, to_x2, dim=0), torch.linalg.cross(to_x3, edge, dim=0)
+        sine = _inner(along, torch.linalg.cross(n0, n1, dim=0))
+        angle = torch.atan2(sine, _inner(n0, n1)) - self._rest(garments)
+        m0 = n0 * (length / _inner(n0, n0).clamp_min(_tiny(x)))
+        m1 = n1 * (length / _inner(n1, n1).clamp_min(_tiny(x)))
+        part2, part3 = _inner(to_x2, along), _inner(to_x3, along)
+        lengthening = angle * along
+        by_x0 = (length - part2) * m0 + (length - part3) * m1 - lengthening
+        by_x1 = part2 * m0 + part3 * m1 + lengthening
+        return length * angle, [by_x0, by_x1, -length * m0, -length * m1]
 
 
 def dihedral_angles(x: Tensor, hinges: Tensor) -> Tensor:
@@ -81,6 +95,10 @@ def _length_and_angle(x: Tensor, hinges: Tensor) -> tuple[Tensor, Tensor]:
     n0, n1 = torch.linalg.cross(edge, x2 - x0), torch.linalg.cross(x3 - x0, edge)
     sine = dot(edge, torch.linalg.cross(n0, n1)) / length
     return length, torch.atan2(sine, dot(n0, n1))
+
+
+def _inner(a: Tensor, b: Tensor) -> Tensor:
+    return (a * b).sum(0)
 
 
 def _stiffness(garments: PackedGarments) -> Tensor:

@@ -58,11 +58,12 @@ class Collision(EnergyTerm):
     def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
         """Exact to a depth of half a millimetre; beyond it softer, so that one Newton step surfaces, not halves."""
         weight = self._vertex_weight(step, x)
-        blocks = x.new_zeros((len(x), 3, 3))
+        blocks = x.new_zeros((3, 3, len(x)))
         for depth, normal in self._depths(step, x):
             stiffness = 3.0 * weight * (depth + depth.clamp_max(_EXACT_DEPTH))
-            blocks = blocks + stiffness[:, None, None] * outer(normal, normal)
-        return ElementBlocks(torch.arange(len(x), device=x.device)[:, None], blocks[:, None, None])
+            axes = normal.T.contiguous()
+            blocks = blocks + outer(stiffness * axes, axes)
+        return ElementBlocks(torch.arange(len(x), device=x.device)[:, None], blocks[:, :, None])
 
     def _vertex_weight(self, step: TimeStep, x: Tensor) -> Tensor:
         return (self.weight / REFERENCE_AREA) * step.garments.vertex_areas

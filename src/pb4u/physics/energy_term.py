@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from itertools import combinations_with_replacement
 
 import torch
 from torch import Tensor
@@ -50,11 +51,12 @@ class TimeStep:
 
 @dataclass(frozen=True, eq=False)
 class ElementBlocks:
-    """Second derivatives of an energy, one dense block per element.
+    """Second derivatives of an energy, one symmetric matrix per element; elements come last, which is fastest.
 
     Args:
         vertices: (elements, k) int64.
-        blocks: (elements, k, k, 3, 3) [J/m^2], symmetric under exchange of the corner and the axis pairs together.
+        blocks: (3, 3, pairs, elements) [J/m^2], one for each of the `corner_pairs`; those of (j, i) are those of (i, j)
+            with their axes exchanged.
     """
 
     vertices: Tensor
@@ -117,11 +119,28 @@ def sum_by_garment(values: Tensor, garment: Tensor, garment_count: int) -> Tenso
     return values.new_zeros(garment_count).index_add(0, garment, values)
 
 
+def corner_pairs(corners: int) -> list[tuple[int, int]]:
+    """Pairs (i, j), i <= j, of the corners of an element, in row order."""
+    return list(combinations_with_replacement(range(corners), 2))
+
+
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """Row-wise inner product (...,) of (..., 3) vectors."""
-    return (a * b).sum(-1)
+    # Four times faster than a sum over so short an axis.
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
+def columns(x: Tensor, index: Tensor) -> Tensor:
+    """(3, n) the rows of `x` (vertices, 3) at `index` (n,), laid out axis by axis."""
+    return x.T.contiguous().gather(1, index.expand(3, -1))
 
 
 def outer(a: Tensor, b: Tensor) -> Tensor:
-    """Row-wise outer product (..., 3, 3) of (..., 3) vectors."""
-    return a[..., :, None] * b[..., None, :]
+    """Outer products (3, 3, n) of (3, n) vectors."""
+    return a[:, None] * b[None]
+
+
+def sum_by_vertex(values: Tensor, index: Tensor, vertex_count: int) -> Tensor:
+    """(vertices, 3) sums of `values` (3, n) over the columns that belong to each vertex `index` (n,)."""
+    total = values.new_zeros((3, vertex_count))
+    return total.scatter_add_(1, index.expand(3, -1), values).T.contiguous()

@@ -27,7 +27,7 @@ class Inertia(EnergyTerm):
     def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
         garments = step.garments
         stiffness = garments.vertex_masses / step.dt**2
-        blocks = stiffness[:, None, None, None, None] * torch.eye(3, dtype=x.dtype, device=x.device)
+        blocks = stiffness * torch.eye(3, dtype=x.dtype, device=x.device)[:, :, None, None]
         return ElementBlocks(torch.arange(len(x), device=x.device)[:, None], blocks)
 
     def _change(self, step: TimeStep, x: Tensor) -> Tensor:

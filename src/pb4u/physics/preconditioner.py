@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import torch
 
 from pb4u.scene.packed import PackedGarments
 
@@ -71,7 +72,7 @@ class TwoLevelPreconditioner:
         from scipy.sparse import bsr_matrix
 
         count = len(diagonal)
-        inverse = np.linalg.inv(diagonal)
+        inverse = torch.linalg.inv(torch.from_numpy(diagonal)).numpy()
         self._fine = bsr_matrix((inverse, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count))
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:

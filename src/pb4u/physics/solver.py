@@ -184,7 +184,7 @@ class Solver:
             compression, extra_mass = _LEVELS[level]
             entries = positive + compression * missing
             entries[own] += extra_mass * mass
-            solved = conjugate_gradient(self._pattern.matrix(entries), right, preconditioner, self.forcing, 300)
+            solved = conjugate_gradient(self._pattern.product(entries), right, preconditioner, self.forcing, 300)
             spent += solved.iterations
             if solved.negative is None or level == 0:
                 preconditioner.last_iterations = solved.iterations

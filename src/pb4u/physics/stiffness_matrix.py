@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.energy_term import ElementBlocks
+from pb4u.physics.energy_term import ElementBlocks, corner_pairs
 from pb4u.scene.packed import PackedGarments
 
 
@@ -27,35 +28,59 @@ class StiffnessPattern:
     """
 
     def __init__(self, garments: PackedGarments) -> None:
-        self.vertex_count = garments.vertex_count
+        self.vertex_count = count = garments.vertex_count
         self.free = ~garments.pinned & (garments.vertex_masses > 0)
-        self._elements = (garments.faces, garments.hinges)
-        own = torch.arange(self.vertex_count) * (self.vertex_count + 1)
-        keys = [own, *(self._pair_keys(e) for e in self._elements)]
-        self._keys = torch.unique(torch.cat(keys))
-        self._slots = [torch.searchsorted(self._keys, key) for key in keys]
-        self.own_entries = self._slots[0].numpy()
-        rows = torch.div(self._keys, self.vertex_count, rounding_mode="floor")
-        columns = self._keys % self.vertex_count
-        self._indices = columns.to(torch.int32).numpy()
-        starts = torch.arange(self.vertex_count + 1) * self.vertex_count
-        self._indptr = torch.searchsorted(self._keys, starts).to(torch.int32).numpy()
-        self._moves = (self.free[rows] & self.free[columns]).to(torch.float64)
+        self._elements = (torch.arange(count)[:, None], garments.faces, garments.hinges)
+        ends = [_pair_ends(e) for e in self._elements]
+        # Energies are summed once for each two vertices that they couple; the matrix holds the sum and its transpose.
+        keys = [torch.minimum(i, j) * count + torch.maximum(i, j) for i, j in ends]
+        coupled = torch.unique(torch.cat(keys))
+        self._coupled_count = len(coupled)
+        self._slots = [self._axes(torch.searchsorted(coupled, k), i > j) for k, (i, j) in zip(keys, ends, strict=True)]
+        low, high = torch.div(coupled, count, rounding_mode="floor"), coupled % count
+        apart = torch.nonzero(low != high)[:, 0]
+        rows, columns = torch.cat([low, high[apart]]), torch.cat([high, low[apart]])
+        order = torch.argsort(rows * count + columns)
+        rows, columns = rows[order], columns[order]
+        source = torch.cat([torch.arange(len(coupled)), apart])[order]
+        self._mirror = self._axes(source, order >= len(coupled)).permute(2, 0, 1).reshape(-1)
+        self.own_entries = torch.nonzero(rows == columns)[:, 0].numpy()
+        self._indices = columns.to(torch.int32)
+        self._indptr = torch.searchsorted(rows, torch.arange(count + 1)).to(torch.int32)
+        self._held = torch.nonzero(~(self.free[rows] & self.free[columns]))[:, 0]
 
     def assemble(self, elements: Sequence[ElementBlocks]) -> np.ndarray:
         """(entries, 3, 3) sum of element blocks; those of a vertex that does not move are zero."""
-        data = torch.zeros((len(self._keys), 9), dtype=torch.float64)
+        sums = torch.zeros(9 * self._coupled_count, dtype=torch.float64)
         for element in elements:
-            data.index_add_(0, self._slots_of(element.vertices), element.blocks.reshape(-1, 9))
-        data *= self._moves[:, None]
-        return data.reshape(-1, 3, 3).numpy()
+            sums.scatter_add_(0, self._slots_of(element.vertices), element.blocks.reshape(-1))
+        entries = sums.index_select(0, self._mirror).reshape(-1, 3, 3)
+        entries[self._held] = 0.0
+        return entries.numpy()
+
+    def _axes(self, pair: Tensor, turned: Tensor) -> Tensor:
+        """(3, 3, n) where the sums of a `pair` (n,) are, axis by axis, with the axes exchanged where `turned` (n,)."""
+        axes = torch.arange(9).reshape(3, 3)
+        return torch.where(turned, axes.T[:, :, None], axes[:, :, None]) * self._coupled_count + pair
+
+    def _slots_of(self, vertices: Tensor) -> Tensor:
+        for elements, slots in zip(self._elements, self._slots, strict=True):
+            if elements is vertices or (vertices.shape[1] == 1 and torch.equal(elements, vertices)):
+                return slots.reshape(-1)
+        raise ValueError("an energy couples vertices that are not those of the garments' vertices, faces or hinges")
 
     def matrix(self, entries: np.ndarray) -> Any:
         """Assembled `entries` as a scipy BSR matrix (3 vertices, 3 vertices)."""
         from scipy.sparse import bsr_matrix
 
         size = 3 * self.vertex_count
-        return bsr_matrix((entries, self._indices, self._indptr), shape=(size, size))
+        return bsr_matrix((entries, self._indices.numpy(), self._indptr.numpy()), shape=(size, size))
+
+    def product(self, entries: np.ndarray) -> Any:
+        """Assembled `entries` as what multiplies vectors (3 vertices,) fastest."""
+        if torch.backends.mkl.is_available():  # type: ignore[no-untyped-call]
+            return _MklProduct(self._indptr, self._indices, entries)
+        return self.matrix(entries)
 
     def diagonal(self, entries: np.ndarray) -> np.ndarray:
         """(vertices, 3, 3) diagonal blocks of assembled `entries`; the identity where a vertex does not move."""
@@ -63,15 +88,24 @@ class StiffnessPattern:
         blocks[~self.free.numpy()] = np.eye(3)
         return blocks
 
-    def _pair_keys(self, element: Tensor) -> Tensor:
-        k = element.shape[1]
-        rows, columns = element[:, :, None].expand(-1, k, k), element[:, None, :].expand(-1, k, k)
-        return (rows * self.vertex_count + columns).reshape(-1)
 
-    def _slots_of(self, vertices: Tensor) -> Tensor:
-        if vertices.shape[1] == 1:
-            return self._slots[0][vertices[:, 0]]
-        for element, slots in zip(self._elements, self._slots[1:], strict=True):
-            if element is vertices:
-                return slots
-        return torch.searchsorted(self._keys, self._pair_keys(vertices))
+class _MklProduct:
+    """A sparse matrix of 3x3 blocks whose products with vectors are MKL's: twice as fast as scipy's."""
+
+    def __init__(self, indptr: Tensor, indices: Tensor, entries: np.ndarray) -> None:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Sparse BSR tensor support is in beta")
+            size = 3 * (len(indptr) - 1)
+            self._matrix = torch.sparse_bsr_tensor(
+                indptr, indices, torch.from_numpy(entries), size=(size, size), check_invariants=False
+            )
+
+    def __matmul__(self, vector: np.ndarray) -> np.ndarray:
+        product: np.ndarray = torch.mv(self._matrix, torch.from_numpy(vector)).numpy()
+        return product
+
+
+def _pair_ends(elements: Tensor) -> tuple[Tensor, Tensor]:
+    """First and second vertex (pairs elements,) of every pair of corners of `elements` (elements, k)."""
+    first, second = zip(*corner_pairs(elements.shape[1]), strict=True)
+    return elements[:, list(first)].T.reshape(-1), elements[:, list(second)].T.reshape(-1)

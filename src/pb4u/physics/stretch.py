@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pb4u.physics.energy_term import ElementBlocks, EnergyTerm, TimeStep, dot, outer, sum_by_garment
+from pb4u.physics.energy_term import ElementBlocks, EnergyTerm, TimeStep, columns, outer, sum_by_garment, sum_by_vertex
 from pb4u.scene.packed import PackedGarments
 
 
@@ -20,80 +20,73 @@ class Stretch(EnergyTerm):
     name = "stretch"
 
     def energies(self, step: TimeStep, x: Tensor) -> Tensor:
-        garments = step.garments
-        f1, f2 = _columns(garments, x)
-        g11, g22, g12 = 0.5 * (dot(f1, f1) - 1.0), 0.5 * (dot(f2, f2) - 1.0), 0.5 * dot(f1, f2)
-        return _energies(garments, g11, g22, g12)
+        return _energies(step.garments, *_green_strain(*_deformation(step.garments, x)))
 
     def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
         garments = step.garments
-        f1, f2 = _columns(garments, x)
-        g11, g22, g12 = 0.5 * (dot(f1, f1) - 1.0), 0.5 * (dot(f2, f2) - 1.0), 0.5 * dot(f1, f2)
+        f1, f2 = _deformation(garments, x)
+        g11, g22, g12 = _green_strain(f1, f2)
         s11, s22, s12 = _stress(garments, g11, g22, g12)
-        p1 = f1 * s11[:, None] + f2 * s12[:, None]
-        p2 = f1 * s12[:, None] + f2 * s22[:, None]
-        inverse = garments.inverse_rest_shape
-        on_b = p1 * inverse[:, 0, 0, None] + p2 * inverse[:, 0, 1, None]
-        on_c = p1 * inverse[:, 1, 0, None] + p2 * inverse[:, 1, 1, None]
-        gradient = torch.zeros_like(x)
-        gradient.index_add_(0, garments.faces.T.reshape(-1), torch.cat([-on_b - on_c, on_b, on_c]))
-        return _energies(garments, g11, g22, g12), gradient
+        p1, p2 = f1 * s11 + f2 * s12, f1 * s12 + f2 * s22
+        d = garments.inverse_rest_shape
+        on_b = p1 * d[:, 0, 0] + p2 * d[:, 0, 1]
+        on_c = p1 * d[:, 1, 0] + p2 * d[:, 1, 1]
+        forces = torch.cat([-on_b - on_c, on_b, on_c], dim=1)
+        return _energies(garments, g11, g22, g12), sum_by_vertex(forces, garments.faces.T.reshape(-1), len(x))
 
     def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
         """Exact where the stress is tensile; compressive stress is left to `buckling`."""
         garments = step.garments
-        f = _columns(garments, x)
-        tension = _tensile_part(*self._stress_at(garments, f))
+        f1, f2 = _deformation(garments, x)
+        t11, t22, t12 = _tensile_part(*_stress(garments, *_green_strain(f1, f2)))
         weight = garments.face_areas * garments.thickness
-        mu, lam = (weight * garments.lame_mu)[:, None, None], (weight * garments.lame_lambda)[:, None, None]
-        identity = torch.eye(3, dtype=x.dtype, device=x.device)
-        squares = [outer(f[0], f[0]), outer(f[1], f[1])]
-        cross = outer(f[0], f[1])
-        shared = mu * (squares[0] + squares[1])
-        h00 = tension[0][:, None, None] * identity + (mu + lam) * squares[0] + shared
-        h11 = tension[1][:, None, None] * identity + (mu + lam) * squares[1] + shared
-        h01 = tension[2][:, None, None] * identity + mu * cross.transpose(1, 2) + lam * cross
-        return _by_corners(garments, h00, h01, h11)
+        mu, lam = weight * garments.lame_mu, weight * garments.lame_lambda
+        identity = _identity(x)
+        square1, square2, cross = outer(f1, f1), outer(f2, f2), outer(f1, f2)
+        shared = mu * (square1 + square2)
+        h11 = t11 * identity + (mu + lam) * square1 + shared
+        h22 = t22 * identity + (mu + lam) * square2 + shared
+        h12 = t12 * identity + mu * cross.transpose(0, 1) + lam * cross
+        return _by_corners(garments, h11, h12, h22)
 
     def buckling(self, step: TimeStep, x: Tensor) -> ElementBlocks:
         """The curvature of compressive stress."""
         garments = step.garments
-        stress = self._stress_at(garments, _columns(garments, x))
-        identity = torch.eye(3, dtype=x.dtype, device=x.device)
-        pressed = [s - t for s, t in zip(stress, _tensile_part(*stress), strict=True)]
-        h00, h11, h01 = (p[:, None, None] * identity for p in pressed)
-        return _by_corners(garments, h00, h01, h11)
-
-    def _stress_at(self, garments: PackedGarments, f: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        g11, g22, g12 = 0.5 * (dot(f[0], f[0]) - 1.0), 0.5 * (dot(f[1], f[1]) - 1.0), 0.5 * dot(f[0], f[1])
-        return _stress(garments, g11, g22, g12)
+        stress = _stress(garments, *_green_strain(*_deformation(garments, x)))
+        identity = _identity(x)
+        h11, h22, h12 = ((s - t) * identity for s, t in zip(stress, _tensile_part(*stress), strict=True))
+        return _by_corners(garments, h11, h12, h22)
 
 
-def _by_corners(garments: PackedGarments, h00: Tensor, h01: Tensor, h11: Tensor) -> ElementBlocks:
-    """Second derivatives by the columns of F (faces, 3, 3) turned into those by the corners.
+def _identity(x: Tensor) -> Tensor:
+    return torch.eye(3, dtype=x.dtype, device=x.device)[:, :, None]
+
+
+def _by_corners(garments: PackedGarments, h11: Tensor, h12: Tensor, h22: Tensor) -> ElementBlocks:
+    """Second derivatives by the columns of F (3, 3, faces) turned into those by the corners.
 
     Edges b-a and c-a move the columns through the inverse rest shape; corner a moves both edges back.
     """
-    h = ((h00, h01), (h01.transpose(1, 2), h11))
-    d = garments.inverse_rest_shape
-    blocks = h00.new_empty((len(garments.faces), 3, 3, 3, 3))
-    half = [[d[:, p, 0, None, None] * h[0][k] + d[:, p, 1, None, None] * h[1][k] for k in (0, 1)] for p in (0, 1)]
-    for p in (0, 1):
-        for q in (0, 1):
-            blocks[:, p + 1, q + 1] = half[p][0] * d[:, q, 0, None, None] + half[p][1] * d[:, q, 1, None, None]
-    blocks[:, 0, 1:] = -blocks[:, 1, 1:] - blocks[:, 2, 1:]
-    blocks[:, :, 0] = -blocks[:, :, 1] - blocks[:, :, 2]
-    return ElementBlocks(garments.faces, blocks)
+    (b1, b2), (c1, c2) = garments.inverse_rest_shape.permute(1, 2, 0).contiguous()
+    b_by_1, b_by_2 = b1 * h11 + b2 * h12.transpose(0, 1), b1 * h12 + b2 * h22
+    c_by_1, c_by_2 = c1 * h11 + c2 * h12.transpose(0, 1), c1 * h12 + c2 * h22
+    bb, bc = b_by_1 * b1 + b_by_2 * b2, b_by_1 * c1 + b_by_2 * c2
+    cc = c_by_1 * c1 + c_by_2 * c2
+    ab, ac = -bb - bc.transpose(0, 1), -bc - cc
+    aa = -ab - ac
+    return ElementBlocks(garments.faces, torch.stack([aa, ab, ac, bb, bc, cc], dim=2))
 
 
-def _columns(garments: PackedGarments, x: Tensor) -> tuple[Tensor, Tensor]:
-    """The two columns (faces, 3) of the deformation gradient."""
-    a, b, c = (x.index_select(0, garments.faces[:, k]) for k in range(3))
-    e1, e2, inverse = b - a, c - a, garments.inverse_rest_shape
-    return (
-        e1 * inverse[:, 0, 0, None] + e2 * inverse[:, 1, 0, None],
-        e1 * inverse[:, 0, 1, None] + e2 * inverse[:, 1, 1, None],
-    )
+def _deformation(garments: PackedGarments, x: Tensor) -> tuple[Tensor, Tensor]:
+    """The two columns (3, faces) of the deformation gradient."""
+    a, b, c = columns(x, garments.faces.T.reshape(-1)).reshape(3, 3, -1).unbind(1)
+    e1, e2, d = b - a, c - a, garments.inverse_rest_shape
+    return e1 * d[:, 0, 0] + e2 * d[:, 1, 0], e1 * d[:, 0, 1] + e2 * d[:, 1, 1]
+
+
+def _green_strain(f1: Tensor, f2: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Components 11, 22 and 12 (faces,) of (F^T F - 1) / 2."""
+    return 0.5 * ((f1 * f1).sum(0) - 1.0), 0.5 * ((f2 * f2).sum(0) - 1.0), 0.5 * (f1 * f2).sum(0)
 
 
 def _energies(garments: PackedGarments, g11: Tensor, g22: Tensor, g12: Tensor) -> Tensor:

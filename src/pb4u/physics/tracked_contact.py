@@ -9,8 +9,10 @@ from pb4u.physics.contact_planes import ContactPlanes
 from pb4u.physics.incremental_potential import StepPotential
 
 REACH = 0.03
-"""Distance [m] from the body beyond which a vertex is not looked up again."""
+"""Distance [m] from the body within which the motion of the body concerns a vertex."""
 
+# Distance [m] from the body beyond which a vertex is not looked up again: five times where its energy begins.
+_LOOKED_UP = 0.01
 _FREE_ITERATIONS = 8
 _OPPOSED = 0.8
 _DISTINCT = 0.999
@@ -43,7 +45,7 @@ class TrackedContact:
             return self._potential
         moved = (x - self._found_at).norm(dim=1)
         # A distance changes by no more than the vertex moved, so the others are still out of reach.
-        stale = (moved > self._patience()) & (planes.distance - moved < REACH)
+        stale = (moved > self._patience()) & (planes.distance - moved < _LOOKED_UP)
         self._iteration += 1
         if bool(stale.any()):
             self._planes = body.nearest(x, stale, planes)
