@@ -29,7 +29,7 @@ SHOWN = {
     "longsleeve": ("man", "arms", 14, 20.0),
     "dress": ("woman", "turn", 18, 25.0),
     "fitted_dress": ("woman", "walk", 16, -35.0),
-    "cardigan": ("woman", "walk", 12, 30.0),
+    "cardigan": ("woman", "arms", 14, 30.0),
     "trousers": ("man", "squat", 14, 40.0),
     "skirt": ("woman", "twist", 14, 25.0),
 }

@@ -52,7 +52,7 @@ def test_settings_replace_fields_of_every_kind() -> None:
         ("batch", "has no ="),
         ("batch=0", "batch must be 1 or more"),
         ("data.triangles=many", "of another kind"),
-        ("after_settling=fast", "one of skinned, zero, carried"),
+        ("after_settling=fast", "one of skinned, slowed, zero, carried"),
     ],
 )
 def test_what_cannot_be_set_is_refused_in_a_sentence(setting: str, sentence: str) -> None:

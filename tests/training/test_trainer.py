@@ -162,6 +162,20 @@ def test_the_velocity_after_settling_is_the_chosen_one(variant: str) -> None:
     assert torch.allclose(off.velocities, expected[variant], atol=1e-6)
 
 
+def test_slowed_garments_set_off_with_half_to_all_of_the_bodys_speed() -> None:
+    trainer = made(replace(TINY, after_settling="slowed"), 1)
+    window, state, _ = trainer._begin(2)
+    shares = []
+    for number in range(20):
+        trainer.counters.window = number
+        off = trainer._set_off(window, State(state.positions, state.velocities, state.frame + 1))
+        share = float(off.velocities.norm() / window.skinned_velocity(1).norm())
+        assert torch.allclose(off.velocities, share * window.skinned_velocity(1), atol=1e-6)
+        shares.append(share)
+    assert 0.5 <= min(shares) < 0.65
+    assert 0.85 < max(shares) <= 1.0
+
+
 def test_flat_validation_ends_a_training(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = made(replace(TINY, validate_every=2, patience=2), 200)
     monkeypatch.setattr(trainer.validation, "score", lambda model: Score(1.0, 1.0, 0.1))

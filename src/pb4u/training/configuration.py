@@ -18,7 +18,7 @@ from pb4u.simulation.network_configuration import (
 )
 from pb4u.training.curriculum import Curriculum
 
-AFTER_SETTLING = ("skinned", "zero", "carried")
+AFTER_SETTLING = ("skinned", "slowed", "zero", "carried")
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,8 @@ class TrainingConfiguration:
         noise: standard deviation added to the positions, and to those a frame before, of a window's start [m].
         clearance: distance to the body that start positions are pushed out to [m].
         most_propagation_steps: K is drawn from 1 to this at every step; 0 leaves it to the resolution.
-        after_settling: velocity after the settling step: "skinned", "zero", or "carried" as the family's code has it.
+        after_settling: velocity after the settling step: "skinned"; "slowed", half to all of that, so that bodies that
+            set off are seen; "zero"; or "carried" as the family's code has it.
         statistics_windows: windows whose statistics normalise the features.
         gradient_norm: longest gradient.
         ema_decay: of the averaged weights, which are what a training is for.

@@ -41,6 +41,7 @@ small = replace(
         halvings=5,
     ),
     most_propagation_steps=24,
+    after_settling="slowed",
     validate_every=2000,
     validation_clips=6,
 )

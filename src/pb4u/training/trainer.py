@@ -178,8 +178,10 @@ class Trainer:
     def _set_off(self, window: Window, settled: State) -> State:
         """A settled garment, still in the row where it settled, with the velocity that it sets off with."""
         row = settled.frame - 1
+        skinned = window.skinned_velocity(row)
         velocities = {
-            "skinned": window.skinned_velocity(row),
+            "skinned": skinned,
+            "slowed": self.sampler.slowing(self.counters.window) * skinned,
             "zero": torch.zeros_like(settled.velocities),
             # The released code counts the settling displacement as one of an ordinary step (reference 1.8).
             "carried": settled.velocities * (SETTLING_DT / window.dt),

@@ -23,7 +23,7 @@ from pb4u.training.wardrobe import Wardrobe
 
 _LARGEST_PUSH = 0.02
 _STANDARD_GRAVITY = (0.0, -9.81, 0.0)
-_SAMPLE, _STEPS, _SETTLE = range(3)
+_SAMPLE, _STEPS, _SETTLE, _SLOWING = range(4)
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,10 @@ class Sampler:
             return True
         draw = np.random.default_rng((self.configuration.seed, _SETTLE, window)).random()
         return bool(draw < self.configuration.curriculum.settling_share)
+
+    def slowing(self, window: int) -> float:
+        """Share of the body's speed that a window's garments set off with, 0.5 to 1."""
+        return float(np.random.default_rng((self.configuration.seed, _SLOWING, window)).uniform(0.5, 1.0))
 
     def propagation_steps(self, index: int, step: int, ruled: int) -> int:
         """K of sample `index` at a step of its window; `ruled` is what the resolution asks for."""
