@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,6 +65,9 @@ def test_resolution_outside_the_range_seen_is_warned_of(weights: Path) -> None:
     narrow = replace(checkpoint, record=replace(checkpoint.record, mean_edge_lengths=(0.001, 0.002)))
     with pytest.warns(InputWarning, match="coarser"):
         NetworkSimulator(narrow).simulate(ball_scene(frames=2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", InputWarning)
+        NetworkSimulator(narrow, refine=1).simulate(ball_scene(frames=2))
 
 
 def test_rollout_is_the_same_wherever_the_scene_stands(weights: Path) -> None:

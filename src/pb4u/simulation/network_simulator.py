@@ -142,7 +142,9 @@ class NetworkSimulator(StepwiseSimulator):
 
     def parts(self, stage: Stage, record: RunRecord) -> StepParts:
         garments: PackedGarments = pack(stage.garments.garments, torch.float32, self.device)
-        prepared = self.checkpoint.prepare(garments, self.override)
+        # What the warnings of the checkpoint tell to expect, the solver mends where it refines.
+        careful = self.checkpoint.model if self.refine else self.checkpoint
+        prepared = careful.prepare(garments, self.override)
         predictor = NetworkPredictor(self.checkpoint.model, prepared, self.passes)
         refinement = SolverRefinement(self.refine) if self.refine else NoRefinement()
         return StepParts(predictor, refinement, self.contact)
