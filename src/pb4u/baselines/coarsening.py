@@ -7,17 +7,16 @@ decides nothing.
 
 from __future__ import annotations
 
-import hashlib
-from collections import OrderedDict
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from pb4u.baselines.mesh_memory import MeshMemory
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 _REMEMBERED = 64
-_memory: OrderedDict[bytes, list[np.ndarray]] = OrderedDict()
 
 
 def coarse_levels(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> list[np.ndarray]:
@@ -28,13 +27,7 @@ def coarse_levels(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> 
         rest_positions: (vertices, 3) [m]; they only decide between vertices that are equally central.
         count: number of levels; the last may be without edges.
     """
-    key = _key(edges, rest_positions, count)
-    if key not in _memory:
-        _memory[key] = _coarse_levels(edges, rest_positions, count)
-        while len(_memory) > _REMEMBERED:
-            _memory.popitem(last=False)
-    _memory.move_to_end(key)
-    return _memory[key]
+    return _memory.recall(edges, rest_positions, count)
 
 
 def level_labels(levels: list[np.ndarray], vertex_count: int) -> np.ndarray:
@@ -171,8 +164,4 @@ def _further_than_two(pairs: csr_matrix, graph: csr_matrix) -> csr_matrix:
     return _without_diagonal(pairs - pairs.multiply(near))
 
 
-def _key(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> bytes:
-    digest = hashlib.blake2b(np.ascontiguousarray(edges).tobytes(), digest_size=16)
-    digest.update(np.ascontiguousarray(rest_positions).tobytes())
-    digest.update(count.to_bytes(4, "little"))
-    return digest.digest()
+_memory = MeshMemory(_coarse_levels, _REMEMBERED)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections import OrderedDict
-
 import numpy as np
 
+from pb4u.baselines.mesh_memory import MeshMemory
+
 _REMEMBERED = 16
-_memory: OrderedDict[bytes, tuple[np.ndarray, np.ndarray]] = OrderedDict()
 
 
 def geodesic_landmarks(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -21,16 +19,7 @@ def geodesic_landmarks(edges: np.ndarray, rest_positions: np.ndarray, count: int
     Args:
         edges: (edges, 2) of the mesh. rest_positions: (vertices, 3) [m]. count: number of landmarks.
     """
-    digest = hashlib.blake2b(np.ascontiguousarray(edges).tobytes(), digest_size=16)
-    digest.update(np.ascontiguousarray(rest_positions).tobytes())
-    digest.update(count.to_bytes(4, "little"))
-    key = digest.digest()
-    if key not in _memory:
-        _memory[key] = _geodesic_landmarks(edges, rest_positions, count)
-        while len(_memory) > _REMEMBERED:
-            _memory.popitem(last=False)
-    _memory.move_to_end(key)
-    return _memory[key]
+    return _memory.recall(edges, rest_positions, count)
 
 
 def _geodesic_landmarks(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,3 +44,6 @@ def _geodesic_landmarks(edges: np.ndarray, rest_positions: np.ndarray, count: in
     used = distances[:, : min(count, vertex_count)]
     used[~np.isfinite(used)] = 2.0 * used[np.isfinite(used)].max()
     return landmarks, distances.astype(np.float32)
+
+
+_memory = MeshMemory(_geodesic_landmarks, _REMEMBERED)
