@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
-from importlib import resources
 from itertools import product
 from pathlib import Path
 
@@ -276,6 +273,7 @@ def _models(request: Request, protocol: Protocol, device: str) -> tuple[list[Mod
 
 
 def _model(name: str, label: str, device: str) -> ModelRecord:
+    from pb4u.simulation.checkpoint import weights_file
     from pb4u.simulation.models import load_simulator
     from pb4u.simulation.network_simulator import NetworkSimulator
 
@@ -289,15 +287,3 @@ def _model(name: str, label: str, device: str) -> ModelRecord:
     adapts = simulator.checkpoint.model.network.propagation_steps(0.015) > 0
     with weights_file(name) as path:
         return ModelRecord(name, label, digest(path), adapts)
-
-
-@contextmanager
-def weights_file(name: str) -> Iterator[Path]:
-    """The file of a network's weights, shipped or the user's own."""
-    from pb4u.simulation.checkpoint import SUFFIX, built_in_models
-
-    if name in built_in_models():
-        with resources.as_file(resources.files("pb4u.simulation") / "weights" / (name + SUFFIX)) as path:
-            yield path
-    else:
-        yield Path(name)

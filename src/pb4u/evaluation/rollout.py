@@ -133,7 +133,7 @@ def _scene(record: SceneRecord) -> Any:
 
 
 def _check_weights(job: RolloutJob) -> None:
-    from pb4u.evaluation.planning import weights_file
+    from pb4u.simulation.checkpoint import weights_file
 
     if job.model.weights:
         with weights_file(job.model.name) as path:

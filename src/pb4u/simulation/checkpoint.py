@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -182,13 +184,23 @@ def from_pretrained(name_or_path: str | Path) -> Checkpoint:
     Raises InputError where there is neither, listing the names, and whatever `load_checkpoint` refuses.
     """
     wanted = str(name_or_path)
-    if wanted in built_in_models():
-        with resources.as_file(resources.files("pb4u.simulation") / "weights" / (wanted + SUFFIX)) as path:
-            return load_checkpoint(path, wanted)
-    if Path(wanted).is_file():
-        return load_checkpoint(wanted)
-    names = ", ".join(built_in_models()) or "none"
-    raise InputError(f"There is no model file {wanted} and no built-in model of that name; built in: {names}.")
+    with weights_file(wanted) as path:
+        return load_checkpoint(path, wanted if wanted in built_in_models() else None)
+
+
+@contextmanager
+def weights_file(name_or_path: str) -> Iterator[Path]:
+    """The file of a built-in name, or of a path. Raises InputError where there is neither, listing the names."""
+    if name_or_path in built_in_models():
+        with resources.as_file(resources.files("pb4u.simulation") / "weights" / (name_or_path + SUFFIX)) as path:
+            yield path
+    elif Path(name_or_path).is_file():
+        yield Path(name_or_path)
+    else:
+        names = ", ".join(built_in_models()) or "none"
+        raise InputError(
+            f"There is no model file {name_or_path} and no built-in model of that name; built in: {names}."
+        )
 
 
 def _record_from_json(data: dict[str, Any]) -> TrainingRecord:
