@@ -29,6 +29,7 @@ class LearningPredictor(Predictor):
         prepared: with the propagation steps of this step.
         found: (vertices, 3) [m per step^2] accelerations found by earlier passes, none by default.
         passes: how many further passes to make; only the last is differentiable.
+        features: of the garments, where they are already made.
 
     Attributes:
         reached: accelerations after the latest prediction.
@@ -37,10 +38,15 @@ class LearningPredictor(Predictor):
     reached: Tensor
 
     def __init__(
-        self, network: nn.Module, prepared: PreparedGarments, found: Tensor | None = None, passes: int = 1
+        self,
+        network: nn.Module,
+        prepared: PreparedGarments,
+        found: Tensor | None = None,
+        passes: int = 1,
+        features: SituationFeatures | None = None,
     ) -> None:
         self.network, self.prepared, self.found, self.passes = network, prepared, found, passes
-        self._features = SituationFeatures(prepared)
+        self._features = features or SituationFeatures(prepared)
 
     def graph(self, situation: Situation, found: Tensor | None = None) -> Graph:
         """What the network sees after earlier passes `found` accelerations (vertices, 3) [m per step^2]."""

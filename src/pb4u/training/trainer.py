@@ -18,6 +18,7 @@ from pb4u.evaluation.metrics import DIVERGED_STRAIN
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 from pb4u.simulation.first_frame import SETTLING_DT
+from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.step import Situation, StepParts, step
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
@@ -148,6 +149,7 @@ class Trainer:
             length = min(length, math.ceil(left / self.model.network.passes))
         window, state, settle = self._begin(length)
         prepared = self.model.prepare(window.garments)
+        features = SituationFeatures(prepared)
         first = self.counters.window * self.configuration.batch + self.share.start
         for number in range(length):
             steps = [
@@ -158,7 +160,7 @@ class Trainer:
             situation = window.settling(state) if settling else window.moving(state)
             found, after = None, state
             for _ in range(self.model.network.passes):
-                predictor = LearningPredictor(self.network, prepared.with_steps(steps), found)
+                predictor = LearningPredictor(self.network, prepared.with_steps(steps), found, features=features)
                 after = step(situation, StepParts(predictor))
                 if not self._learn(situation, after):
                     return False
