@@ -93,7 +93,7 @@ def simulate(
         str,
         typer.Option(
             metavar="NAME|FILE",
-            help="A network (name or checkpoint), solver, skinning or newton. Default: the best network, else solver.",
+            help="A network (name or checkpoint), solver, skinning or newton. Default: pb4u if installed, else solver.",
         ),
     ] = "auto",
     propagation_steps: Annotated[

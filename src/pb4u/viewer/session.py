@@ -236,9 +236,9 @@ class Session:
         self._painted = name
         try:
             looks = tuple(OVERLAYS[name](clip) for clip in clips)
-            for look, clip in zip(looks, clips, strict=True):
+            for look in looks:
                 if look.painted:
-                    look.colours(min(0, clip.frame_count - 1))
+                    look.colours(0)
         except Exception as error:
             self.say(plain_sentence(error))
             looks = tuple(OVERLAYS[SHADED](clip) for clip in clips)
