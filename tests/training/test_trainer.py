@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from tests.training.ball_data import TINY, ball_data
+from tests.training.listening import ALONE, Listener, made
 from torch import Tensor
 
 from pb4u.errors import InputError
@@ -19,46 +19,13 @@ from pb4u.simulation.checkpoint import load_checkpoint
 from pb4u.simulation.step import Situation
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget
-from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.curriculum import Curriculum
-from pb4u.training.distribution import Workers
-from pb4u.training.progress import Reporter, draw_curve
+from pb4u.training.progress import draw_curve
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.trainer import Trainer, TrainingFailedError
 from pb4u.training.validation import Score
 
-ALONE = Workers(0, 1, torch.device("cpu"))
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
-class Listener(Reporter):
-    def __init__(self) -> None:
-        self.sentences: list[str] = []
-        self.totals: list[float] = []
-        self.scores: list[Score] = []
-
-    def progressed(self, step: int, progress: float, seconds: float, means: object) -> None:
-        self.totals.append(means["total"])  # type: ignore[index]
-
-    def validated(self, step: int, score: Score, best: bool) -> None:
-        self.scores.append(score)
-
-    def said(self, sentence: str) -> None:
-        self.sentences.append(sentence)
-
-
-def made(
-    configuration: TrainingConfiguration, steps: int, folder: Path | None = None, listener: Listener | None = None
-) -> Trainer:
-    kept = None if folder is None else RunFolder.create(folder, {})
-    return Trainer(configuration, Budget(steps), ball_data(), ALONE, kept, listener or Listener())
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def test_the_loss_falls_and_what_is_kept_can_be_simulated_with(tmp_path: Path) -> None:
@@ -66,7 +33,8 @@ def test_the_loss_falls_and_what_is_kept_can_be_simulated_with(tmp_path: Path) -
     trainer = made(replace(TINY, validate_every=60), 60, tmp_path / "run", listener)
     assert trainer.run() == "finished"
     assert trainer.counters.step >= 60
-    early, late = sum(listener.totals[:2]), sum(listener.totals[-2:])
+    totals = [means["total"] for means in listener.means]
+    early, late = sum(totals[:2]), sum(totals[-2:])
     assert late < 0.8 * early
     checkpoint = load_checkpoint(tmp_path / "run" / "best.safetensors")
     assert checkpoint.record.dt == pytest.approx(1 / 30)

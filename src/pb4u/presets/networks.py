@@ -47,10 +47,12 @@ without_update_scaling = replace(pb4u_paper, scaling=NoScaling())
 
 without_both = replace(pb4u_paper, control=FixedSteps(15), scaling=NoScaling())
 
-small_without_propagation_control = replace(pb4u_small, control=FixedSteps(7))
-"""Seven steps: what the paper's rule gives for a T-shirt of 2,500 triangles, the finest that `small` trains on."""
+small_without_propagation_control = replace(pb4u_small, control=FixedSteps(5))
+"""Five steps: what the paper's rule gives for a T-shirt of 1,200 triangles, the finest that `comparison` trains on."""
 
 small_without_update_scaling = replace(pb4u_small, scaling=NoScaling())
+
+small_mean_scaling = replace(pb4u_small, scaling=MeanScaling(0.015))
 
 small_without_both = replace(small_without_propagation_control, scaling=NoScaling())
 
@@ -100,6 +102,7 @@ NETWORKS: dict[str, Configuration] = {
     "without_both": without_both,
     "small_without_propagation_control": small_without_propagation_control,
     "small_without_update_scaling": small_without_update_scaling,
+    "small_mean_scaling": small_mean_scaling,
     "small_without_both": small_without_both,
     "mgn": mgn,
     "mgn_48": mgn_48,

@@ -13,24 +13,7 @@ from pb4u.training.curriculum import Curriculum
 paper = TrainingConfiguration(network=pb4u_paper, data=DataSelection(triangles=(11000,)), checkpoint_every=2000)
 """The paper's own protocol: one low level, windows of up to 5 steps, 450,000 optimiser steps."""
 
-small_paper = TrainingConfiguration(
-    network=pb4u_small,
-    data=DataSelection(triangles=(1200, 2500), shapes=4),
-    curriculum=Curriculum(
-        window_steps=((0.0, 1), (0.05, 2), (0.1, 3), (0.2, 4), (0.3, 5)),
-        collision_weight=((0.0, 5e3), (0.4, 5e3), (1.0, 1e5)),
-        learning_rate=5e-4,
-        halvings=6,
-    ),
-    most_propagation_steps=16,
-    checkpoint_every=500,
-    validate_every=1000,
-    patience=12,
-)
-"""For two processor cores, with the paper's features and one pass a step: what experiments are compared with."""
-
-small = replace(
-    small_paper,
+small = TrainingConfiguration(
     network=pb4u_small_passes,
     data=DataSelection(triangles=(800, 1300, 2500), shapes=4),
     curriculum=Curriculum(
@@ -42,10 +25,26 @@ small = replace(
     ),
     most_propagation_steps=24,
     after_settling="slowed",
-    validate_every=2000,
+    checkpoint_every=500,
     validation_clips=6,
+    patience=12,
 )
 """For two processor cores: a narrow network on three levels at once, so that it sees what resolution changes."""
+
+comparison = replace(
+    small,
+    network=pb4u_small,
+    data=DataSelection(garments=("tshirt", "dress"), triangles=(700, 1200), shapes=2, clips=96),
+    curriculum=Curriculum(
+        window_steps=((0.0, 1), (0.03, 2), (0.06, 3), (0.1, 5), (0.4, 10), (0.7, 20)),
+        collision_weight=((0.0, 5e3), (0.05, 2e4), (0.2, 1e5)),
+        learning_rate=1e-3,
+        halvings=6,
+    ),
+    most_propagation_steps=16,
+    patience=0,
+)
+"""A quarter of an hour on one processor core: what networks, ablations and experiments are compared by."""
 
 smoke = replace(
     small,
@@ -73,11 +72,11 @@ smoke = replace(
 TRAININGS: dict[str, TrainingConfiguration] = {
     "paper": paper,
     "small": small,
-    "small_paper": small_paper,
+    "comparison": comparison,
     "smoke": smoke,
 }
 
-DEFAULT_STEPS = {"paper": 450_000, "small": 60_000, "small_paper": 60_000, "smoke": 40}
+DEFAULT_STEPS = {"paper": 450_000, "small": 60_000, "comparison": 8_000, "smoke": 40}
 """Optimiser steps of each where neither steps nor minutes are asked for."""
 
 

@@ -1,0 +1,83 @@
+"""Trains every network of the comparison alike, one after the other: `pb4u train --preset comparison` with each.
+
+python tools/comparison.py --out FOLDER [--only pb4u,mgn] [--seed 0] [--steps 8000] [--ship]
+
+Killed at any instant, the same command goes on where it was; several may share the folder, each with its own --only.
+--ship copies the finished weights to where the package looks for them, under the names that `pb4u evaluate` compares.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+FIXED_DEPTH = ("most_propagation_steps=0",)
+
+COMPARED = {
+    "pb4u": ("network=pb4u_small",),
+    "mgn": ("network=mgn_small",),
+    "hood": ("network=hood_small",),
+    "eslr": ("network=eslr_small",),
+    "contourcraft": ("network=contourcraft_small",),
+    "pb4u-without-control": ("network=small_without_propagation_control", *FIXED_DEPTH),
+    "pb4u-without-scaling": ("network=small_without_update_scaling",),
+    "pb4u-without-both": ("network=small_without_both", *FIXED_DEPTH),
+    "mgn-relative": ("network=mgn_relative_small",),
+    "hood-metric": ("network=hood_metric_small",),
+    "pb4u-mean-scaling": ("network=small_mean_scaling",),
+    "pb4u-one-level": ("network=pb4u_small", "data.triangles=1200"),
+    "pb4u-ruled-steps": ("network=pb4u_small", *FIXED_DEPTH),
+    "pb4u-descent": ("network=pb4u_small_descent",),
+    "pb4u-passes": ("network=pb4u_small_passes",),
+}
+"""What is trained, by the name it gets: the comparison, its ablations, and the experiments of the lab log."""
+
+WEIGHTS = Path(__file__).parents[1] / "src" / "pb4u" / "simulation" / "weights"
+
+
+def train(name: str, folder: Path, pack: Path, steps: int, seed: int) -> None:
+    """Train one network, or go on with it."""
+    if (folder / "ended.json").exists():
+        return
+    if (folder / "last.safetensors").exists():
+        wanted = ["--resume", str(folder)]
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
+        settings = [part for setting in (*COMPARED[name], f"seed={seed}") for part in ("--set", setting)]
+        wanted = ["--preset", "comparison", "--steps", str(steps), "--out", str(folder), *settings]
+        # Another choice of data is made by the training itself.
+        if not any(setting.startswith("data.") for setting in COMPARED[name]):
+            wanted += ["--pack", str(pack)]
+    print(f"{name}: pb4u train {' '.join(wanted)}", flush=True)
+    subprocess.run(["pb4u", "train", *wanted, "--json", str(folder.with_suffix(".json"))], check=True)
+    ended = json.loads(folder.with_suffix(".json").read_text())
+    if ended["ending"] == "finished":
+        os.replace(folder.with_suffix(".json"), folder / "ended.json")
+
+
+def main() -> None:
+    """Train what is missing."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--only", default=",".join(COMPARED))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--steps", type=int, default=8000)
+    parser.add_argument("--ship", action="store_true")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    pack = options.out / "pack.npz"
+    if not pack.exists():
+        subprocess.run(["pb4u", "assets", "pack", str(pack), "--preset", "comparison"], check=True)
+    for name in options.only.split(","):
+        folder = options.out / (name if options.seed == 0 else f"{name}-seed{options.seed}")
+        train(name, folder, pack, options.steps, options.seed)
+        if options.ship:
+            shutil.copy(folder / "best.safetensors", WEIGHTS / f"comparison-{folder.name}.safetensors")
+
+
+if __name__ == "__main__":
+    main()
