@@ -89,7 +89,7 @@ class Solver:
         forcing: relative tolerance of the linear solves.
     """
 
-    def __init__(self, tolerance: float = 1e-3, max_iterations: int = 60, forcing: float = 0.05) -> None:
+    def __init__(self, tolerance: float = 1e-3, max_iterations: int = 100, forcing: float = 0.05) -> None:
         self.tolerance, self.max_iterations, self.forcing = tolerance, max_iterations, forcing
         self._garments: PackedGarments | None = None
         self._pattern: StiffnessPattern
