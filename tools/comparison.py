@@ -2,7 +2,8 @@
 
 python tools/comparison.py --out FOLDER [--only pb4u,mgn] [--seed 0] [--steps 8000] [--ship]
 
-Killed at any instant, the same command goes on where it was; several may share the folder, each with its own --only.
+The weights of the end are compared, so that all have had the same budget. Killed at any instant, the same command goes
+on where it was; several may share the folder, each with its own --only.
 --ship copies the finished weights to where the package looks for them, under the names that `pb4u evaluate` compares.
 """
 
@@ -76,7 +77,7 @@ def main() -> None:
         folder = options.out / (name if options.seed == 0 else f"{name}-seed{options.seed}")
         train(name, folder, pack, options.steps, options.seed)
         if options.ship:
-            shutil.copy(folder / "best.safetensors", WEIGHTS / f"comparison-{folder.name}.safetensors")
+            shutil.copy(folder / "final.safetensors", WEIGHTS / f"comparison-{folder.name}.safetensors")
 
 
 if __name__ == "__main__":

@@ -41,6 +41,9 @@ def test_the_loss_falls_and_what_is_kept_can_be_simulated_with(tmp_path: Path) -
     assert checkpoint.record.propagation_steps == (1, 3)
     assert checkpoint.record.mean_edge_lengths == trainer.data.edge_lengths
     assert trainer.folder is not None
+    final = load_checkpoint(trainer.folder.final).model.state_dict()
+    for name, averaged in trainer.learner.average.values.items():
+        assert torch.equal(final[name], averaged), name
     lines = trainer.folder.metrics()
     assert {"stretch", "bending", "collision", "gravity", "friction", "inertia"} <= set(lines[0])
     assert [line["step"] for line in lines if "total" in line] == sorted(

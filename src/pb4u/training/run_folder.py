@@ -5,6 +5,7 @@
 * metrics.jsonl: a line every so many steps, and one for each validation and incident
 * last.safetensors: everything a training needs to go on
 * best.safetensors: the averaged weights that did best in validation, as `--model` takes them
+* final.safetensors: the averaged weights of the end
 * curve.png: the run at a glance
 """
 
@@ -25,7 +26,7 @@ from pb4u.errors import InputError
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
-LAST, BEST, CURVE = "last.safetensors", "best.safetensors", "curve.png"
+LAST, BEST, FINAL, CURVE = "last.safetensors", "best.safetensors", "final.safetensors", "curve.png"
 
 
 class NotSavedError(InputError):
@@ -93,6 +94,10 @@ class RunFolder:
     def best(self) -> Path:
         return self.path / BEST
 
+    @property
+    def final(self) -> Path:
+        return self.path / FINAL
+
     def save_state(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
         """Replace the last checkpoint at once. Raises NotSavedError where it cannot be written."""
         content = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
@@ -135,7 +140,7 @@ class RunFolder:
 
     def forget_leftovers(self) -> None:
         """Delete what a killed process had begun to write."""
-        for name in (CONFIGURATION, DATA, METRICS, LAST, BEST):
+        for name in (CONFIGURATION, DATA, METRICS, LAST, BEST, FINAL):
             for leftover in self.path.glob(f".{name}.*"):
                 leftover.unlink(missing_ok=True)
 

@@ -8,13 +8,13 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
-from pb4u.evaluation.metrics import DIVERGED_STRAIN
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 from pb4u.simulation.first_frame import SETTLING_DT
@@ -25,6 +25,7 @@ from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
 from pb4u.training.explosion_guard import ExplosionGuard
 from pb4u.training.learner import Learner
+from pb4u.training.lost_garment import is_lost
 from pb4u.training.objective import (
     LearningPredictor,
     comparable_total,
@@ -36,14 +37,12 @@ from pb4u.training.objective import (
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.progress import Reporter
 from pb4u.training.run_folder import NotSavedError, RunFolder
-from pb4u.training.validation import Score, Validation, strain_percentile
+from pb4u.training.validation import Score, Validation
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Sampler, Window, WindowLoader
 
 MOST_ROLLBACKS = 8
 IMPROVEMENT = 0.005
-LOST_TO_THE_BODY = 2e-6
-"""Collision term over its weight [m^5], a garment, above which it has sunk in: a quarter of a T-shirt 2 cm deep."""
 
 
 class TrainingFailedError(Pb4uError):
@@ -100,6 +99,7 @@ class Trainer:
             ending = self._ending()
         if ending != "stopped":
             self._validate()
+            self._save_final()
         self._checkpoint(exact=True, insist=True)
         return ending
 
@@ -168,14 +168,10 @@ class Trainer:
             state = State(after.positions.detach(), after.velocities.detach(), after.frame)
             if settling:
                 state = self._set_off(window, state)
-            if self.workers.agreed(self._lost(window, state)):
+            skinned = window.skinned[state.frame]
+            if self.workers.agreed(is_lost(window.garments, state.positions, skinned, self.latest_collision)):
                 break
         return True
-
-    def _lost(self, window: Window, state: State) -> bool:
-        """Whether a garment came apart or sank into the body; the collision term is that of the latest step."""
-        sunk = self.latest_collision > LOST_TO_THE_BODY
-        return sunk or strain_percentile(window.garments, state.positions) > DIVERGED_STRAIN
 
     def _set_off(self, window: Window, settled: State) -> State:
         """A settled garment, still in the row where it settled, with the velocity that it sets off with."""
@@ -274,12 +270,21 @@ class Trainer:
         self.reporter.validated(self.counters.step, score, self.counters.flat == 0)
 
     def _save_best(self, score: Score) -> None:
-        if not (self.workers.leads and self.folder):
+        if self.folder:
+            self._save_weights(self.folder.best, asdict(score))
+
+    def _save_final(self) -> None:
+        """Keep the averaged weights of the end, which is what trainings of one budget are compared by."""
+        if self.folder:
+            self.learner.average.swap(self.model)
+            self._save_weights(self.folder.final, {})
+            self.learner.average.swap(self.model)
+
+    def _save_weights(self, path: Path, score: dict[str, float]) -> None:
+        if not self.workers.leads:
             return
         try:
-            save_checkpoint(
-                self.folder.best, self.model, self.configuration.network, self.record(asdict(score)), "Apache-2.0"
-            )
+            save_checkpoint(path, self.model, self.configuration.network, self.record(score), "Apache-2.0")
         except InputError as error:
             self.reporter.said(f"{error} The training goes on.")
 

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from pb4u.evaluation.metrics import DIVERGED_STRAIN
 from pb4u.garment.material import MATERIALS
-from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 from pb4u.simulation.step import Situation, StepParts, step
 from pb4u.training.configuration import TrainingConfiguration
+from pb4u.training.lost_garment import is_lost, strain_percentile
 from pb4u.training.objective import REFERENCE_WEIGHT, LearningPredictor, step_energies
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.windows import Sample, WindowLoader
@@ -27,7 +24,7 @@ class Score:
     """The outcome of a validation.
 
     Args:
-        survived: share of all frames that came before their clip diverged.
+        survived: share of all frames that came before their garment was lost.
         energy: mean of the potential of those frames [J].
         strain: mean of their 95th percentile strains.
     """
@@ -82,7 +79,7 @@ class Validation:
         return Score(survived / total, energy / count if survived else math.inf, strain / count)
 
     def _rollout(self, model: AccelerationModel, sample: Sample) -> tuple[int, float, float]:
-        """Frames before divergence, and the sums of their energies [J] and strains."""
+        """Frames before the garment is lost, and the sums of their energies [J] and strains."""
         window = self.loader.load([sample], self.frames)
         prepared = model.prepare(window.garments)
         parts = StepParts(LearningPredictor(model, prepared, passes=model.network.passes))
@@ -92,16 +89,11 @@ class Validation:
             after = step(situation, parts)
             if not bool(torch.isfinite(after.positions).all()):
                 return frame, energy, strain
-            stretched = strain_percentile(window.garments, after.positions)
-            if stretched > DIVERGED_STRAIN:
+            energies = step_energies(situation, after.positions, REFERENCE_WEIGHT)
+            collision = float(energies.terms["collision"].sum()) / REFERENCE_WEIGHT
+            if is_lost(window.garments, after.positions, window.skinned[after.frame], collision):
                 return frame, energy, strain
-            energy += float(step_energies(situation, after.positions, REFERENCE_WEIGHT).total)
-            strain += stretched
+            energy += float(energies.total)
+            strain += strain_percentile(window.garments, after.positions)
             state = after if frame else State(after.positions, window.skinned_velocity(state.frame), state.frame)
         return self.frames, energy, strain
-
-
-def strain_percentile(garments: PackedGarments, positions: Tensor) -> float:
-    """Area-weighted 95th percentile of the strains of a pack of one garment."""
-    strains = face_strains(positions, garments.faces, garments.inverse_rest_shape)
-    return float(weighted_percentile(strains, garments.face_areas, 95.0))

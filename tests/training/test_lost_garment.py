@@ -1,0 +1,36 @@
+"""A garment is lost when it came apart, came off or sank in, and not before."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tests.training.ball_data import sheet
+
+from pb4u.scene.packed import pack
+from pb4u.training.lost_garment import FALLEN, SUNK, is_lost, strain_percentile
+
+
+@pytest.mark.parametrize(
+    ("stretch", "fall", "collision", "lost"),
+    [
+        (1.0, 0.0, 0.0, False),
+        (1.5, 0.0, 0.9 * SUNK, False),
+        (1.7, 0.0, 0.0, True),
+        (1.0, 0.9 * FALLEN, 0.0, False),
+        (1.0, 1.1 * FALLEN, 0.0, True),
+        (1.0, 0.0, 1.1 * SUNK, True),
+        (float("nan"), 0.0, 0.0, True),
+    ],
+)
+def test_a_garment_is_lost_when_apart_off_or_sunk(stretch, fall, collision, lost):
+    garments = pack([sheet(6)])
+    rest = garments.rest_positions.clone()
+    rest[:, 1] = 0.0
+    positions = stretch * rest - torch.tensor([0.0, fall, 0.0])
+    # The body is stretched alike, so that only the fall sets them apart.
+    assert is_lost(garments, positions, stretch * rest, collision) is lost
+
+
+def test_the_strain_of_a_uniform_stretch_is_its_excess():
+    garments = pack([sheet(6)])
+    assert strain_percentile(garments, 1.25 * garments.rest_positions) == pytest.approx(0.25, abs=1e-5)
