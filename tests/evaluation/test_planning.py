@@ -47,7 +47,7 @@ def test_every_protocol_plans_without_any_weights(monkeypatch: pytest.MonkeyPatc
 
 def test_models_without_weights_are_one_line_unless_they_were_named() -> None:
     (line,) = plan(Request("ablation")).absent
-    assert "pb4u-small-without-scaling" in line
+    assert "comparison-pb4u-without-scaling" in line
     with pytest.raises(InputError, match="There is no model 'pb4u-smal'"):
         plan(replace(SMALL, models=("pb4u-smal",)))
 

@@ -17,12 +17,20 @@ from pb4u.evaluation.views import (
 )
 from pb4u.scene.catalogue import MOTIONS, RECORDINGS, TRAINING_GARMENTS, UNSEEN_GARMENTS
 
-_NETWORKS = ("pb4u", "pb4u-small", "mgn-small", "hood-small", "eslr-small", "contourcraft-small")
-_ABLATIONS = (
+_NETWORKS = (
+    "pb4u",
     "pb4u-small",
-    "pb4u-small-without-control",
-    "pb4u-small-without-scaling",
-    "pb4u-small-without-both",
+    "comparison-pb4u",
+    "comparison-mgn",
+    "comparison-hood",
+    "comparison-eslr",
+    "comparison-contourcraft",
+)
+_ABLATIONS = (
+    "comparison-pb4u",
+    "comparison-pb4u-without-control",
+    "comparison-pb4u-without-scaling",
+    "comparison-pb4u-without-both",
 )
 
 
@@ -90,7 +98,7 @@ UNSEEN = Protocol(
 DEPTH = Protocol(
     name="depth",
     reproduces="The paper's figure of the loss against the number of propagation steps at three resolutions.",
-    models=("pb4u", "pb4u-small", "solver"),
+    models=("pb4u", "pb4u-small", "comparison-pb4u", "solver"),
     garments=("dress",),
     motions=("walk",),
     recordings=("07_02",),
