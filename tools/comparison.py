@@ -19,7 +19,7 @@ from pathlib import Path
 FIXED_DEPTH = ("most_propagation_steps=0",)
 
 COMPARED = {
-    "pb4u": ("network=pb4u_small",),
+    "pb4u": ("network=pb4u_small_descent",),
     "mgn": ("network=mgn_small",),
     "hood": ("network=hood_small",),
     "eslr": ("network=eslr_small",),
@@ -30,9 +30,9 @@ COMPARED = {
     "mgn-relative": ("network=mgn_relative_small",),
     "hood-metric": ("network=hood_metric_small",),
     "pb4u-mean-scaling": ("network=small_mean_scaling",),
-    "pb4u-one-level": ("network=pb4u_small", "data.triangles=1200"),
-    "pb4u-ruled-steps": ("network=pb4u_small", *FIXED_DEPTH),
-    "pb4u-descent": ("network=pb4u_small_descent",),
+    "pb4u-one-level": ("network=pb4u_small_descent", "data.triangles=1200"),
+    "pb4u-ruled-steps": ("network=pb4u_small_descent", *FIXED_DEPTH),
+    "pb4u-paper-features": ("network=pb4u_small",),
     "pb4u-passes": ("network=pb4u_small_passes",),
 }
 """What is trained, by the name it gets: the comparison, its ablations, and the experiments of the lab log."""

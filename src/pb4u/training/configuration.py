@@ -203,7 +203,7 @@ def _parsed(key: str, present: Any, text: str) -> Any:
         elif not isinstance(value, tuple):
             value = (value,)
         wanted = {type(entry) for entry in present}
-        if value and (not wanted or all(_fits(entry, wanted) for entry in value)):
+        if value and all(_fits(entry, wanted) for entry in value):
             return value
     elif isinstance(value, int) and not isinstance(value, bool) and isinstance(present, float):
         return float(value)

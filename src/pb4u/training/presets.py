@@ -6,7 +6,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 
 from pb4u.errors import InputError
-from pb4u.presets.networks import pb4u_paper, pb4u_small, pb4u_small_passes
+from pb4u.presets.networks import pb4u_paper, pb4u_small, pb4u_small_descent, pb4u_small_passes
 from pb4u.training.configuration import DataSelection, TrainingConfiguration
 from pb4u.training.curriculum import Curriculum
 
@@ -33,7 +33,7 @@ small = TrainingConfiguration(
 
 comparison = replace(
     small,
-    network=pb4u_small,
+    network=pb4u_small_descent,
     data=DataSelection(garments=("tshirt", "dress"), triangles=(700, 1200), shapes=2, clips=96),
     curriculum=Curriculum(
         window_steps=((0.0, 1), (0.03, 2), (0.06, 3), (0.1, 5), (0.4, 10), (0.7, 20)),
