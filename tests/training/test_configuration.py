@@ -52,6 +52,7 @@ def test_settings_replace_fields_of_every_kind() -> None:
         ("batch", "has no ="),
         ("batch=0", "batch must be 1 or more"),
         ("data.triangles=many", "of another kind"),
+        ("network.layout.extra=descent", "of another kind"),
         ("after_settling=fast", "one of skinned, slowed, zero, carried"),
     ],
 )
