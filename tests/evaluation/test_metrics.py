@@ -79,11 +79,13 @@ def test_divergence_is_stretch_or_falling_off_or_nan() -> None:
     assert measure(trajectory_of(1.7 * still))["diverged"]
     skinned = still.mean(axis=1)
     assert not measure(trajectory_of(still), skinned)["diverged"]
+    assert measure(trajectory_of(still), skinned)["diverged_at"] is None
     assert measure(trajectory_of(still), skinned + [0, 0.6, 0])["diverged"]
     broken = still.copy()
     broken[1, 3] = np.nan
     measured = measure(trajectory_of(broken))
     assert measured["diverged"]
+    assert measured["diverged_at"] == 1
     assert np.isfinite(measured["metrics"]["stretch"]["per_frame"][0])
 
 

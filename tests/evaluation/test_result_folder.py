@@ -79,8 +79,9 @@ def test_failures_are_kept_until_they_are_forgotten_or_mended(tmp_path: Path) ->
 
 def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept(tmp_path / "run")
-    monkeypatch.setattr(result_folder, "PROTOCOL_VERSION", 7)
-    with pytest.raises(InputError, match=r"with protocols of version 1, and this is .* with version 7"):
+    present = result_folder.PROTOCOL_VERSION
+    monkeypatch.setattr(result_folder, "PROTOCOL_VERSION", 70)
+    with pytest.raises(InputError, match=rf"with protocols of version {present}, and this is .* with version 70"):
         opened(tmp_path / "run")
     monkeypatch.undo()
     monkeypatch.setattr(result_folder, "__version__", "9.9")

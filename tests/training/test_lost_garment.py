@@ -6,8 +6,9 @@ import pytest
 import torch
 from tests.training.ball_data import sheet
 
+from pb4u.evaluation.metrics import DIVERGED_DISTANCE
 from pb4u.scene.packed import pack
-from pb4u.training.lost_garment import FALLEN, SUNK, is_lost, strain_percentile
+from pb4u.training.lost_garment import SUNK, is_lost, strain_percentile
 
 
 @pytest.mark.parametrize(
@@ -16,8 +17,8 @@ from pb4u.training.lost_garment import FALLEN, SUNK, is_lost, strain_percentile
         (1.0, 0.0, 0.0, False),
         (1.5, 0.0, 0.9 * SUNK, False),
         (1.7, 0.0, 0.0, True),
-        (1.0, 0.9 * FALLEN, 0.0, False),
-        (1.0, 1.1 * FALLEN, 0.0, True),
+        (1.0, 0.9 * DIVERGED_DISTANCE, 0.0, False),
+        (1.0, 1.1 * DIVERGED_DISTANCE, 0.0, True),
         (1.0, 0.0, 1.1 * SUNK, True),
         (float("nan"), 0.0, 0.0, True),
     ],

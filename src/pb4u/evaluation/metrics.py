@@ -37,7 +37,7 @@ Progress = Callable[[int, int], None]
 def measure(
     trajectory: Trajectory, skinned: np.ndarray | None = None, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """`metrics`, `metrics_paper` and `diverged` of the command line's JSON contract.
+    """`metrics`, `metrics_paper`, `diverged` and the frame `diverged_at` (or None) of the command line's JSON.
 
     Args:
         trajectory: frames as written; the energies of a frame are those of the step that led to it. The first frame
@@ -54,10 +54,12 @@ def measure(
         paper_rows.append(paper_row)
         if progress:
             progress(t + 1, trajectory.frame_count)
+    diverged_at = _diverged_at(trajectory, rows, skinned)
     return {
         "metrics": _summary(rows, (*ENERGIES, *GEOMETRY)),
         "metrics_paper": _summary(paper_rows, ENERGIES),
-        "diverged": _diverged(trajectory, rows, skinned),
+        "diverged": diverged_at is not None,
+        "diverged_at": diverged_at,
     }
 
 
@@ -70,16 +72,17 @@ def _summary(rows: list[dict[str, float]], names: tuple[str, ...]) -> dict[str, 
     }
 
 
-def _diverged(trajectory: Trajectory, rows: list[dict[str, float]], skinned: np.ndarray | None) -> bool:
-    strain = np.array([row["strain_p95"] for row in rows])
-    if not np.isfinite(strain).all() or (strain > DIVERGED_STRAIN).any():
-        return True
-    if skinned is None:
-        return False
-    masses = garment_of(trajectory).vertex_masses
-    centres = np.einsum("v,tvd->td", masses / masses.sum(), trajectory.positions)
-    count = min(len(centres), len(skinned))
-    return bool((np.linalg.norm(centres[:count] - skinned[:count], axis=1) > DIVERGED_DISTANCE).any())
+def _diverged_at(trajectory: Trajectory, rows: list[dict[str, float]], skinned: np.ndarray | None) -> int | None:
+    """The first frame in which the run had diverged."""
+    # Not "exceeds": what is not a number has diverged too.
+    diverged = ~(np.array([row["strain_p95"] for row in rows]) <= DIVERGED_STRAIN)
+    if skinned is not None:
+        masses = garment_of(trajectory).vertex_masses
+        centres = np.einsum("v,tvd->td", masses / masses.sum(), trajectory.positions)
+        count = min(len(centres), len(skinned))
+        fell = np.linalg.norm(centres[:count] - skinned[:count], axis=1) > DIVERGED_DISTANCE
+        diverged[:count] |= fell
+    return int(diverged.argmax()) if diverged.any() else None
 
 
 def garment_of(trajectory: Trajectory) -> Garment:

@@ -111,8 +111,10 @@ def _paper_lines(axis: Any, summary: Summary, quantity: str) -> None:
 
 
 def _scale(axis: Any, quantity: str, means: Sequence[float]) -> None:
-    """Logarithmic; the total has no zero and any sign, and is so only where it explodes."""
-    if quantity != "total":
+    """Logarithmic; the total has no zero and any sign, and is so only where it explodes. Shares are linear."""
+    if quantity == "survived_percent":
+        axis.set_ylim(0.0, 105.0)
+    elif quantity != "total":
         if any(mean > 0 for mean in means):
             axis.set_yscale("log", nonpositive="mask")
     elif max(map(abs, means), default=0.0) > _EXPLODED:

@@ -129,7 +129,7 @@ ABLATION = Protocol(
     recordings=RECORDINGS["test"],
     levels=("11K", "25K", "38K"),
     varied="the network's parts",
-    views=(LevelTable(("total",)), AcrossLevels(("stretch", "total", "ratio", "penetration_percent")), PictureGrid()),
+    views=(LevelTable(("total",)), AcrossLevels(("stretch", "ratio", "survived_percent")), PictureGrid()),
 )
 
 PROTOCOLS: dict[str, Protocol] = {

@@ -97,6 +97,7 @@ def run(job: RolloutJob) -> Rolled:
         "metrics": {},
         "metrics_paper": {},
         "diverged": True,
+        "diverged_at": 0,
     }
     still = None
     if frames:
@@ -106,7 +107,9 @@ def run(job: RolloutJob) -> Rolled:
 
         trajectory = Trajectory.collect(header, frames)
         measured = measure(trajectory, skinned=skinned_centres(scene, trajectory))
-        result |= measured | {"diverged": measured["diverged"] or record.failed_at is not None}
+        result |= measured
+        if record.failed_at is not None and not measured["diverged"]:
+            result |= {"diverged": True, "diverged_at": len(frames)}
         result["pictured_frame"] = min(round(PICTURED * (job.scene.frames - 1)), len(frames) - 1)
         still = _still(trajectory, result["pictured_frame"])
     result["seconds"] = time.perf_counter() - began

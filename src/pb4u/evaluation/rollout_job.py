@@ -10,7 +10,7 @@ from typing import Any
 
 from pb4u import __version__
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 """Raised when a rollout or its measuring comes to mean something else, so that no older result is taken for it."""
 
 FPS = 30.0

@@ -58,6 +58,15 @@ class Row:
     def diverged(self) -> bool:
         return bool(self.result and self.result["diverged"])
 
+    @property
+    def survived_percent(self) -> float | None:
+        """Share of the frames asked for that came before the run diverged."""
+        if self.result is None:
+            return None
+        diverged_at = self.result["diverged_at"]
+        good = self.result["frames"] if diverged_at is None else diverged_at
+        return 100.0 * float(good) / self.case.job.scene.frames
+
     def mean(self, metric: str) -> float | None:
         """Mean over the frames of a metric in SI units."""
         return self._mean("metrics", metric)
@@ -72,6 +81,8 @@ class Row:
             return self.mean_paper(quantity)
         if quantity == "ratio":
             return self.ratio
+        if quantity == "survived_percent":
+            return self.survived_percent
         if quantity == "ms":
             return float(self.result["ms_per_step"]) if self.result else None
         return self.mean(quantity)
@@ -110,7 +121,7 @@ class Cell:
     diverged: int
 
 
-QUANTITIES = (*TERMS, "ratio", "strain_p95", "penetration_percent", "ms")
+QUANTITIES = (*TERMS, "ratio", "survived_percent", "strain_p95", "penetration_percent", "ms")
 
 
 def cell_of(level: str, model: str, steps: int | None, rows: list[Row]) -> Cell:

@@ -17,6 +17,7 @@ PAPER_MARK = "paper, other data"
 UNITS = {
     **dict.fromkeys(TERMS, "J"),
     "ratio": "",
+    "survived_percent": "%",
     "strain_p95": "",
     "penetration_percent": "%",
     "ms": "ms",
@@ -24,6 +25,7 @@ UNITS = {
 
 NAMES = {
     "ratio": "energy / floor",
+    "survived_percent": "frames before divergence",
     "strain_p95": "strain, 95th percentile",
     "penetration_percent": "penetration",
     "ms": "time a step",
@@ -51,6 +53,8 @@ def number(quantity: str, value: float) -> str:
         return f"{value:.2e}"
     if quantity == "ms":
         return f"{value:.1f}"
+    if quantity == "survived_percent":
+        return f"{value:.0f}"
     return f"{value:.3g}"
 
 
@@ -84,7 +88,7 @@ class TermsTable(View):
     def _level(self, summary: Summary, level: str, note: str) -> Table:
         cells = [summary.cell(level, model) for model in summary.plan.protocol.models]
         paper = paper_figures(summary.plan.protocol.name, level)
-        quantities = (*TERMS, "ratio", "strain_p95", "penetration_percent")
+        quantities = (*TERMS, "ratio", "survived_percent", "strain_p95", "penetration_percent")
         rows = [
             [
                 label(quantity),
@@ -117,7 +121,7 @@ class LevelTable(View):
         steps = any(cell.steps is not None for cell in summary.cells())
         rows: list[list[str]] = []
         theirs: list[int] = []
-        shown = (*self.quantities, "ratio", "penetration_percent")
+        shown = (*self.quantities, "ratio", "survived_percent", "penetration_percent")
         for level in summary.plan.protocol.levels:
             for cell in (cell for cell in summary.cells() if cell.level == level):
                 values = [with_spread(quantity, cell.quantities[quantity]) for quantity in shown]
@@ -139,7 +143,7 @@ class AcrossLevels(View):
         quantities: a panel each.
     """
 
-    quantities: tuple[str, ...] = ("stretch", "bending", "collision", "inertia", "friction", "ratio")
+    quantities: tuple[str, ...] = ("stretch", "bending", "collision", "inertia", "ratio", "survived_percent")
 
     def draw(self, summary: Summary) -> list[Block]:
         from pb4u.evaluation.plots import across_levels
