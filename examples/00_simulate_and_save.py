@@ -30,7 +30,7 @@ def main() -> None:
         options.garment, options.body, options.motion, triangles=options.triangles, frames=options.frames
     )
 
-    # A simulator turns a scene into a trajectory. "auto" is the best network installed, or else the solver.
+    # A simulator turns a scene into a trajectory. "auto" is the solver; pb4u-small is a network.
     simulator = pb4u.load_simulator(options.model)
     trajectory = simulator.simulate(scene)
 

@@ -54,12 +54,12 @@ def parameter_count(name: str) -> int:
 
 
 def mlp(inputs: int) -> int:
-    """Two hidden layers and an output, 128 wide, with a LayerNorm (reference 0)."""
+    """Two hidden layers and an output, 128 wide, with a LayerNorm."""
     return 128 * inputs + 33_408
 
 
 def test_parameter_counts_are_those_of_the_released_code():
-    """Reference 0, in millions: MGN 3.85 and 12.03, HOOD 5.15, ContourCraft 8.52.
+    """The released code's, in millions: MGN 3.85 and 12.03, HOOD 5.15, ContourCraft 8.52.
 
     HOOD's released code builds an encoder for a third coarse level that nothing reads, ContourCraft's for three:
     without them 5.11 and 8.41. Our type embedding has 3 rows where theirs has 9.

@@ -60,7 +60,7 @@ class LevelsByHops:
 
 @dataclass(frozen=True)
 class LevelsByLength:
-    """Levels whose edges are about so long at every resolution; not in the paper (reference 9.5).
+    """Levels whose edges are about so long at every resolution; our own, not published.
 
     Args:
         near, far: lengths [m] of coarse edges; HOOD's at the 15 mm of its training meshes by default.

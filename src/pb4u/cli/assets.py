@@ -174,9 +174,12 @@ def _tell(json: str | None, **summary: Any) -> None:
 @group.command("pack")
 def pack(
     out: Annotated[Path, typer.Argument(help="The .npz to write.", show_default=False)],
-    preset: Annotated[str, typer.Option(help="Training whose garments, bodies and motions are packed.")] = "small",
+    preset: Annotated[
+        str, typer.Option(help="Training whose data is packed: small, comparison, paper or smoke.")
+    ] = "small",
     recordings: Annotated[
-        Path | None, typer.Option(help="Folder of CMU recordings to pack as well, SUBJECT/TRIAL.amc.")
+        Path | None,
+        typer.Option(help="Folder of CMU recordings to pack as well, SUBJECT/TRIAL.amc beside SUBJECT.asf."),
     ] = None,
     set_: Annotated[
         list[str] | None,
@@ -205,7 +208,8 @@ def pack(
     if json != "-":
         print(
             f"{out}: {len(data.bodies)} bodies, {len(data.outfits)} garments, {len(data.clips)} clips, "
-            f"{out.stat().st_size / 1e6:.1f} MB; train with `python -m pb4u.training --pack {out.name} --out RUN`."
+            f"{out.stat().st_size / 1e6:.1f} MB; train with `python -m pb4u.training --pack {out.name} --preset "
+            f"{preset} --out RUN`, and the same --set."
         )
 
 

@@ -19,7 +19,10 @@ def register(app: typer.Typer) -> None:
 
 def check(
     file: Annotated[
-        str | None, typer.Argument(metavar="[GARMENT]", help="The garment, as for --garment.", show_default=False)
+        str | None,
+        typer.Argument(
+            metavar="GARMENT", help="Built-in garment or mesh file; the same as --garment.", show_default=False
+        ),
     ] = None,
     garment: Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Built-in garment or mesh file.")] = None,
     body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = "woman",

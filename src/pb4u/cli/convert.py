@@ -25,7 +25,12 @@ def register(app: typer.Typer) -> None:
 
 def convert(
     trajectory: Annotated[Path, typer.Argument(help="Trajectory .npz written by `pb4u simulate`.", show_default=False)],
-    out: Annotated[Path, typer.Argument(help="File to write; the suffix chooses the format.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Argument(
+            help="File to write: .npz .obj .pc2 .mdd .usdc .usda .usdz .glb .png .jpg .gif .mp4.", show_default=False
+        ),
+    ],
     every: Annotated[int, typer.Option(help="Keep every N-th frame; the frame rate is divided by N.")] = 1,
     range_: Annotated[
         FrameRange | None,

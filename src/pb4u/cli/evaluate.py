@@ -66,7 +66,10 @@ def evaluate(
     ] = 30,
     recordings: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of CMU recordings, SUBJECT/TRIAL.amc; they replace built-in motions."),
+        typer.Option(
+            metavar="DIR",
+            help="Folder of CMU recordings, SUBJECT/TRIAL.amc beside SUBJECT.asf; they replace built-in motions.",
+        ),
     ] = None,
     refine: Annotated[int, typer.Option(metavar="N", help="Solver iterations after each step of a network.")] = 0,
     contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = Switch.off,

@@ -47,7 +47,10 @@ def simulate(
         ),
     ] = "tshirt",
     body: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Built-in body, SMPL-family model file, or a sequence of vertices.")
+        str,
+        typer.Option(
+            metavar="NAME|FILE", help="woman, man, anny (extra), SMPL-family model file, or a sequence of vertices."
+        ),
     ] = "woman",
     body_shape: Annotated[
         BodyShape | None,
@@ -63,7 +66,7 @@ def simulate(
             show_default=False,
         ),
     ] = None,
-    fps: Annotated[float, typer.Option(help="Frames per second.")] = 30.0,
+    fps: Annotated[float, typer.Option(help="Frames per second; networks run at their own.")] = 30.0,
     lead_in: Annotated[
         int, typer.Option(help="Frames from the rest pose into the motion, simulated but not written.")
     ] = 30,
@@ -77,7 +80,8 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Vertices that follow the body: none, waist, loop:N or a file of indices. Default: the garment's own.",
+            help="Vertices that follow the body: none, waist (highest border), hem (lowest), loop:N (border with the "
+            "N-th most vertices), or a file of indices. Default: the garment's own.",
         ),
     ] = None,
     triangles: Annotated[
@@ -93,7 +97,7 @@ def simulate(
         str,
         typer.Option(
             metavar="NAME|FILE",
-            help="A network (name or checkpoint), solver, skinning or newton. Default: pb4u if installed, else solver.",
+            help="solver, skinning, newton, or a network: pb4u-small or a .safetensors file. Default: the solver.",
         ),
     ] = "auto",
     propagation_steps: Annotated[
@@ -101,7 +105,7 @@ def simulate(
     ] = None,
     passes: Annotated[
         int | None,
-        typer.Option(help="Passes of a network a step; default its own number, or 1 where the solver refines."),
+        typer.Option(help="How often a network is asked in each step. Default: its own number, or 1 with --refine."),
     ] = None,
     refine: Annotated[int, typer.Option(metavar="N", help="Solver iterations after each step of a network.")] = 5,
     contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = Switch.on,
@@ -111,7 +115,8 @@ def simulate(
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="File to write, repeatable; the suffix chooses the format. Default: GARMENT_MOTION.npz, .glb, .mp4.",
+            help="File to write, repeatable: .npz .obj .pc2 .mdd .usdc .usda .usdz .glb .png .jpg .gif .mp4. "
+            "Default: GARMENT_MOTION with .npz, .glb, .png and .mp4.",
         ),
     ] = None,
     json: Annotated[

@@ -19,12 +19,23 @@ def train(
     preset: Annotated[
         str | None,
         typer.Option(
-            help="Which training: small (two cores), paper (an accelerator), smoke (seconds). Default: small."
+            help="Which training: small (two cores, the default), comparison (one core, 20 minutes; what networks are "
+            "compared by), paper (an accelerator), smoke (seconds)."
         ),
     ] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Optimiser steps; default the preset's own number.")] = None,
-    minutes: Annotated[float | None, typer.Option(help="Wall time in minutes, instead of steps or besides.")] = None,
-    out: Annotated[Path | None, typer.Option(help="New folder to keep the training in.")] = None,
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Optimiser steps in all, those before --resume included. Default: the preset's own number."
+        ),
+    ] = None,
+    minutes: Annotated[
+        float | None,
+        typer.Option(help="Wall time in minutes in all, instead of steps, or besides: whichever ends first."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="New folder to keep the training in; this or --resume is needed.")
+    ] = None,
     resume: Annotated[Path | None, typer.Option(help="Folder of a training to go on with, instead of --out.")] = None,
     pack: Annotated[
         Path | None, typer.Option(help="Training data that `pb4u assets pack` wrote; default: made from the preset.")
@@ -40,7 +51,7 @@ def train(
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     json: Annotated[str | None, typer.Option(help="Write how it ended as JSON to a file, or '-'.")] = None,
 ) -> None:
-    """Train a network. Killed at any instant it goes on with --resume; an interrupt saves and ends."""
+    """Train a network. After a kill, --resume goes on from the last checkpoint; an interrupt saves and ends."""
     from pb4u.training.session import Request
     from pb4u.training.session import train as run
 

@@ -150,7 +150,8 @@ def _check_numbers(request: Request) -> None:
         raise InputError(f"There is no folder of recordings {request.recordings}.")
     for name in ("models", "garments", "motions", "bodies", "levels", "steps"):
         if getattr(request, name) == ():
-            raise InputError(f"--{name} names nothing; give at least one, or leave it out.")
+            flag = "propagation-steps" if name == "steps" else name
+            raise InputError(f"--{flag} names nothing; give at least one, or leave it out.")
 
 
 def _garment(name: str) -> str:

@@ -52,7 +52,7 @@ class FixedSteps:
 
 
 class RandomSteps:
-    """Training: a number drawn anew each time, from 1 up to the K of the finest mesh supported (ref. 7, row 7)."""
+    """Training: a number drawn anew each time, from 1 up to the K of the finest mesh supported (ref. 7)."""
 
     def __init__(self, most: int, generator: np.random.Generator, least: int = 1) -> None:
         if not 1 <= least <= most:

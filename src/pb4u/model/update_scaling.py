@@ -34,7 +34,7 @@ class PerVertexScaling:
 
 @dataclass(frozen=True)
 class MeanScaling:
-    """The released form: one factor a garment, its mean rest edge length / L_ref (ref. 7, row 9: L_ref = 1 cm).
+    """The released form: one factor a garment, its mean rest edge length / L_ref (ref. 7: L_ref = 1 cm).
 
     Args:
         reference_length: L_ref [m].

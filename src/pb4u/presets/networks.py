@@ -61,7 +61,7 @@ mgn = MeshGraphNetConfiguration()
 mgn_48 = replace(mgn, blocks=48)
 
 mgn_relative = replace(mgn, layout=FeatureLayout())
-"""Our edge features in MeshGraphNet, which the paper's tables never show alone (reference 8, a)."""
+"""Our edge features in MeshGraphNet, which the paper's tables never show alone (reference 8)."""
 
 hood = HoodConfiguration()
 
