@@ -45,7 +45,8 @@ def test_every_protocol_plans_without_any_weights(monkeypatch: pytest.MonkeyPatc
         assert len({job.key for job in planned.jobs}) == len(planned.jobs)
 
 
-def test_models_without_weights_are_one_line_unless_they_were_named() -> None:
+def test_models_without_weights_are_one_line_unless_they_were_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pb4u.simulation.checkpoint.built_in_models", lambda: ("comparison-pb4u",))
     (line,) = plan(Request("ablation")).absent
     assert "comparison-pb4u-without-scaling" in line
     with pytest.raises(InputError, match="There is no model 'pb4u-smal'"):

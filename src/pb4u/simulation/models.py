@@ -14,7 +14,7 @@ def model_descriptions() -> dict[str, str]:
     """Name -> one line, of every simulator that needs no file."""
     from pb4u.simulation.checkpoint import built_in_models
 
-    descriptions = dict.fromkeys(built_in_models(), "trained network")
+    descriptions = {name: _network_line(name) for name in built_in_models()}
     descriptions |= {
         "solver": "minimises the physics energies each frame: the reference",
         "skinning": "no physics: the garment follows the body",
@@ -22,6 +22,10 @@ def model_descriptions() -> dict[str, str]:
         + ("" if find_spec("newton") else ' (needs the "newton" extra)'),
     }
     return descriptions
+
+
+def _network_line(name: str) -> str:
+    return "network of the comparison in docs/results.md" if name.startswith("comparison-") else "trained network"
 
 
 def default_model() -> str:
