@@ -21,7 +21,7 @@ from pb4u.evaluation.planning import Request
 from pb4u.evaluation.protocols import PROTOCOLS
 from pb4u.evaluation.rollout import attempt
 from pb4u.evaluation.rollout_job import RolloutJob, SceneRecord
-from pb4u.evaluation.session import evaluate
+from pb4u.evaluation.session import evaluate, told_once
 from pb4u.evaluation.views import TermsTable
 from pb4u.scene.scene import Scene
 
@@ -222,3 +222,10 @@ def test_unexpected_errors_come_back_as_a_sentence(tmp_path: Path, monkeypatch: 
     assert {failure["sentence"] for failure in results["failures"]} == {
         "It broke off unexpectedly: ZeroDivisionError: division by zero"
     }
+
+
+def test_notes_that_differ_in_numbers_alone_are_told_once() -> None:
+    notes = ["dress: edges of 18.5 mm", "dress: edges of 27.4 mm", "tshirt: edges of 13.1 mm", "dress: edges of 9 mm"]
+    first, second = told_once(notes)
+    assert first == "dress: edges of 18.5 mm (2 more with other numbers, in results.json.)"
+    assert second == "tshirt: edges of 13.1 mm"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, closing
 from dataclasses import asdict
 from pathlib import Path
@@ -145,8 +146,7 @@ def _remarks(summary: Summary) -> list[Block]:
         lines = [f"{failure.job}: {failure.sentence}" for failure in summary.failures]
         blocks.append(Remark("Rollouts that could not be made", lines))
     results = [row.result for row in summary.rows if row.result]
-    notes = list(dict.fromkeys(note for result in results for note in result["notes"]))
-    if notes:
+    if notes := told_once(dict.fromkeys(note for result in results for note in result["notes"])):
         blocks.append(Remark("Notes", notes))
     machines = dict.fromkeys(
         ", ".join(f"{key} {value}" for key, value in result["machine"].items()) for result in results
@@ -159,3 +159,14 @@ def _remarks(summary: Summary) -> list[Block]:
         ]
         blocks.append(Remark("Made on", lines))
     return blocks
+
+
+def told_once(notes: Iterable[str]) -> list[str]:
+    """Notes that differ in their numbers alone as one: the first, and how many more there are."""
+    alike: dict[str, list[str]] = {}
+    for note in notes:
+        alike.setdefault(re.sub(r"\d+(?:\.\d+)?", "#", note), []).append(note)
+    return [
+        first + (f" ({len(others)} more with other numbers, in results.json.)" if others else "")
+        for first, *others in alike.values()
+    ]

@@ -25,7 +25,7 @@ def model_descriptions() -> dict[str, str]:
 
 
 def _network_line(name: str) -> str:
-    return "network of the comparison in docs/results.md" if name.startswith("comparison-") else "trained network"
+    return "compared by `pb4u evaluate`" if name.startswith("comparison-") else "trained network"
 
 
 def default_model() -> str:
