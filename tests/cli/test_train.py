@@ -35,7 +35,8 @@ def test_a_training_leaves_weights_a_curve_and_a_way_to_go_on(pb4u: Call, pack: 
     assert Path(result["weights"]).is_file()
     names = {p.name for p in run.iterdir()}
     assert names == {
-        "configuration.json", "data.npz", "metrics.jsonl", "last.safetensors", "best.safetensors", "curve.png",
+        "configuration.json", "data.npz", "metrics.jsonl", "last.safetensors", "best.safetensors",
+        "final.safetensors", "curve.png",
     }  # fmt: skip
     assert json.loads((run / "configuration.json").read_text())["training"]["network"]["width"] == 4
     further = pb4u("train", "--resume", run, "--steps", 8, "--device", "cpu")
