@@ -16,6 +16,8 @@ _COLOURS = ("#0b6cb8", "#d1495b", "#2a9d63", "#8a4fbf", "#d98c00", "#1aa6a6", "#
 _REFERENCE = "#1c1c1e"
 _EXPLODED = 50.0
 """Total loss [J] beyond which a panel turns logarithmic."""
+_ENTRY_WIDTH, _ENTRY_HEIGHT = 2.6, 0.18
+"""Inches that an entry of the legend takes."""
 
 
 def _figure(columns: int, rows: int, width: float = 3.6, height: float = 2.9) -> tuple[Any, list[list[Any]]]:
@@ -23,7 +25,7 @@ def _figure(columns: int, rows: int, width: float = 3.6, height: float = 2.9) ->
     from matplotlib.figure import Figure
 
     # Narrow figures would push the legend below them out of the picture.
-    figure = Figure(figsize=(max(width * columns, 5.0), height * rows + 0.5), layout="constrained")
+    figure = Figure(figsize=(max(width * columns, 8.0), height * rows + 0.3), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(rows, columns, squeeze=False)
     for axis in panels.ravel():
@@ -43,11 +45,13 @@ def _finish(figure: Any, panels: Sequence[Sequence[Any]]) -> bytes | None:
         return None
     # The run's own first.
     names = sorted(entries, key=lambda name: PAPER_MARK in name)
+    columns = max(1, min(len(entries), int(figure.get_figwidth() / _ENTRY_WIDTH)))
+    figure.set_figheight(figure.get_figheight() + _ENTRY_HEIGHT * -(-len(entries) // columns))
     figure.legend(
         [entries[name] for name in names],
         names,
         loc="outside lower center",
-        ncols=min(4, len(entries)),
+        ncols=columns,
         fontsize=8,
         frameon=False,
     )
@@ -66,7 +70,9 @@ def _style(model: str, models: Sequence[str]) -> dict[str, Any]:
 def across_levels(summary: Summary, quantities: Sequence[str]) -> bytes | None:
     """Panels of quantities against the number of triangles; the paper's lines dotted."""
     protocol = summary.plan.protocol
-    if len(protocol.levels) < 2:
+    drawn = {name for cell in summary.cells() for name, value in cell.quantities.items() if value is not None}
+    quantities = [quantity for quantity in quantities if quantity in drawn]
+    if len(protocol.levels) < 2 or not quantities:
         return None
     columns = min(3, len(quantities))
     figure, panels = _figure(columns, -(-len(quantities) // columns))
