@@ -95,9 +95,8 @@ class RacingSimulator(SolverSimulator):
             checkpoint = from_pretrained(name)
             for passes in sorted({1, checkpoint.model.network.passes}):
                 network = NetworkSimulator(checkpoint, passes=passes)
-                starts[f"{Path(name).stem}, {passes} pass{'es' * (passes > 1)}"] = network.parts(
-                    stage, record
-                ).predictor
+                label = f"{Path(name).stem}, {passes} pass{'es' * (passes > 1)}"
+                starts[label] = network.parts(stage, record).predictor
         self.race = Race(parts.predictor, starts, self.lead_in)
         return StepParts(self.race, parts.refinement, parts.contact)
 

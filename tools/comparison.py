@@ -27,6 +27,10 @@ COMPARED = {
     "pb4u-without-control": ("network=small_without_propagation_control", *FIXED_DEPTH),
     "pb4u-without-scaling": ("network=small_without_update_scaling",),
     "pb4u-without-both": ("network=small_without_both", *FIXED_DEPTH),
+}
+"""The comparison and its ablations, by the name each gets."""
+
+EXPERIMENTS = {
     "mgn-relative": ("network=mgn_relative_small",),
     "hood-metric": ("network=hood_metric_small",),
     "pb4u-mean-scaling": ("network=small_mean_scaling",),
@@ -35,7 +39,7 @@ COMPARED = {
     "pb4u-paper-features": ("network=pb4u_small",),
     "pb4u-passes": ("network=pb4u_small_passes",),
 }
-"""What is trained, by the name it gets: the comparison, its ablations, and the experiments of the lab log."""
+"""What --only can name besides: other parts in one place, never shipped by default."""
 
 WEIGHTS = Path(__file__).parents[1] / "src" / "pb4u" / "simulation" / "weights"
 
@@ -44,14 +48,15 @@ def train(name: str, folder: Path, pack: Path, steps: int, seed: int) -> None:
     """Train one network, or go on with it."""
     if (folder / "ended.json").exists():
         return
+    chosen = (COMPARED | EXPERIMENTS)[name]
     if (folder / "last.safetensors").exists():
         wanted = ["--resume", str(folder)]
     else:
         shutil.rmtree(folder, ignore_errors=True)
-        settings = [part for setting in (*COMPARED[name], f"seed={seed}") for part in ("--set", setting)]
+        settings = [part for setting in (*chosen, f"seed={seed}") for part in ("--set", setting)]
         wanted = ["--preset", "comparison", "--steps", str(steps), "--out", str(folder), *settings]
         # Another choice of data is made by the training itself.
-        if not any(setting.startswith("data.") for setting in COMPARED[name]):
+        if not any(setting.startswith("data.") for setting in chosen):
             wanted += ["--pack", str(pack)]
     print(f"{name}: pb4u train {' '.join(wanted)}", flush=True)
     subprocess.run(["pb4u", "train", *wanted, "--json", str(folder.with_suffix(".json"))], check=True)
@@ -69,14 +74,17 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=8000)
     parser.add_argument("--ship", action="store_true")
     options = parser.parse_args()
+    names = options.only.split(",")
+    if unknown := [name for name in names if name not in COMPARED | EXPERIMENTS]:
+        parser.error(f"there is no {unknown[0]}; there are {', '.join(COMPARED | EXPERIMENTS)}")
     options.out.mkdir(parents=True, exist_ok=True)
     pack = options.out / "pack.npz"
     if not pack.exists():
         subprocess.run(["pb4u", "assets", "pack", str(pack), "--preset", "comparison"], check=True)
-    for name in options.only.split(","):
+    for name in names:
         folder = options.out / (name if options.seed == 0 else f"{name}-seed{options.seed}")
         train(name, folder, pack, options.steps, options.seed)
-        if options.ship:
+        if options.ship and (folder / "ended.json").exists():
             shutil.copy(folder / "final.safetensors", WEIGHTS / f"comparison-{folder.name}.safetensors")
 
 
