@@ -8,7 +8,7 @@ from tests.training.ball_data import sheet
 
 from pb4u.evaluation.metrics import DIVERGED_DISTANCE
 from pb4u.scene.packed import pack
-from pb4u.training.lost_garment import SUNK, is_lost, strain_percentile
+from pb4u.training.lost_garment import SUNK, drift_from, is_lost, strain_percentile
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,8 @@ def test_a_garment_is_lost_when_apart_off_or_sunk(stretch, fall, collision, lost
     rest[:, 1] = 0.0
     positions = stretch * rest - torch.tensor([0.0, fall, 0.0])
     # The body is stretched alike, so that only the fall sets them apart.
-    assert is_lost(garments, positions, stretch * rest, collision) is lost
+    drift = drift_from(stretch * rest, garments, positions)
+    assert is_lost(strain_percentile(garments, positions), drift, collision) is lost
 
 
 def test_the_strain_of_a_uniform_stretch_is_its_excess():

@@ -12,17 +12,21 @@ SUNK = 2e-6
 """Collision term over its weight [m^5], a garment, above which it has sunk in: a quarter of a T-shirt 2 cm deep."""
 
 
-def is_lost(garments: PackedGarments, positions: Tensor, skinned: Tensor, collision: float) -> bool:
+def is_lost(strain: float, drift: float, collision: float) -> bool:
     """Whether garments diverged as evaluation counts it, or sank into the body.
 
     Args:
-        garments: as packed. positions, skinned: (vertices, 3) [m]. collision: collision term over its weight [m^5].
+        strain: as `strain_percentile`. drift: as `drift_from` skinning [m].
+        collision: collision term over its weight [m^5].
     """
-    strain = strain_percentile(garments, positions)
-    share = garments.vertex_masses / garments.vertex_masses.sum()
-    distance = float((share[:, None] * (positions - skinned)).sum(0).norm())
     # So that what is not a number is lost.
-    return not (strain <= DIVERGED_STRAIN and distance <= DIVERGED_DISTANCE and collision <= SUNK)
+    return not (strain <= DIVERGED_STRAIN and drift <= DIVERGED_DISTANCE and collision <= SUNK)
+
+
+def drift_from(skinned: Tensor, garments: PackedGarments, positions: Tensor) -> float:
+    """Distance [m] of the centre of mass of `positions` from that of `skinned`, both (vertices, 3) [m]."""
+    share = garments.vertex_masses / garments.vertex_masses.sum()
+    return float((share[:, None] * (positions - skinned)).sum(0).norm())
 
 
 def strain_percentile(garments: PackedGarments, positions: Tensor) -> float:

@@ -25,7 +25,7 @@ from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
 from pb4u.training.explosion_guard import ExplosionGuard
 from pb4u.training.learner import Learner
-from pb4u.training.lost_garment import is_lost
+from pb4u.training.lost_garment import drift_from, is_lost, strain_percentile
 from pb4u.training.objective import (
     LearningPredictor,
     comparable_total,
@@ -168,8 +168,9 @@ class Trainer:
             state = State(after.positions.detach(), after.velocities.detach(), after.frame)
             if settling:
                 state = self._set_off(window, state)
-            skinned = window.skinned[state.frame]
-            if self.workers.agreed(is_lost(window.garments, state.positions, skinned, self.latest_collision)):
+            strain = strain_percentile(window.garments, state.positions)
+            drift = drift_from(window.skinned[state.frame], window.garments, state.positions)
+            if self.workers.agreed(is_lost(strain, drift, self.latest_collision)):
                 break
         return True
 

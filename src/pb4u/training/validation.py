@@ -13,7 +13,7 @@ from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.scene.state import State
 from pb4u.simulation.step import Situation, StepParts, step
 from pb4u.training.configuration import TrainingConfiguration
-from pb4u.training.lost_garment import is_lost, strain_percentile
+from pb4u.training.lost_garment import drift_from, is_lost, strain_percentile
 from pb4u.training.objective import REFERENCE_WEIGHT, LearningPredictor, step_energies
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.windows import Sample, WindowLoader
@@ -91,9 +91,11 @@ class Validation:
                 return frame, energy, strain
             energies = step_energies(situation, after.positions, REFERENCE_WEIGHT)
             collision = float(energies.terms["collision"].sum()) / REFERENCE_WEIGHT
-            if is_lost(window.garments, after.positions, window.skinned[after.frame], collision):
+            stretched = strain_percentile(window.garments, after.positions)
+            drift = drift_from(window.skinned[after.frame], window.garments, after.positions)
+            if is_lost(stretched, drift, collision):
                 return frame, energy, strain
             energy += float(energies.total)
-            strain += strain_percentile(window.garments, after.positions)
+            strain += stretched
             state = after if frame else State(after.positions, window.skinned_velocity(state.frame), state.frame)
         return self.frames, energy, strain
