@@ -22,6 +22,7 @@ from pb4u.simulation.network_simulator import NetworkPredictor, NetworkSimulator
 from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import Situation
+from pb4u.simulation.stepwise_simulator import situation_at
 from pb4u.training.objective import LearningPredictor
 
 TINY = Pb4uConfiguration(width=8, blocks=1, layout=FeatureLayout(extra=(DESCENT, ADVANCE)), passes=3)
@@ -33,7 +34,7 @@ def situation(cells: int = 10) -> Situation:
     generator = torch.Generator().manual_seed(1)
     noise = torch.randn(rest.shape, generator=generator, dtype=rest.dtype)
     state = State(rest + 1e-3 * noise, 0.1 * noise, 0)
-    return Situation(stage.garments, state, stage.collider(0), stage.skinned(1), stage.dt, stage.gravity)
+    return situation_at(stage, state, 0)
 
 
 def model(configuration: Pb4uConfiguration = TINY) -> AccelerationModel:

@@ -36,6 +36,8 @@ class Pb4uConfiguration:
         layout: the columns read.
         world_edges: which body vertices a garment vertex sees.
         passes: how often the network is asked in one time step; above 1 the layout should name "descent" and "advance".
+        carried_shares: shares of the body's motion that a time step may start with, the best of them and free flight;
+            with any the layout should name the same two.
     """
 
     width: int = 128
@@ -46,10 +48,13 @@ class Pb4uConfiguration:
     layout: FeatureLayout = field(default_factory=FeatureLayout)
     world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
     passes: int = 1
+    carried_shares: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.passes < 1:
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+        if not all(0.0 < share <= 1.0 for share in self.carried_shares):
+            raise InputError(f"Shares of the body's motion lie above 0 and up to 1, not {self.carried_shares}.")
 
     def network(self) -> Pb4uGNet:
         """A network of this configuration with fresh weights."""
@@ -65,6 +70,7 @@ class Pb4uGNet(GraphNetwork):
         self.layout = layout = configuration.layout
         self.world_edges = configuration.world_edges
         self.passes = configuration.passes
+        self.carried_shares = configuration.carried_shares
         self.control: PropagationControl = configuration.control
         self.scaling: UpdateScaling = configuration.scaling
         width = configuration.width

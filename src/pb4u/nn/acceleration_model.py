@@ -43,11 +43,13 @@ class GraphNetwork(nn.Module, ABC):
         layout: the columns it reads.
         world_edges: which body vertices a garment vertex sees.
         passes: how often it is asked in one time step, each time from where it left off; 1 in the paper.
+        carried_shares: shares of the body's motion that a time step may start with; none in the paper.
     """
 
     layout: FeatureLayout
     world_edges: WorldEdgeRule
     passes: int = 1
+    carried_shares: tuple[float, ...] = ()
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:

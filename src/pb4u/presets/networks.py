@@ -41,6 +41,9 @@ pb4u_small_descent = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT,)))
 
 pb4u_small_passes = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT, ADVANCE)), passes=4)
 
+pb4u_small_carried = replace(pb4u_small_passes, passes=2, carried_shares=(0.25, 0.5, 0.75, 1.0))
+"""Starts each step part of the way that the body carries the garment, whichever part has least potential."""
+
 without_propagation_control = replace(pb4u_paper, control=FixedSteps(15))
 
 without_update_scaling = replace(pb4u_paper, scaling=NoScaling())
@@ -100,6 +103,7 @@ NETWORKS: dict[str, Configuration] = {
     "pb4u_small": pb4u_small,
     "pb4u_small_descent": pb4u_small_descent,
     "pb4u_small_passes": pb4u_small_passes,
+    "pb4u_small_carried": pb4u_small_carried,
     "without_propagation_control": without_propagation_control,
     "without_update_scaling": without_update_scaling,
     "without_both": without_both,

@@ -35,7 +35,8 @@ def settling_situation(stage: Stage, state: State, dt: float = SETTLING_DT) -> S
     """A long step from rest on the body standing still at the state's frame."""
     resting = replace(state, velocities=torch.zeros_like(state.velocities))
     pins = stage.skinned(state.frame)
-    return Situation(stage.garments, resting, stage.held_collider(state.frame), pins, dt, stage.gravity)
+    held = stage.held_collider(state.frame)
+    return Situation(stage.garments, resting, held, pins, torch.zeros_like(pins), dt, stage.gravity)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from pb4u.errors import InputError
 from pb4u.graph.features import ADVANCE, DESCENT, Feature
 from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.physics.descent import JacobiDescent
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.integrator import integrate
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.step import Situation
@@ -41,23 +40,13 @@ class DescentFeature:
 
     def __init__(self) -> None:
         self._made_for: tuple[PackedGarments, float] | None = None
-        self._step: tuple[Situation, StepPotential] | None = None
 
     def of(self, situation: Situation, found: Tensor, incident_length: Tensor) -> Tensor:
         garments = situation.garments
         x = integrate(situation.state, found, situation.dt, garments.pinned, situation.pin_positions).positions
-        step = self._descent(situation).at(self._potential(situation), x) / incident_length.to(x)[:, None]
+        step = self._descent(situation).at(situation.potential, x) / incident_length.to(x)[:, None]
         size = step.norm(dim=1, keepdim=True) / _LINEAR_UP_TO
         return step * torch.where(size > 1e-6, torch.log1p(size) / size.clamp_min(1e-6), 1.0)
-
-    def _potential(self, situation: Situation) -> StepPotential:
-        """The potential of the step, found once for all passes."""
-        if self._step is None or self._step[0] is not situation:
-            potential = IncrementalPotential().prepare(
-                situation.garments, situation.state, situation.collider, situation.dt, situation.gravity
-            )
-            self._step = situation, potential
-        return self._step[1]
 
     def _descent(self, situation: Situation) -> JacobiDescent:
         key = situation.garments, situation.dt

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.integrator import integrate
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
@@ -22,6 +24,7 @@ class Situation:
         state: positions and velocities now.
         collider: the bodies before, now and after the step.
         pin_positions: (vertices, 3) [m] where the pinned vertices will be after the step; other rows are not read.
+        carried: (vertices, 3) [m] how far the body alone would carry each vertex during the step.
         dt: length of the step [s].
         gravity: (3,) [m/s^2].
     """
@@ -30,8 +33,14 @@ class Situation:
     state: State
     collider: ColliderFrame
     pin_positions: Tensor
+    carried: Tensor
     dt: float
     gravity: Tensor
+
+    @cached_property
+    def potential(self) -> StepPotential:
+        """The incremental potential of the step at its usual weights, with the contacts at its start found once."""
+        return IncrementalPotential().prepare(self.garments, self.state, self.collider, self.dt, self.gravity)
 
     def with_pins(self, positions: Tensor) -> Tensor:
         """`positions` with the pinned vertices where they will be."""

@@ -47,4 +47,6 @@ def presented(stage: Stage, state: State, parts: StepParts) -> State:
 
 def situation_at(stage: Stage, state: State, frame: int) -> Situation:
     """What is known before the step from `frame` to the next."""
-    return Situation(stage.garments, state, stage.collider(frame), stage.skinned(frame + 1), stage.dt, stage.gravity)
+    after = stage.skinned(frame + 1)
+    carried = after - stage.skinned(frame)
+    return Situation(stage.garments, state, stage.collider(frame), after, carried, stage.dt, stage.gravity)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 
 from pb4u.errors import InputError
-from pb4u.presets.networks import pb4u_paper, pb4u_small, pb4u_small_descent, pb4u_small_passes
+from pb4u.presets.networks import pb4u_paper, pb4u_small, pb4u_small_carried, pb4u_small_descent
 from pb4u.training.configuration import DataSelection, TrainingConfiguration
 from pb4u.training.curriculum import Curriculum
 
@@ -14,7 +14,7 @@ paper = TrainingConfiguration(network=pb4u_paper, data=DataSelection(triangles=(
 """The paper's own protocol: one low level, windows of up to 5 steps, 450,000 optimiser steps."""
 
 small = TrainingConfiguration(
-    network=pb4u_small_passes,
+    network=pb4u_small_carried,
     data=DataSelection(triangles=(800, 1300, 2500), shapes=4),
     curriculum=Curriculum(
         window_steps=((0.0, 1), (0.02, 3), (0.05, 5), (0.55, 10), (0.65, 15), (0.75, 30)),

@@ -20,6 +20,7 @@ from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 from pb4u.simulation.first_frame import SETTLING_DT
 from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.step import Situation, StepParts, step
+from pb4u.simulation.step_start import StepStart
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
@@ -72,6 +73,7 @@ class Trainer:
         self.workers, self.folder, self.reporter, self.stopping = workers, folder, reporter, stopping
         self.learner = Learner(configuration, workers)
         self.model, self.network = self.learner.model, self.learner.network
+        self.start = StepStart(self.model.network.carried_shares)
         self.sampler = Sampler(data, configuration)
         self.loader = WindowLoader(Wardrobe(data, workers.device))
         self.validation = Validation(data, configuration, self.loader)
@@ -124,7 +126,7 @@ class Trainer:
         for number in range(self.configuration.statistics_windows):
             window, state, _ = self._begin(length=1, settle=bool(number % 2))
             situation = window.settling(state) if number % 2 else window.moving(state)
-            predictor = LearningPredictor(self.network, self.model.prepare(window.garments))
+            predictor = LearningPredictor(self.network, self.model.prepare(window.garments), start=self.start)
             self.model.gather_statistics(predictor.graph(situation), window.skinned_acceleration(1))
             self.counters.window += 1
         self.workers.reduce_statistics(self.model)
@@ -158,7 +160,7 @@ class Trainer:
             ]
             settling = settle and number == 0
             situation = window.settling(state) if settling else window.moving(state)
-            found, after = None, state
+            found, after = self.start.accelerations(situation), state
             for _ in range(self.model.network.passes):
                 predictor = LearningPredictor(self.network, prepared.with_steps(steps), found, features=features)
                 after = step(situation, StepParts(predictor))

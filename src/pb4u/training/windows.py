@@ -139,13 +139,15 @@ class Window:
         row = state.frame
         resting = replace(state, velocities=torch.zeros_like(state.velocities))
         still = self._collider(row, row, row)
-        return Situation(self.garments, resting, still, self.skinned[row], SETTLING_DT, self._gravity)
+        pins = self.skinned[row]
+        return Situation(self.garments, resting, still, pins, torch.zeros_like(pins), SETTLING_DT, self._gravity)
 
     def moving(self, state: State) -> Situation:
         """The ordinary step from the state's row to the next."""
         row = state.frame
         collider = self._collider(row - 1, row, row + 1)
-        return Situation(self.garments, state, collider, self.skinned[row + 1], self.dt, self._gravity)
+        after = self.skinned[row + 1]
+        return Situation(self.garments, state, collider, after, after - self.skinned[row], self.dt, self._gravity)
 
     @property
     def _gravity(self) -> Tensor:
