@@ -80,6 +80,21 @@ def test_cloth_drawn_into_the_body_is_carried() -> None:
     assert float(energies_at(rising, start)) < float(energies_at(rising, torch.zeros_like(start)))
 
 
+def test_what_the_body_overruns_is_lifted_where_nothing_carries_it() -> None:
+    at = sheets_on_balls(0.0, 0.0)
+    rises = (at.collider.vertex_garment == 1)[:, None] * torch.tensor([0.0, 0.02, 0.0]).double()
+    at = replace(at, collider=replace(at.collider, following=at.collider.now + rises))
+    start = StepStart(SHARES).accelerations(at)
+    first = at.garments.vertex_garment == 0
+    assert not start[first].any()
+    over = at.potential.contact_at(at.state.positions)
+    inside = over.touchable & (over.distance < -5e-3)
+    assert bool(inside.any())
+    lifted = at.potential.contact_at(at.state.positions + start)
+    assert float(lifted.distance[inside].min()) > -1e-3
+    assert float(energies_at(at, start)[1]) < float(energies_at(at, torch.zeros_like(start))[1])
+
+
 def test_every_garment_of_a_pack_has_its_own_share() -> None:
     both = sheets_on_balls(0.0, 0.0)
     up = torch.tensor([0.0, 0.03, 0.0], dtype=torch.float64)

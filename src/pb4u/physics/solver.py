@@ -20,9 +20,10 @@ from pb4u.physics.conjugate_gradient import LinearSolution, conjugate_gradient
 from pb4u.physics.contact_planes import ContactPlanes
 from pb4u.physics.divergence import DivergedError
 from pb4u.physics.incremental_potential import Energies, StepPotential
+from pb4u.physics.overrun import lifted_off_the_body
 from pb4u.physics.preconditioner import PatchBasis, TwoLevelPreconditioner
 from pb4u.physics.stiffness_matrix import StiffnessPattern
-from pb4u.physics.tracked_contact import REACH, TrackedContact
+from pb4u.physics.tracked_contact import TrackedContact
 from pb4u.scene.packed import PackedGarments
 
 _STANDARD_GRAVITY = 9.81
@@ -32,7 +33,6 @@ _BUCKLING_MOVE = 1e-4
 # Share of the compressive curvature and extra mass, from safest to exact: an iteration starts one level above the last
 # and falls back while the curvature is negative. The extra mass holds back what is about to buckle.
 _LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
-_START_CLEARANCE = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ class Solver:
         garments = potential.step.garments
         self._prepare(garments)
         limit = self.max_iterations if iterations is None else iterations
-        start = _better_start(potential, start, self._pattern.free)
+        start = lifted_off_the_body(potential, start)
         contact = TrackedContact(potential, start)
         preconditioner = _StepPreconditioner(self._basis)
         x, inner, iteration, level = start, 0, 0, -1
@@ -250,22 +250,3 @@ class _StepPreconditioner:
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         assert self._current is not None
         return self._current(residual)
-
-
-def _better_start(potential: StepPotential, start: Tensor, free: Tensor) -> Tensor:
-    """`start`, with what the moving body has overrun lifted back to the side of the body that it was on."""
-    step = potential.step
-    planes, collider = step.contact_now, step.collider
-    if planes is None or collider is None:
-        return start
-    point = planes.carried(collider.following, collider.faces).to(start)
-    normal = planes.carried_normals(collider.following, collider.faces).to(start)
-    height = ((start - point) * normal).sum(1)
-    wanted = planes.distance.clamp(0.0, _START_CLEARANCE)
-    overrun = planes.touchable & free & (planes.distance.abs() < REACH) & (height < wanted)
-    if not bool(overrun.any()):
-        return start
-    lifted = torch.where(overrun[:, None], start + (wanted - height)[:, None] * normal, start)
-    if float(potential.energies(lifted).total) < float(potential.energies(start).total):
-        return lifted
-    return start

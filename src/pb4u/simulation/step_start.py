@@ -6,11 +6,12 @@ import torch
 from torch import Tensor
 
 from pb4u.physics.integrator import integrate
+from pb4u.physics.overrun import lifted_off_the_body
 from pb4u.simulation.step import Situation
 
 
 class StepStart:
-    """Lets every garment start with the share of the body's motion that leaves it least potential.
+    """Lets every garment start with the share of the body's motion that leaves it least potential, off the body.
 
     Where a body sets off, free flight leaves all cloth behind by the same amount, and a network has to carry news of
     it across the garment; on a fine mesh that is many edges. Skinning knows that motion at any resolution.
@@ -41,4 +42,5 @@ class StepStart:
         potential = situation.potential.with_contact_at(free.positions + 0.5 * carried)
         energies = torch.stack([potential.energies(free.positions + share * carried).per_garment for share in shares])
         best = energies.argmin(dim=0)
-        return shares[best][situation.garments.vertex_garment, None] * carried
+        start = free.positions + shares[best][situation.garments.vertex_garment, None] * carried
+        return lifted_off_the_body(situation.potential, start) - free.positions
