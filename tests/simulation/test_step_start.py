@@ -17,7 +17,7 @@ from pb4u.scene.packed import ColliderFrame, pack
 from pb4u.scene.state import State
 from pb4u.simulation.network_simulator import NetworkPredictor
 from pb4u.simulation.step import Situation
-from pb4u.simulation.step_start import StepStart
+from pb4u.simulation.step_start import Carried, FreeFlight
 
 SHARES = (0.25, 0.5, 0.75, 1.0)
 DT = 1.0 / 30.0
@@ -57,13 +57,13 @@ def energies_at(situation: Situation, accelerations: Tensor) -> Tensor:
 
 def test_the_papers_start_is_free_flight() -> None:
     at = sheets_on_balls(1.0)
-    assert not StepStart().accelerations(at).any()
+    assert not FreeFlight().accelerations(at).any()
 
 
 def test_a_start_has_least_potential_of_all_that_may_be_chosen() -> None:
     for speed in (0.0, 0.2, 1.5):
         at = sheets_on_balls(speed)
-        chosen = energies_at(at, StepStart(SHARES).accelerations(at))
+        chosen = energies_at(at, Carried(SHARES).accelerations(at))
         # The start is chosen with the body's tangent planes; twice-looked-up contacts may differ in the last digits.
         for share in (0.0, *SHARES):
             assert float(chosen) <= float(energies_at(at, share * at.carried)) + 1e-6
@@ -75,7 +75,7 @@ def test_cloth_drawn_into_the_body_is_carried() -> None:
     up = torch.tensor([0.0, 0.03, 0.0], dtype=torch.float64)
     collider = replace(at.collider, following=at.collider.now + up)
     rising = replace(at, collider=collider, carried=at.carried + up, pin_positions=at.state.positions + up)
-    start = StepStart(SHARES).accelerations(rising)
+    start = Carried(SHARES).accelerations(rising)
     assert float(start[:, 1].min()) >= 0.25 * 0.03
     assert float(energies_at(rising, start)) < float(energies_at(rising, torch.zeros_like(start)))
 
@@ -84,7 +84,7 @@ def test_what_the_body_overruns_is_lifted_where_nothing_carries_it() -> None:
     at = sheets_on_balls(0.0, 0.0)
     rises = (at.collider.vertex_garment == 1)[:, None] * torch.tensor([0.0, 0.02, 0.0]).double()
     at = replace(at, collider=replace(at.collider, following=at.collider.now + rises))
-    start = StepStart(SHARES).accelerations(at)
+    start = Carried(SHARES).accelerations(at)
     first = at.garments.vertex_garment == 0
     assert not start[first].any()
     over = at.potential.contact_at(at.state.positions)
@@ -103,7 +103,7 @@ def test_every_garment_of_a_pack_has_its_own_share() -> None:
     # What would carry the first garment away is of no use to it.
     carried = carried + (both.garments.vertex_garment == 0)[:, None] * torch.tensor([0.1, 0.1, 0.0]).double()
     at = replace(both, collider=replace(both.collider, following=both.collider.now + rises), carried=carried)
-    start = StepStart(SHARES).accelerations(at)
+    start = Carried(SHARES).accelerations(at)
     first = at.garments.vertex_garment == 0
     assert not start[first].any()
     assert float(start[~first, 1].min()) > 0.0
@@ -111,7 +111,7 @@ def test_every_garment_of_a_pack_has_its_own_share() -> None:
 
 def test_pinned_vertices_are_left_to_their_pins() -> None:
     at = sheets_on_balls(2.0, pinned=True)
-    assert not StepStart((1.0,)).accelerations(at)[at.garments.pinned].any()
+    assert not Carried((1.0,)).accelerations(at)[at.garments.pinned].any()
 
 
 def test_a_network_that_adds_nothing_ends_at_the_start() -> None:
@@ -122,7 +122,7 @@ def test_a_network_that_adds_nothing_ends_at_the_start() -> None:
         torch.nn.init.zeros_(parameter)
     at = sheets_on_balls(1.5)
     prepared = model.prepare(pack(at.garments.garments, torch.float32))
-    expected = integrate(at.state, StepStart(SHARES).accelerations(at), DT, at.garments.pinned, at.pin_positions)
+    expected = integrate(at.state, Carried(SHARES).accelerations(at), DT, at.garments.pinned, at.pin_positions)
     assert torch.allclose(NetworkPredictor(model, prepared).predict(at).positions, expected.positions)
 
 

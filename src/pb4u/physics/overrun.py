@@ -9,6 +9,7 @@ from pb4u.physics.incremental_potential import StepPotential
 from pb4u.physics.tracked_contact import REACH
 
 _CLEARANCE = 2e-3
+"""Height [m] over the body that a lifted vertex gets, unless it was lower before."""
 
 
 def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:

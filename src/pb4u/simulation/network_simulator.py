@@ -22,7 +22,7 @@ from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import Contact, NoContact, NoRefinement, Predictor, Situation, StepParts
-from pb4u.simulation.step_start import StepStart
+from pb4u.simulation.step_start import start_of
 from pb4u.simulation.stepwise_simulator import StepwiseSimulator
 
 _ORIGIN_GRID = 1.0 / 16.0
@@ -42,7 +42,7 @@ class NetworkPredictor(Predictor):
         self.passes = model.network.passes if passes is None else passes
         self.device = next(model.parameters()).device
         self._features = SituationFeatures(prepared)
-        self._start = StepStart(model.network.carried_shares)
+        self._start = start_of(model.network)
         self._static: tuple[ColliderFrame, ColliderFrame] | None = None
 
     @torch.inference_mode()

@@ -34,7 +34,12 @@ class SolverRefinement(Refinement):
 
     def refine(self, predicted: State, situation: Situation) -> State:
         step_potential = self.potential.prepare(
-            situation.garments, situation.state, situation.collider, situation.dt, situation.gravity
+            situation.garments,
+            situation.state,
+            situation.collider,
+            situation.dt,
+            situation.gravity,
+            situation.potential.step.contact_now,
         )
         solution = self.solver.minimise(step_potential, predicted.positions, self.iterations)
         if self.watch:

@@ -15,7 +15,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.network_simulator import local_origin
 from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.step import Predictor, Situation
-from pb4u.simulation.step_start import StepStart
+from pb4u.simulation.step_start import FreeFlight, StepStart
 
 REFERENCE_WEIGHT = 5e3
 """Weight of the collision term at which losses of different times are compared [J/m^3]."""
@@ -49,7 +49,7 @@ class LearningPredictor(Predictor):
     ) -> None:
         self.network, self.prepared, self.found, self.passes = network, prepared, found, passes
         self._features = features or SituationFeatures(prepared)
-        self._start = start or StepStart()
+        self._start = start or FreeFlight()
 
     def graph(self, situation: Situation, found: Tensor | None = None) -> Graph:
         """What the network sees after earlier passes `found` accelerations (vertices, 3) [m per step^2]."""
@@ -70,7 +70,12 @@ def step_energies(situation: Situation, positions: Tensor, collision_weight: flo
     """Energies of the step from `situation` to `positions` (vertices, 3) [m], garment by garment; differentiable."""
     potential = replace(IncrementalPotential(), collision=Collision(weight=collision_weight))
     prepared = potential.prepare(
-        situation.garments, situation.state, situation.collider, situation.dt, situation.gravity
+        situation.garments,
+        situation.state,
+        situation.collider,
+        situation.dt,
+        situation.gravity,
+        situation.potential.step.contact_now,
     )
     return prepared.energies(positions)
 

@@ -20,7 +20,7 @@ from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 from pb4u.simulation.first_frame import SETTLING_DT
 from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.step import Situation, StepParts, step
-from pb4u.simulation.step_start import StepStart
+from pb4u.simulation.step_start import start_of
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
@@ -73,7 +73,7 @@ class Trainer:
         self.workers, self.folder, self.reporter, self.stopping = workers, folder, reporter, stopping
         self.learner = Learner(configuration, workers)
         self.model, self.network = self.learner.model, self.learner.network
-        self.start = StepStart(self.model.network.carried_shares)
+        self.start = start_of(self.model.network)
         self.sampler = Sampler(data, configuration)
         self.loader = WindowLoader(Wardrobe(data, workers.device))
         self.validation = Validation(data, configuration, self.loader)

@@ -12,7 +12,7 @@ from pb4u.garment.material import MATERIALS
 from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.scene.state import State
 from pb4u.simulation.step import Situation, StepParts, step
-from pb4u.simulation.step_start import StepStart
+from pb4u.simulation.step_start import start_of
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.lost_garment import drift_from, is_lost, strain_percentile
 from pb4u.training.objective import REFERENCE_WEIGHT, LearningPredictor, step_energies
@@ -83,7 +83,7 @@ class Validation:
         """Frames before the garment is lost, and the sums of their energies [J] and strains."""
         window = self.loader.load([sample], self.frames)
         prepared = model.prepare(window.garments)
-        start = StepStart(model.network.carried_shares)
+        start = start_of(model.network)
         parts = StepParts(LearningPredictor(model, prepared, passes=model.network.passes, start=start))
         state, energy, strain = window.start(0.0, self.clearance), 0.0, 0.0
         for frame in range(self.frames):
