@@ -31,7 +31,7 @@ def _network_line(name: str) -> str:
 def default_model() -> str:
     """The paper-size network where it is shipped, else the solver.
 
-    The small network is no default: what it was tried on is little (docs/models.md), and below 5K triangles the solver
+    The small network is no default: what it was tried on is little (docs/models.md), and at 2.5K triangles the solver
     is as fast.
     """
     from pb4u.simulation.checkpoint import built_in_models
