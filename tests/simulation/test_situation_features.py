@@ -22,6 +22,7 @@ from pb4u.simulation.network_simulator import NetworkPredictor, NetworkSimulator
 from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import Situation
+from pb4u.simulation.step_start import FreeFlight, Reached, StepStart
 from pb4u.simulation.stepwise_simulator import situation_at
 from pb4u.training.objective import LearningPredictor
 
@@ -82,14 +83,14 @@ def test_training_takes_a_pass_at_a_time() -> None:
     at = situation()
     network = model()
     prepared = prepared_for(network, at)
-    found = None
+    start: StepStart = FreeFlight()
     for _ in range(3):
-        single = LearningPredictor(network, prepared, found)
+        single = LearningPredictor(network, prepared, start)
         ended = single.predict(at)
-        found = single.reached
+        start = Reached(single.reached)
     assert ended.positions.requires_grad
-    assert not found.requires_grad
-    whole = LearningPredictor(network, prepared, passes=3).predict(at)
+    assert not single.reached.requires_grad
+    whole = LearningPredictor(network, prepared, FreeFlight(), passes=3).predict(at)
     assert torch.allclose(whole.positions, ended.positions, atol=1e-9)
 
 

@@ -17,12 +17,13 @@ from pb4u.presets.networks import pb4u_small
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import load_checkpoint
 from pb4u.simulation.step import Situation
+from pb4u.simulation.step_start import FreeFlight
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget
 from pb4u.training.curriculum import Curriculum
 from pb4u.training.progress import draw_curve
 from pb4u.training.run_folder import NotSavedError, RunFolder
-from pb4u.training.trainer import Trainer, TrainingFailedError
+from pb4u.training.trainer import Course, Trainer, TrainingFailedError
 from pb4u.training.validation import Score
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -78,7 +79,7 @@ def test_a_rollback_restores_weights_averages_and_moments() -> None:
     trainer.run()
     kept = trainer.learner.state()
     trainer.budget = Budget(100)
-    trainer._train_window()
+    trainer._train_round()
     assert not all(torch.equal(kept[name], value) for name, value in trainer.learner.state().items())
     trainer._roll_back()
     assert all(torch.equal(kept[name], value) for name, value in trainer.learner.state().items())
@@ -86,7 +87,7 @@ def test_a_rollback_restores_weights_averages_and_moments() -> None:
 
 def test_a_training_that_keeps_coming_apart_ends_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = made(TINY, 50)
-    monkeypatch.setattr(Trainer, "_train_window", lambda self: False)
+    monkeypatch.setattr(Trainer, "_train_round", lambda self: False)
     with pytest.raises(TrainingFailedError, match="start it with a lower"):
         trainer.run()
 
@@ -94,11 +95,12 @@ def test_a_training_that_keeps_coming_apart_ends_with_advice(monkeypatch: pytest
 def test_predictions_that_are_not_finite_are_not_learnt_from() -> None:
     trainer = made(TINY, 4)
     trainer.run()
-    window, state, _ = trainer._begin(1)
+    course = trainer._begin(0, 1)
+    state = course.state
     before = [p.detach().clone() for p in trainer.model.parameters()]
     lost = State(state.positions * torch.nan, state.velocities, state.frame + 1)
     lost.positions.requires_grad_(True)
-    assert not trainer._learn(window.moving(state), lost)
+    assert not trainer._learn(course.window.moving(state), lost)
     assert all(torch.equal(a, b) for a, b in zip(before, trainer.model.parameters(), strict=True))
 
 
@@ -112,7 +114,7 @@ def test_garments_of_two_sizes_and_propagation_counts_share_a_batch() -> None:
         window = trainer.loader.load(chosen, 1)
         steps = [1 + 2 * (sample is samples[i]) for sample in chosen]
         predictor = trainer_module.LearningPredictor(
-            trainer.model, trainer.model.prepare(window.garments).with_steps(steps)
+            trainer.model, trainer.model.prepare(window.garments).with_steps(steps), FreeFlight()
         )
         situation = window.moving(window.start(0.003, 0.002))
         after = predictor.predict(situation)
@@ -124,10 +126,11 @@ def test_garments_of_two_sizes_and_propagation_counts_share_a_batch() -> None:
 @pytest.mark.parametrize("variant", ["skinned", "zero", "carried"])
 def test_the_velocity_after_settling_is_the_chosen_one(variant: str) -> None:
     trainer = made(replace(TINY, after_settling=variant), 1)
-    window, state, _ = trainer._begin(2)
+    course = trainer._begin(0, 2)
+    window, state = course.window, course.state
     moved = 1e-3 * torch.ones_like(state.positions)
     settled = State(state.positions + moved, moved * 3.0, state.frame + 1)
-    off = trainer._set_off(window, settled)
+    off = trainer._set_off(course, settled)
     expected = {"skinned": window.skinned_velocity(1), "zero": torch.zeros_like(moved), "carried": moved * 30.0}
     assert off.frame == 1
     assert torch.allclose(off.velocities, expected[variant], atol=1e-6)
@@ -135,11 +138,13 @@ def test_the_velocity_after_settling_is_the_chosen_one(variant: str) -> None:
 
 def test_slowed_garments_set_off_with_half_to_all_of_the_bodys_speed() -> None:
     trainer = made(replace(TINY, after_settling="slowed"), 1)
-    window, state, _ = trainer._begin(2)
+    course = trainer._begin(0, 2)
+    window, state = course.window, course.state
     shares = []
     for number in range(20):
-        trainer.counters.window = number
-        off = trainer._set_off(window, State(state.positions, state.velocities, state.frame + 1))
+        off = trainer._set_off(
+            replace(course, number=number), State(state.positions, state.velocities, state.frame + 1)
+        )
         share = float(off.velocities.norm() / window.skinned_velocity(1).norm())
         assert torch.allclose(off.velocities, share * window.skinned_velocity(1), atol=1e-6)
         shares.append(share)
@@ -173,11 +178,46 @@ def test_the_network_may_be_any_configuration() -> None:
     assert made(wide, 2).run() == "finished"
 
 
-def test_a_stopped_training_goes_on_to_the_same_numbers(tmp_path: Path) -> None:
-    configuration = replace(TINY, checkpoint_every=5, statistics_windows=2, validation_frames=2)
+def test_interleaved_windows_take_turns_until_each_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    curriculum = Curriculum(window_steps=((0.0, 3),), learning_rate=1e-3)
+    trainer = made(replace(TINY, interleaved=3, curriculum=curriculum), 100)
+    seen: list[tuple[int, int]] = []
+    original = Trainer._advance
+
+    def noted(self: Trainer, course: Course) -> bool:
+        seen.append((course.number, course.left))
+        if course.number == 1:
+            course.left = 1
+        return original(self, course)
+
+    monkeypatch.setattr(Trainer, "_advance", noted)
+    assert trainer._train_round()
+    assert seen == [(0, 3), (1, 3), (2, 3), (0, 2), (2, 2), (0, 1), (2, 1)]
+    assert trainer.counters.step == 7
+
+
+def test_a_window_does_not_care_what_it_is_interleaved_with() -> None:
+    steps = {}
+    for together in (1, 2):
+        trainer = made(replace(TINY, interleaved=together, curriculum=Curriculum(learning_rate=1e-12)), 100)
+        course = trainer._begin(1, 2)
+        other = trainer._begin(0, 2)
+        for _ in range(2):
+            assert trainer._advance(course)
+            if together == 2:
+                assert trainer._advance(other)
+        steps[together] = course.state.positions
+    assert torch.allclose(steps[1], steps[2], atol=1e-6)
+
+
+@pytest.mark.parametrize("interleaved", [1, 2])
+def test_a_stopped_training_goes_on_to_the_same_numbers(tmp_path: Path, interleaved: int) -> None:
+    configuration = replace(
+        TINY, checkpoint_every=5, statistics_windows=2, validation_frames=2, interleaved=interleaved
+    )
     whole = made(configuration, 16)
     whole.run()
-    answers = iter([False] * 8 + [True])
+    answers = iter([False] * (8 // interleaved) + [True])
     stopped = made(configuration, 16, tmp_path / "run")
     stopped.stopping = lambda: next(answers)
     assert stopped.run() == "stopped"

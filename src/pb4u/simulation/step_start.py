@@ -27,6 +27,20 @@ class FreeFlight(StepStart):
         return torch.zeros_like(situation.state.positions)
 
 
+class Reached(StepStart):
+    """Goes on from what earlier passes of the same step reached.
+
+    Args:
+        accelerations: (vertices, 3) [m per step^2].
+    """
+
+    def __init__(self, accelerations: Tensor) -> None:
+        self._accelerations = accelerations
+
+    def accelerations(self, situation: Situation) -> Tensor:
+        return self._accelerations
+
+
 class Carried(StepStart):
     """Lets every garment start with the share of the body's motion that leaves it least potential, off the body.
 

@@ -82,6 +82,8 @@ class TrainingConfiguration:
         curriculum: what changes on the way.
         material: what cloths.
         batch: windows trained on together, over all devices.
+        interleaved: windows stepped through in turn, so that neighbouring optimiser steps see different garments and
+            motions; 1 goes through a window before it begins the next, as the family does.
         seed: of the weights and of every sample.
         noise: standard deviation added to the positions, and to those a frame before, of a window's start [m].
         clearance: distance to the body that start positions are pushed out to [m].
@@ -102,6 +104,7 @@ class TrainingConfiguration:
     curriculum: Curriculum = field(default_factory=Curriculum)
     material: MaterialSampling = field(default_factory=MaterialSampling)
     batch: int = 1
+    interleaved: int = 1
     seed: int = 0
     noise: float = 3e-3
     clearance: float = 2e-3
@@ -118,7 +121,7 @@ class TrainingConfiguration:
     patience: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("batch", "statistics_windows", "log_every", "checkpoint_every", "validate_every"):
+        for name in ("batch", "interleaved", "statistics_windows", "log_every", "checkpoint_every", "validate_every"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be 1 or more, not {getattr(self, name)}.")
         for name in ("noise", "clearance", "most_propagation_steps", "patience", "seed"):

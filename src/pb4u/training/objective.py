@@ -15,7 +15,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.network_simulator import local_origin
 from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.step import Predictor, Situation
-from pb4u.simulation.step_start import FreeFlight, StepStart
+from pb4u.simulation.step_start import StepStart
 
 REFERENCE_WEIGHT = 5e3
 """Weight of the collision term at which losses of different times are compared [J/m^3]."""
@@ -27,10 +27,9 @@ class LearningPredictor(Predictor):
     Args:
         network: called with a graph and the prepared garments; the model itself, or what distributes it.
         prepared: with the propagation steps of this step.
-        found: (vertices, 3) [m per step^2] accelerations found by earlier passes; where the step starts by default.
-        passes: how many further passes to make; only the last is differentiable.
+        start: of the first pass.
+        passes: how many to make; only the last is differentiable.
         features: of the garments, where they are already made.
-        start: of a step; free flight by default.
 
     Attributes:
         reached: accelerations after the latest prediction.
@@ -42,23 +41,24 @@ class LearningPredictor(Predictor):
         self,
         network: nn.Module,
         prepared: PreparedGarments,
-        found: Tensor | None = None,
+        start: StepStart,
         passes: int = 1,
         features: SituationFeatures | None = None,
-        start: StepStart | None = None,
     ) -> None:
-        self.network, self.prepared, self.found, self.passes = network, prepared, found, passes
+        self.network, self.prepared, self.passes = network, prepared, passes
+        self._start = start
         self._features = features or SituationFeatures(prepared)
-        self._start = start or FreeFlight()
 
     def graph(self, situation: Situation, found: Tensor | None = None) -> Graph:
-        """What the network sees after earlier passes `found` accelerations (vertices, 3) [m per step^2]."""
-        origin = local_origin(situation.collider)
-        extra = self._features.of(situation, self._start.accelerations(situation) if found is None else found)
-        return self.prepared.graph(situation.state, situation.collider, situation.dt, origin, extra)
+        """What the network sees after `found` accelerations (vertices, 3) [m per step^2]; at the start by default."""
+        found = self._start.accelerations(situation) if found is None else found
+        extra = self._features.of(situation, found)
+        return self.prepared.graph(
+            situation.state, situation.collider, situation.dt, local_origin(situation.collider), extra
+        )
 
     def predict(self, situation: Situation) -> State:
-        found = self._start.accelerations(situation) if self.found is None else self.found
+        found = self._start.accelerations(situation)
         for _ in range(self.passes):
             before = found.detach()
             found = before + self.network(self.graph(situation, before), self.prepared)

@@ -1,4 +1,4 @@
-"""The training, on one page: draw a window, start it, step through it, learn from every step."""
+"""The training, on one page: draw some windows, start them, step through them in turn, learn from every step."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,13 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
+from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 from pb4u.simulation.first_frame import SETTLING_DT
 from pb4u.simulation.situation_features import SituationFeatures
 from pb4u.simulation.step import Situation, StepParts, step
-from pb4u.simulation.step_start import start_of
+from pb4u.simulation.step_start import Reached, start_of
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
@@ -48,6 +49,29 @@ IMPROVEMENT = 0.005
 
 class TrainingFailedError(Pb4uError):
     """A training that cannot be saved by lowering its rate."""
+
+
+@dataclass
+class Course:
+    """A window on its way.
+
+    Args:
+        number: of the window. window: its garments and bodies. state: of the garments.
+        prepared: what the network derived once from the garments. features: of them.
+        settles: whether the next step is the settling one. left: steps to go.
+    """
+
+    number: int
+    window: Window
+    state: State
+    prepared: PreparedGarments
+    features: SituationFeatures
+    settles: bool
+    left: int
+
+    def situation(self) -> Situation:
+        """What the next step starts from."""
+        return self.window.settling(self.state) if self.settles else self.window.moving(self.state)
 
 
 class Trainer:
@@ -93,8 +117,9 @@ class Trainer:
         ending = self._ending()
         while ending is None:
             before = self.counters.step
-            if self._train_window():
-                self.counters.window += 1
+            finished = self._train_round()
+            self.counters.window += self.configuration.interleaved
+            if finished:
                 self._keep_house(before)
             else:
                 self._roll_back()
@@ -124,65 +149,77 @@ class Trainer:
     def _gather_statistics(self) -> None:
         """Normalise by what skinned garments look like; nothing is learnt yet."""
         for number in range(self.configuration.statistics_windows):
-            window, state, _ = self._begin(length=1, settle=bool(number % 2))
-            situation = window.settling(state) if number % 2 else window.moving(state)
-            predictor = LearningPredictor(self.network, self.model.prepare(window.garments), start=self.start)
-            self.model.gather_statistics(predictor.graph(situation), window.skinned_acceleration(1))
+            course = self._begin(number, length=1, settle=bool(number % 2))
+            predictor = LearningPredictor(self.network, course.prepared, self.start)
+            self.model.gather_statistics(predictor.graph(course.situation()), course.window.skinned_acceleration(1))
             self.counters.window += 1
         self.workers.reduce_statistics(self.model)
         self.model.freeze_statistics()
 
-    def _begin(self, length: int, settle: bool | None = None) -> tuple[Window, State, bool]:
-        """This process's share of the next window, its noisy skinned start, and whether it settles first."""
-        number, batch = self.counters.window, self.configuration.batch
-        indices = range(number * batch, (number + 1) * batch)[self.share]
+    def _begin(self, number: int, length: int, settle: bool | None = None) -> Course:
+        """This process's share of window `number`, at its noisy skinned start."""
+        indices = self._indices(number)
         window = self.loader.load([self.sampler.sample(index, length) for index in indices], length)
         settles = self.sampler.settles(number, length) if settle is None else settle
-        return window, window.start(self.configuration.noise, self.configuration.clearance), settles
+        state = window.start(self.configuration.noise, self.configuration.clearance)
+        prepared = self.model.prepare(window.garments)
+        return Course(number, window, state, prepared, SituationFeatures(prepared), settles, length)
 
-    def _train_window(self) -> bool:
-        """Step through a window, an optimiser step after each step; whether all went well.
+    def _indices(self, number: int) -> range:
+        """This process's samples of window `number`."""
+        batch = self.configuration.batch
+        return range(number * batch, (number + 1) * batch)[self.share]
 
-        A window whose garment is lost ends: nothing that follows would be worth learning.
+    def _train_round(self) -> bool:
+        """Step through some windows in turn, an optimiser step after each step; whether all went well.
+
+        A window whose garment is lost leaves the round: nothing that follows would be worth learning.
         """
+        together, first = self.configuration.interleaved, self.counters.window
         length = self.configuration.curriculum.window_length(self.progress)
         if self.budget.steps is not None:
             left = self.budget.steps - self.counters.step
-            length = min(length, math.ceil(left / self.model.network.passes))
-        window, state, settle = self._begin(length)
-        prepared = self.model.prepare(window.garments)
-        features = SituationFeatures(prepared)
-        first = self.counters.window * self.configuration.batch + self.share.start
-        for number in range(length):
-            steps = [
-                self.sampler.propagation_steps(first + garment, number, ruled)
-                for garment, ruled in enumerate(prepared.steps)
-            ]
-            settling = settle and number == 0
-            situation = window.settling(state) if settling else window.moving(state)
-            found, after = self.start.accelerations(situation), state
-            for _ in range(self.model.network.passes):
-                predictor = LearningPredictor(self.network, prepared.with_steps(steps), found, features=features)
-                after = step(situation, StepParts(predictor))
-                if not self._learn(situation, after):
+            length = min(length, math.ceil(left / (self.model.network.passes * together)))
+        courses = [self._begin(number, length) for number in range(first, first + together)]
+        while courses:
+            for course in courses:
+                if not self._advance(course):
                     return False
-                found = predictor.reached
-            state = State(after.positions.detach(), after.velocities.detach(), after.frame)
-            if settling:
-                state = self._set_off(window, state)
-            strain = strain_percentile(window.garments, state.positions)
-            drift = drift_from(window.skinned[state.frame], window.garments, state.positions)
-            if self.workers.agreed(is_lost(strain, drift, self.latest_collision)):
-                break
+            courses = [course for course in courses if course.left]
         return True
 
-    def _set_off(self, window: Window, settled: State) -> State:
+    def _advance(self, course: Course) -> bool:
+        """Learn from the next step of a window, and take it; whether all went well."""
+        taken = course.window.length - course.left
+        steps = [
+            self.sampler.propagation_steps(index, taken, ruled)
+            for index, ruled in zip(self._indices(course.number), course.prepared.steps, strict=True)
+        ]
+        prepared, situation = course.prepared.with_steps(steps), course.situation()
+        start, after = self.start, course.state
+        for _ in range(self.model.network.passes):
+            predictor = LearningPredictor(self.network, prepared, start, features=course.features)
+            after = step(situation, StepParts(predictor))
+            if not self._learn(situation, after):
+                return False
+            start = Reached(predictor.reached)
+        state = State(after.positions.detach(), after.velocities.detach(), after.frame)
+        course.state = self._set_off(course, state) if course.settles else state
+        course.settles, course.left = False, course.left - 1
+        window, frame = course.window, course.state.frame
+        strain = strain_percentile(window.garments, course.state.positions)
+        drift = drift_from(window.skinned[frame], window.garments, course.state.positions)
+        if self.workers.agreed(is_lost(strain, drift, self.latest_collision)):
+            course.left = 0
+        return True
+
+    def _set_off(self, course: Course, settled: State) -> State:
         """A settled garment, still in the row where it settled, with the velocity that it sets off with."""
-        row = settled.frame - 1
+        window, row = course.window, settled.frame - 1
         skinned = window.skinned_velocity(row)
         velocities = {
             "skinned": skinned,
-            "slowed": self.sampler.slowing(self.counters.window) * skinned,
+            "slowed": self.sampler.slowing(course.number) * skinned,
             "zero": torch.zeros_like(settled.velocities),
             # The released code counts the settling displacement as one of an ordinary step (reference 1.8).
             "carried": settled.velocities * (SETTLING_DT / window.dt),
@@ -315,7 +352,6 @@ class Trainer:
         at, lost = self.counters.step, self.counters.step - self.saved_at
         self.counters.rollbacks += 1
         self.counters.rate_factor *= 0.5
-        self.counters.window += 1
         self.counters.guard, self.sums, self.totals = ExplosionGuard(), {}, []
         self.learner.restore(self.saved)
         sentence = (

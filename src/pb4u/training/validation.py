@@ -84,7 +84,7 @@ class Validation:
         window = self.loader.load([sample], self.frames)
         prepared = model.prepare(window.garments)
         start = start_of(model.network)
-        parts = StepParts(LearningPredictor(model, prepared, passes=model.network.passes, start=start))
+        parts = StepParts(LearningPredictor(model, prepared, start, passes=model.network.passes))
         state, energy, strain = window.start(0.0, self.clearance), 0.0, 0.0
         for frame in range(self.frames):
             situation: Situation = window.moving(state) if frame else window.settling(state)

@@ -126,6 +126,11 @@ class Window:
     owner: Tensor
     dt: float
 
+    @property
+    def length(self) -> int:
+        """Steps of the window."""
+        return len(self.skinned) - 2
+
     def skinned_velocity(self, row: int) -> Tensor:
         """(vertices, 3) [m/s] of the garments as the bodies alone would carry them."""
         return (self.skinned[row] - self.skinned[row - 1]) / self.dt
