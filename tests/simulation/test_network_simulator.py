@@ -11,16 +11,18 @@ import pytest
 import torch
 from ball_scene import ball_scene
 
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, InputWarning, Pb4uError
 from pb4u.evaluation.metrics import measure
+from pb4u.graph.graph import Graph
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.contact import SurfaceContact
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_simulator import NetworkSimulator, local_origin
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stage import Stage
+from pb4u.simulation.step import Contact, NoContact
 
 TINY = Pb4uConfiguration(width=16, blocks=2)
 
@@ -94,12 +96,34 @@ def test_velocity_after_refinement_is_the_displacement(weights: Path) -> None:
     np.testing.assert_allclose(trajectory.velocities[3], displacement, atol=1e-3)
 
 
-def test_record_says_when_a_network_ran_away(weights: Path) -> None:
+@pytest.mark.parametrize("contact", [NoContact(), SurfaceContact()])
+@pytest.mark.parametrize("refine", [0, 2])
+def test_frames_before_a_network_ran_away_are_kept(
+    weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, contact: Contact, refine: int
+) -> None:
+    checkpoint = load_checkpoint(weights)
+    original, calls = checkpoint.model.forward, [0]
+
+    def late(graph: Graph, prepared: PreparedGarments) -> torch.Tensor:
+        calls[0] += 1
+        return original(graph, prepared) * (torch.nan if calls[0] > 3 - bool(refine) else 1.0)
+
+    monkeypatch.setattr(checkpoint.model, "forward", late)
+    record = RunRecord()
+    simulator = NetworkSimulator(checkpoint, refine=refine, contact=contact)
+    trajectory = simulator.simulate_to(ball_scene(frames=6, lead_in=0), tmp_path / "kept.npz", record)
+    assert record.failed_at == trajectory.frame_count == 3
+    assert all(np.isfinite(trajectory.positions[t]).all() for t in range(3))
+
+
+def test_a_network_that_never_was_finite_writes_nothing(weights: Path, tmp_path: Path) -> None:
     checkpoint = load_checkpoint(weights)
     with torch.no_grad():
         for parameter in checkpoint.model.network.decoder.parameters():
             parameter.fill_(float("inf"))
     record = RunRecord()
-    frames = list(NetworkSimulator(checkpoint).written_frames(ball_scene(frames=4, lead_in=0), record))
-    assert record.failed_at is not None
-    assert len(frames) == record.failed_at
+    assert not list(NetworkSimulator(checkpoint).written_frames(ball_scene(frames=4, lead_in=0), record))
+    assert record.failed_at == 0
+    with pytest.raises(Pb4uError, match="in the very first frame"):
+        NetworkSimulator(checkpoint).simulate_to(ball_scene(frames=4, lead_in=0), tmp_path / "none.npz")
+    assert not (tmp_path / "none.npz").exists()

@@ -29,15 +29,18 @@ def test_settings_replace_fields_of_every_kind() -> None:
             "data.garments=tshirt,dress",
             "data.triangles=1200",
             "network.width=64",
+            "network.carried_shares=0.5,1",
+            "data.motions=()",
             "after_settling=zero",
         ],
     )
+    assert changed.data.motions == ()
     assert (changed.batch, changed.noise, changed.after_settling) == (4, 0.0, "zero")
     assert changed.curriculum.learning_rate == 1e-3
     assert changed.curriculum.window_length(0.6) == 2
     assert changed.data.garments == ("tshirt", "dress")
     assert changed.data.triangles == (1200,)
-    assert replace(TrainingConfiguration().network, width=64) == changed.network  # type: ignore[type-var]
+    assert replace(TrainingConfiguration().network, width=64, carried_shares=(0.5, 1)) == changed.network  # type: ignore[type-var]
 
 
 @pytest.mark.parametrize(
@@ -53,6 +56,11 @@ def test_settings_replace_fields_of_every_kind() -> None:
         ("batch=0", "batch must be 1 or more"),
         ("data.triangles=many", "of another kind"),
         ("network.layout.extra=descent", "of another kind"),
+        ("material.density=0.2", "of another shape"),
+        ("curriculum.window_steps=((0,1,2),)", "of another shape"),
+        ("curriculum.window_steps=((0,'a'),)", "of another shape"),
+        ("network.width=-1", "network.width must be 1 or more"),
+        ("interleaved=0", "interleaved must be 1 or more"),
         ("after_settling=fast", "one of skinned, slowed, zero, carried"),
     ],
 )

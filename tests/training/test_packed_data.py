@@ -57,6 +57,20 @@ def test_damaged_and_foreign_packs_are_refused(tmp_path: Path) -> None:
         save_training_data(ball_data(), tmp_path / "absent" / "pack.npz")
 
 
+def test_flipped_bits_are_refused_in_a_sentence_or_harmless(tmp_path: Path) -> None:
+    path = tmp_path / "pack.npz"
+    save_training_data(ball_data(), path)
+    content = path.read_bytes()
+    refused = 0
+    for place in np.linspace(40, len(content) - 40, 60).astype(int).tolist():
+        path.write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
+        try:
+            load_training_data(path)
+        except InputError:
+            refused += 1
+    assert refused > 30
+
+
 def test_a_body_with_nothing_to_do_is_refused() -> None:
     data = ball_data()
     with pytest.raises(InputError, match="no motion to train on"):

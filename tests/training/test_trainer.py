@@ -12,6 +12,7 @@ from tests.training.listening import ALONE, Listener, made
 from torch import Tensor
 
 from pb4u.errors import InputError
+from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout
 from pb4u.physics.incremental_potential import Energies
 from pb4u.presets.networks import pb4u_small
 from pb4u.scene.state import State
@@ -20,10 +21,11 @@ from pb4u.simulation.step import Situation
 from pb4u.simulation.step_start import FreeFlight
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget
+from pb4u.training.course import Course
 from pb4u.training.curriculum import Curriculum
 from pb4u.training.progress import draw_curve
 from pb4u.training.run_folder import NotSavedError, RunFolder
-from pb4u.training.trainer import Course, Trainer, TrainingFailedError
+from pb4u.training.trainer import RoundEnd, Trainer, TrainingFailedError
 from pb4u.training.validation import Score
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -87,7 +89,7 @@ def test_a_rollback_restores_weights_averages_and_moments() -> None:
 
 def test_a_training_that_keeps_coming_apart_ends_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = made(TINY, 50)
-    monkeypatch.setattr(Trainer, "_train_round", lambda self: False)
+    monkeypatch.setattr(Trainer, "_train_round", lambda self: RoundEnd.CAME_APART)
     with pytest.raises(TrainingFailedError, match="start it with a lower"):
         trainer.run()
 
@@ -191,7 +193,7 @@ def test_interleaved_windows_take_turns_until_each_is_over(monkeypatch: pytest.M
         return original(self, course)
 
     monkeypatch.setattr(Trainer, "_advance", noted)
-    assert trainer._train_round()
+    assert trainer._train_round() is RoundEnd.LEARNT
     assert seen == [(0, 3), (1, 3), (2, 3), (0, 2), (2, 2), (0, 1), (2, 1)]
     assert trainer.counters.step == 7
 
@@ -208,6 +210,81 @@ def test_a_window_does_not_care_what_it_is_interleaved_with() -> None:
                 assert trainer._advance(other)
         steps[together] = course.state.positions
     assert torch.allclose(steps[1], steps[2], atol=1e-6)
+
+
+def test_a_rollback_before_the_first_checkpoint_keeps_the_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = made(replace(TINY, checkpoint_every=1000), 3)
+    ends = iter([RoundEnd.CAME_APART])
+    original = Trainer._train_round
+    monkeypatch.setattr(Trainer, "_train_round", lambda self: next(ends, None) or original(self))
+    assert trainer.run() == "finished"
+    assert trainer.counters.rollbacks == 1
+    for name, value in trainer.model.named_buffers():
+        if name.endswith("frozen"):
+            assert bool(value), name
+
+
+def test_a_round_takes_no_more_steps_than_are_left() -> None:
+    trainer = made(replace(TINY, interleaved=4), 6)
+    assert trainer.run() == "finished"
+    assert trainer.counters.step == 6
+
+
+CARRIED = replace(
+    TINY,
+    network=replace(
+        pb4u_small,
+        width=4,
+        blocks=1,
+        layout=FeatureLayout(extra=(DESCENT, ADVANCE)),
+        passes=2,
+        carried_shares=(0.5, 1.0),
+    ),
+    after_settling="slowed",
+    interleaved=2,
+    curriculum=Curriculum(window_steps=((0.0, 3),), learning_rate=1e-3),
+)
+
+
+def test_further_passes_in_training_start_where_the_last_one_left_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = made(CARRIED, 100)
+    course = trainer._begin(0, 2)
+    begun: list[Tensor] = []
+    reached: list[Tensor] = []
+    original = trainer_module.LearningPredictor.predict
+
+    def noted(self: trainer_module.LearningPredictor, situation: Situation) -> State:
+        begun.append(self._start.accelerations(situation))
+        after = original(self, situation)
+        reached.append(self.reached)
+        return after
+
+    monkeypatch.setattr(trainer_module.LearningPredictor, "predict", noted)
+    assert trainer._advance(course)
+    assert trainer._advance(course)
+    assert len(begun) == 4
+    assert torch.equal(begun[1], reached[0])
+    assert torch.equal(begun[3], reached[2])
+    assert not torch.equal(begun[2], reached[1])
+
+
+@pytest.mark.parametrize("checks", [3, 4])
+def test_a_stop_within_a_round_goes_on_from_its_beginning(tmp_path: Path, checks: int) -> None:
+    configuration = replace(CARRIED, checkpoint_every=5, statistics_windows=2, validation_frames=2)
+    whole = made(configuration, 24)
+    whole.run()
+    answers = iter([False] * checks + [True])
+    stopped = made(configuration, 24, tmp_path / "run")
+    stopped.stopping = lambda: next(answers)
+    assert stopped.run() == "stopped"
+    assert stopped.counters.step == 12
+    resumed = made(configuration, 24)
+    assert stopped.folder is not None
+    found = stopped.folder.load_state()
+    assert found is not None
+    resumed.resume(*found)
+    assert resumed.run() == "finished"
+    assert all(torch.equal(value, resumed.learner.state()[name]) for name, value in whole.learner.state().items())
 
 
 @pytest.mark.parametrize("interleaved", [1, 2])

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import write_json
+from pb4u.cli.console import check_json_target, write_json
 
 
 def register(app: typer.Typer) -> None:
@@ -19,7 +19,7 @@ def train(
     preset: Annotated[
         str | None,
         typer.Option(
-            help="Which training: small (two cores, the default), comparison (one core, 20 minutes; what networks are "
+            help="Which training: small (two cores, the default), comparison (half an hour; what networks are "
             "compared by), paper (an accelerator), smoke (seconds)."
         ),
     ] = None,
@@ -55,6 +55,7 @@ def train(
     from pb4u.training.session import Request
     from pb4u.training.session import train as run
 
+    check_json_target(json)
     result = run(Request(preset, steps, minutes, out, resume, pack, recordings, tuple(set_ or ()), device))
     if json:
         write_json(result, json)

@@ -24,7 +24,7 @@ class Feature:
         normalised: whether running statistics centre and scale it.
         typical: usual spread, taken where there are no statistics yet; a hundredth of it is the smallest spread
             believed.
-        source: what it is and where the definition comes from.
+        source: what it is and where the definition comes from; for the reader, so not compared.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Feature:
     unit: str
     normalised: bool
     typical: float
-    source: str
+    source: str = field(compare=False)
 
 
 def _index(*features: Feature) -> dict[str, Feature]:
@@ -87,10 +87,15 @@ FOUND_EDGE_FEATURES = _index(
 
 
 DESCENT = Feature(
-    "descent", 3, "1", True, 0.05, "Jacobi descent of the incremental potential at free flight, in edge lengths; ours"
+    "descent",
+    3,
+    "1",
+    True,
+    0.05,
+    "Jacobi descent of the incremental potential where the pass starts, in edge lengths; ours",
 )
 
-ADVANCE = Feature("advance", 3, "cm/step^2", False, 1.0, "acceleration found by earlier passes of the same step; ours")
+ADVANCE = Feature("advance", 3, "cm/step^2", False, 1.0, "acceleration from free flight to where the pass starts; ours")
 
 EXTRA_FEATURES = _index(DESCENT, ADVANCE)
 

@@ -14,7 +14,7 @@ from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 
 _POSES_KEPT = 3
-_SURFACES_KEPT = 4
+_SURFACES_KEPT = 16
 _BODIES_KEPT = 8
 
 
@@ -116,10 +116,12 @@ atexit.register(_surfaces_kept.clear)
 
 def collider_surfaces(garments: PackedGarments, collider: ColliderFrame, whole: bool = False) -> ColliderSurfaces:
     """The searchable surfaces of `collider`, with regions left out of contact or `whole`; those last used are kept."""
-    for known in _surfaces_kept:
-        if known.fits(garments, collider, whole):
-            return known
-    surfaces = ColliderSurfaces(garments, collider, whole)
+    fitting = (known for known in _surfaces_kept if known.fits(garments, collider, whole))
+    surfaces = next(fitting, None)
+    if surfaces is None:
+        surfaces = ColliderSurfaces(garments, collider, whole)
+    else:
+        _surfaces_kept.remove(surfaces)
     _surfaces_kept.insert(0, surfaces)
     del _surfaces_kept[_SURFACES_KEPT:]
     return surfaces

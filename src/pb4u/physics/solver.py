@@ -129,6 +129,8 @@ class Solver:
         garments = potential.step.garments
         self._prepare(garments)
         limit = self.max_iterations if iterations is None else iterations
+        if not bool(torch.isfinite(start).all()):
+            raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
         start = lifted_off_the_body(potential, start)
         contact = TrackedContact(potential, start)
         preconditioner = _StepPreconditioner(self._basis)

@@ -44,6 +44,10 @@ pb4u_small_passes = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT, ADV
 pb4u_small_carried = replace(pb4u_small_passes, passes=1, carried_shares=(0.25, 0.5, 0.75, 1.0))
 """Starts each step part of the way that the body carries the garment, whichever part has least potential."""
 
+small_carried_without_scaling = replace(pb4u_small_carried, scaling=NoScaling())
+
+small_carried_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
+
 without_propagation_control = replace(pb4u_paper, control=FixedSteps(15))
 
 without_update_scaling = replace(pb4u_paper, scaling=NoScaling())
@@ -104,6 +108,8 @@ NETWORKS: dict[str, Configuration] = {
     "pb4u_small_descent": pb4u_small_descent,
     "pb4u_small_passes": pb4u_small_passes,
     "pb4u_small_carried": pb4u_small_carried,
+    "small_carried_without_scaling": small_carried_without_scaling,
+    "small_carried_without_control": small_carried_without_control,
     "without_propagation_control": without_propagation_control,
     "without_update_scaling": without_update_scaling,
     "without_both": without_both,

@@ -23,6 +23,10 @@ from pb4u.nn.acceleration_model import GraphNetwork
 class NetworkConfiguration(Protocol):
     """A frozen dataclass that makes a network."""
 
+    @property
+    def width(self) -> int:
+        """Of its latents."""
+
     def network(self) -> GraphNetwork:
         """A network of this configuration with fresh weights."""
 

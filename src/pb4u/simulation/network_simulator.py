@@ -11,6 +11,7 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.graph.features import ADVANCE
 from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.physics.divergence import require_finite
 from pb4u.physics.integrator import integrate
 from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
 from pb4u.scene.scene import Scene
@@ -29,7 +30,7 @@ _ORIGIN_GRID = 1.0 / 16.0
 
 
 class NetworkPredictor(Predictor):
-    """Accelerations from the network, integrated in the state's own precision.
+    """Accelerations from the network, integrated in the state's own precision; DivergedError where one is not finite.
 
     Args:
         model: the network between its normalisers, on the device to compute on.
@@ -50,6 +51,8 @@ class NetworkPredictor(Predictor):
         found = self._start.accelerations(situation)
         for _ in range(self.passes):
             found = found + self._pass(situation, found).to(found)
+            if not bool(torch.isfinite(found).all()):
+                break
         return found
 
     def _pass(self, situation: Situation, found: Tensor) -> Tensor:
@@ -77,8 +80,9 @@ class NetworkPredictor(Predictor):
 
     def predict(self, situation: Situation) -> State:
         acceleration = self._accelerations(situation).clone()
-        return integrate(
-            situation.state, acceleration, situation.dt, situation.garments.pinned, situation.pin_positions
+        # Here, because neither the next pass nor what follows a prediction can look up a body at no position.
+        return require_finite(
+            integrate(situation.state, acceleration, situation.dt, situation.garments.pinned, situation.pin_positions)
         )
 
 

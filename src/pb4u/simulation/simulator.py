@@ -107,10 +107,9 @@ class Simulator(ABC):
             for frame in self.written_frames(scene, record, progress):
                 writer.append(frame)
         if not writer.frame_count:
-            raise Pb4uError(
-                f"The state stopped being finite {-(record.failed_at or 0)} frames before the first one to write; "
-                "nothing was written. Try a longer --lead-in."
-            )
+            early = -(record.failed_at or 0)
+            when = f"{early} frames before the first one to write" if early else "in the very first frame"
+            raise Pb4uError(f"The state stopped being finite {when}; nothing was written. Try --model solver.")
         return Trajectory.open(path)
 
     def header(self, scene: Scene) -> TrajectoryHeader:

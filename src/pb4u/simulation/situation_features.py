@@ -26,7 +26,7 @@ class SituationFeature(Protocol):
         """(vertices, width).
 
         Args:
-            found: (vertices, 3) accelerations that earlier passes of the step found [m per step^2].
+            found: (vertices, 3) accelerations from free flight to where the pass starts [m per step^2].
             incident_length: (vertices,) mean rest length of the edges at each vertex [m].
         """
 
@@ -56,7 +56,7 @@ class DescentFeature:
 
 
 class AdvanceFeature:
-    """The accelerations that earlier passes of the same step found."""
+    """The accelerations from free flight to where the pass starts."""
 
     def of(self, situation: Situation, found: Tensor, incident_length: Tensor) -> Tensor:
         return 100.0 * found

@@ -13,7 +13,7 @@ from pb4u.simulation.step import BallisticPredictor, Situation
 
 
 class StepStart(ABC):
-    """Says where a network's first pass starts."""
+    """Says where a pass of a network starts."""
 
     @abstractmethod
     def accelerations(self, situation: Situation) -> Tensor:

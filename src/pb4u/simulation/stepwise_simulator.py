@@ -28,14 +28,16 @@ class StepwiseSimulator(Simulator):
     def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
         stage = Stage(scene)
         parts = self.parts(stage, record)
+        made = 0
         try:
-            state = self.first_frame(parts).start(stage)
+            state = require_finite(self.first_frame(parts).start(stage))
             yield presented(stage, state, parts)
             for frame in range(scene.total_frames - 1):
+                made = frame + 1
                 state = require_finite(step(situation_at(stage, state, frame), parts))
                 yield presented(stage, state, parts)
-        except DivergedError as error:
-            record.failed_at = error.frame - scene.lead_in
+        except DivergedError:
+            record.failed_at = made - scene.lead_in
 
 
 def presented(stage: Stage, state: State, parts: StepParts) -> State:

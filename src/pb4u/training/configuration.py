@@ -93,7 +93,9 @@ class TrainingConfiguration:
         statistics_windows: windows whose statistics normalise the features.
         gradient_norm: longest gradient.
         ema_decay: of the averaged weights, which are what a training is for.
-        log_every, checkpoint_every, validate_every: optimiser steps between lines, checkpoints and validations.
+        log_every: optimiser steps between lines.
+        checkpoint_every, validate_every: optimiser steps between checkpoints and validations, which wait for the
+            windows on the way to end.
         validation_clips: clips rolled out by a validation.
         validation_frames: frames of each.
         patience: validations without improvement after which the training stops; 0 never stops it.
@@ -129,6 +131,8 @@ class TrainingConfiguration:
                 raise InputError(f"{name} must not be below 0, but is {getattr(self, name)}.")
         if self.after_settling not in AFTER_SETTLING:
             raise InputError(f"after_settling is one of {', '.join(AFTER_SETTLING)}, not {self.after_settling!r}.")
+        if self.network.width < 1:
+            raise InputError(f"network.width must be 1 or more, not {self.network.width}.")
         if self.validation_clips < 1 or self.validation_frames < 2:
             raise InputError("A validation needs 1 clip or more of 2 frames or more.")
         if not (self.gradient_norm > 0 and 0.0 <= self.ema_decay < 1.0):
@@ -189,7 +193,13 @@ def _replaced(record: Any, key: str, path: list[str], text: str) -> Any:
         return replace(record, **{name: _replaced(value, key, rest, text)})
     if rest:
         raise InputError(f"There is no setting {key}; {name} has no parts.")
-    return replace(record, **{name: _parsed(key, value, text)})
+    parsed = _parsed(key, value, text)
+    try:
+        return replace(record, **{name: parsed})
+    except InputError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{key} is {value!r} by default; {text!r} is of another shape.") from error
 
 
 def _parsed(key: str, present: Any, text: str) -> Any:
@@ -205,8 +215,9 @@ def _parsed(key: str, present: Any, text: str) -> Any:
             value = tuple(part.strip() for part in value.split(","))
         elif not isinstance(value, tuple):
             value = (value,)
-        wanted = {type(entry) for entry in present}
-        if value and all(_fits(entry, wanted) for entry in value):
+        # Empty tuples by default are of numbers.
+        wanted = {type(entry) for entry in present} or {float}
+        if all(_fits(entry, wanted) for entry in value):
             return value
     elif isinstance(value, int) and not isinstance(value, bool) and isinstance(present, float):
         return float(value)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
 
+from pb4u.atomic_file import replace_file
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence, Skeleton
 from pb4u.body.skinning import SkinningWeights
@@ -167,15 +169,11 @@ def _weight_arrays(prefix: str, weights: SkinningWeights) -> dict[str, np.ndarra
 
 
 def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
     try:
-        with open(beside, "wb") as out:
-            np.savez_compressed(out, **arrays)  # type: ignore[arg-type]
-            out.flush()
-            os.fsync(out.fileno())
-        os.replace(beside, path)
+        replace_file(path, content.getvalue())
     except OSError as error:
-        beside.unlink(missing_ok=True)
         raise InputError(f"Cannot write {path}: {error.strerror or error}.") from error
 
 
@@ -197,9 +195,11 @@ def load_training_data(path: Path | str) -> TrainingData:
         for i, record in enumerate(header["bodies"]):
             bodies.append(_body(i, record, arrays, bodies))
         return TrainingData(tuple(bodies), tuple(_outfits(header, arrays)), tuple(_clips(header, arrays)))
-    except (KeyError, TypeError, ValueError, OSError, EOFError, IndexError, zipfile.BadZipFile) as error:
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except (
+        KeyError, TypeError, ValueError, OSError, EOFError, IndexError, zipfile.BadZipFile, zlib.error, TokenError
+    ) as error:  # fmt: skip
         raise InputError(
             f"{path} is no whole training pack ({error}); write it again with `pb4u assets pack`."
         ) from error

@@ -51,7 +51,7 @@ comparison = replace(
     validation_frames=40,
     patience=0,
 )
-"""A quarter of an hour on one processor core: what networks, ablations and experiments are compared by."""
+"""Twenty to thirty minutes on one processor core: what networks, ablations and experiments are compared by."""
 
 smoke = replace(
     small,

@@ -44,22 +44,34 @@ class RunFolder:
     path: Path
 
     @staticmethod
-    def create(path: Path | str, configuration: dict[str, Any]) -> RunFolder:
-        """A new folder with its configuration.
-
-        Raises InputError where something else is in it, or it cannot be made.
-        """
+    def require_free(path: Path | str) -> None:
+        """Raises InputError where there is something already that is no empty folder."""
         folder = RunFolder(Path(path))
         if (folder.path / CONFIGURATION).is_file():
             raise InputError(f"{path} already holds a training; go on with --resume {path}, or give another folder.")
         if folder.path.exists() and (not folder.path.is_dir() or any(folder.path.iterdir())):
             raise InputError(f"{path} exists and is no empty folder; give another one for the training.")
+
+    @staticmethod
+    def create(path: Path | str, configuration: dict[str, Any]) -> RunFolder:
+        """A new folder with its configuration.
+
+        Raises InputError where something else is in it, or it cannot be made.
+        """
+        RunFolder.require_free(path)
+        folder = RunFolder(Path(path))
         try:
             folder.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"Cannot make the folder {path}: {error.strerror or error}.") from error
         folder.configure(configuration)
         return folder
+
+    def remove(self) -> None:
+        """Take back what `create` made."""
+        with contextlib.suppress(OSError):
+            (self.path / CONFIGURATION).unlink()
+            self.path.rmdir()
 
     @staticmethod
     def open(path: Path | str) -> RunFolder:

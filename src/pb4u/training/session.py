@@ -88,7 +88,7 @@ def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
 def _created(
     request: Request, configuration: TrainingConfiguration, budget: Budget, mine: Workers
 ) -> tuple[RunFolder, TrainingConfiguration, Budget, TrainingData]:
-    """A new run; the folder appears only when its data is there. Other processes wait for the leading one's data."""
+    """A new run. Other processes wait for the leading one's data."""
     mine.share(configuration.batch)
     assert request.out is not None
     record = {
@@ -99,9 +99,14 @@ def _created(
     }
     data = None
     if mine.leads:
+        RunFolder.require_free(request.out)
         data = _data(request, configuration)
         folder = RunFolder.create(request.out, record)
-        save_training_data(data, folder.data)
+        try:
+            save_training_data(data, folder.data)
+        except InputError:
+            folder.remove()
+            raise
     mine.agreed(False)
     folder = RunFolder(request.out)
     return folder, configuration, budget, load_training_data(folder.data) if data is None else data

@@ -7,6 +7,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from enum import Enum, auto
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,6 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
-from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 from pb4u.simulation.first_frame import SETTLING_DT
@@ -24,6 +24,7 @@ from pb4u.simulation.step import Situation, StepParts, step
 from pb4u.simulation.step_start import Reached, start_of
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
+from pb4u.training.course import Course
 from pb4u.training.distribution import Workers
 from pb4u.training.explosion_guard import ExplosionGuard
 from pb4u.training.learner import Learner
@@ -41,7 +42,7 @@ from pb4u.training.progress import Reporter
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.validation import Score, Validation
 from pb4u.training.wardrobe import Wardrobe
-from pb4u.training.windows import Sampler, Window, WindowLoader
+from pb4u.training.windows import Sampler, WindowLoader
 
 MOST_ROLLBACKS = 8
 IMPROVEMENT = 0.005
@@ -51,27 +52,25 @@ class TrainingFailedError(Pb4uError):
     """A training that cannot be saved by lowering its rate."""
 
 
-@dataclass
-class Course:
-    """A window on its way.
+class RoundEnd(Enum):
+    """How a round of windows ended."""
 
-    Args:
-        number: of the window. window: its garments and bodies. state: of the garments.
-        prepared: what the network derived once from the garments. features: of them.
-        settles: whether the next step is the settling one. left: steps to go.
-    """
+    LEARNT = auto()
+    CAME_APART = auto()
+    STOPPED = auto()
 
-    number: int
-    window: Window
-    state: State
-    prepared: PreparedGarments
-    features: SituationFeatures
-    settles: bool
-    left: int
 
-    def situation(self) -> Situation:
-        """What the next step starts from."""
-        return self.window.settling(self.state) if self.settles else self.window.moving(self.state)
+@dataclass(frozen=True)
+class Snapshot:
+    """Where a training was: what `Learner.state` and `Counters.to_json` gave."""
+
+    tensors: dict[str, Tensor]
+    counters: dict[str, Any]
+
+    @property
+    def step(self) -> int:
+        """Optimiser steps taken until then."""
+        return int(self.counters["step"])
 
 
 class Trainer:
@@ -80,7 +79,7 @@ class Trainer:
     Args:
         configuration: everything that decides it. budget: when it ends. data: what it is trained on.
         workers: this process and the others. folder: where it is kept, or None to keep nothing.
-        reporter: told how it goes. stopping: asked between windows whether to end early.
+        reporter: told how it goes. stopping: asked every few steps whether to end early.
     """
 
     def __init__(
@@ -106,7 +105,7 @@ class Trainer:
         self.sums: dict[str, float] = {}
         self.totals: list[float] = []
         self.latest_collision = 0.0
-        self.saved, self.saved_at = self.learner.state(), 0
+        self.saved = Snapshot(self.learner.state(), self.counters.to_json())
         self._clock = time.monotonic()
 
     def run(self) -> str:
@@ -114,21 +113,33 @@ class Trainer:
         self._clock = time.monotonic() - self.counters.seconds
         if self.counters.window == 0:
             self._gather_statistics()
+            self.saved = Snapshot(self.learner.state(), self.counters.to_json())
         ending = self._ending()
         while ending is None:
-            before = self.counters.step
-            finished = self._train_round()
+            begun = Snapshot(self.learner.state(), self.counters.to_json())
+            end = self._train_round()
+            if end is RoundEnd.STOPPED:
+                self._return_to(begun)
+                ending = "stopped"
+                break
             self.counters.window += self.configuration.interleaved
-            if finished:
-                self._keep_house(before)
+            if end is RoundEnd.LEARNT:
+                self._keep_house(begun.step)
             else:
                 self._roll_back()
             ending = self._ending()
+        if ending == "stopped" and not self.counters.guard.calm:
+            self._return_to(self.saved)
         if ending != "stopped":
             self._validate()
             self._save_final()
         self._checkpoint(exact=True, insist=True)
         return ending
+
+    def _return_to(self, then: Snapshot) -> None:
+        self.learner.restore(then.tensors)
+        self.counters = Counters.from_json(then.counters)
+        self.sums, self.totals = {}, []
 
     def _ending(self) -> str | None:
         """Why to end now, the same in every process; None to go on."""
@@ -170,23 +181,27 @@ class Trainer:
         batch = self.configuration.batch
         return range(number * batch, (number + 1) * batch)[self.share]
 
-    def _train_round(self) -> bool:
-        """Step through some windows in turn, an optimiser step after each step; whether all went well.
+    def _train_round(self) -> RoundEnd:
+        """Step through some windows in turn, an optimiser step after each step.
 
         A window whose garment is lost leaves the round: nothing that follows would be worth learning.
         """
-        together, first = self.configuration.interleaved, self.counters.window
         length = self.configuration.curriculum.window_length(self.progress)
+        together, passes = self.configuration.interleaved, self.model.network.passes
         if self.budget.steps is not None:
-            left = self.budget.steps - self.counters.step
-            length = min(length, math.ceil(left / (self.model.network.passes * together)))
+            left = math.ceil((self.budget.steps - self.counters.step) / passes)
+            together = min(together, left)
+            length = min(length, math.ceil(left / together))
+        first = self.counters.window
         courses = [self._begin(number, length) for number in range(first, first + together)]
         while courses:
             for course in courses:
                 if not self._advance(course):
-                    return False
+                    return RoundEnd.CAME_APART
             courses = [course for course in courses if course.left]
-        return True
+            if courses and self.workers.agreed(self.stopping()):
+                return RoundEnd.STOPPED
+        return RoundEnd.LEARNT
 
     def _advance(self, course: Course) -> bool:
         """Learn from the next step of a window, and take it; whether all went well."""
@@ -249,17 +264,17 @@ class Trainer:
         self.totals.append(comparable_total(named, weight))
         for name, value in {**named, **extra}.items():
             self.sums[name] = self.sums.get(name, 0.0) + value
+        if self.counters.step % self.configuration.log_every == 0:
+            self._log()
         return not self.counters.guard.exploded
 
     def _keep_house(self, before: int) -> None:
-        """Report, validate and save when a step since `before` was due for it."""
+        """Validate and save when a step since `before` was due for it."""
         c, now = self.configuration, self.counters.step
 
         def due(every: int) -> bool:
             return now // every > before // every
 
-        if due(c.log_every):
-            self._log()
         if due(c.validate_every):
             self._validate()
         if due(c.checkpoint_every) and self.counters.guard.calm:
@@ -274,9 +289,9 @@ class Trainer:
         # Few deep penetrations outweigh everything else in a mean, and its weight of collisions rises.
         means["median"] = statistics.median(self.totals)
         self.sums, self.totals = {}, []
-        length = self.configuration.curriculum.window_length(self.progress)
-        self._note({"step": self.counters.step, "seconds": round(self.counters.seconds, 2), "window": length, **means})
-        self.reporter.progressed(self.counters.step, self.progress, self.counters.seconds, means)
+        length, seconds = self.configuration.curriculum.window_length(self.progress), time.monotonic() - self._clock
+        self._note({"step": self.counters.step, "seconds": round(seconds, 2), "window": length, **means})
+        self.reporter.progressed(self.counters.step, self.progress, seconds, means)
 
     def _note(self, record: dict[str, Any]) -> None:
         if self.workers.leads and self.folder:
@@ -349,16 +364,16 @@ class Trainer:
 
     def _roll_back(self) -> None:
         """Return to the last good weights at half the rate, and go on with other samples."""
-        at, lost = self.counters.step, self.counters.step - self.saved_at
+        at, back = self.counters.step, self.saved.step
         self.counters.rollbacks += 1
         self.counters.rate_factor *= 0.5
         self.counters.guard, self.sums, self.totals = ExplosionGuard(), {}, []
-        self.learner.restore(self.saved)
+        self.learner.restore(self.saved.tensors)
         sentence = (
-            f"Step {at}: the training was coming apart; back to the weights of step {self.saved_at} ({lost} steps "
+            f"Step {at}: the training was coming apart; back to the weights of step {back} ({at - back} steps "
             f"lost), at {self.counters.rate_factor:g} times the learning rate."
         )
-        self._note({"step": at, "rollback": self.saved_at, "rate_factor": self.counters.rate_factor})
+        self._note({"step": at, "rollback": back, "rate_factor": self.counters.rate_factor})
         self.reporter.said(sentence)
         if self.counters.rollbacks > MOST_ROLLBACKS:
             raise TrainingFailedError(
@@ -379,15 +394,15 @@ class Trainer:
             except NotSavedError as error:
                 if insist:
                     raise
-                self.reporter.said(f"{error} The training goes on; the last whole checkpoint is of {self.saved_at}.")
+                self.reporter.said(f"{error} The training goes on; the last whole checkpoint is of {self.saved.step}.")
         self.learner.restore(tensors)
-        self.saved, self.saved_at = tensors, self.counters.step
+        self.saved = Snapshot(tensors, self.counters.to_json())
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
         """Go on from a checkpoint. Raises InputError where it is not of this configuration."""
         self.counters = Counters.from_json(counters)
         self.learner.restore(tensors)
-        self.saved, self.saved_at = tensors, self.counters.step
+        self.saved = Snapshot(tensors, self.counters.to_json())
 
 
 def _version(package: str) -> str:

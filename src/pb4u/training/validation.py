@@ -94,10 +94,11 @@ class Validation:
             energies = step_energies(situation, after.positions, REFERENCE_WEIGHT)
             collision = float(energies.terms["collision"].sum()) / REFERENCE_WEIGHT
             stretched = strain_percentile(window.garments, after.positions)
-            drift = drift_from(window.skinned[after.frame], window.garments, after.positions)
+            settled = State(after.positions, window.skinned_velocity(state.frame), state.frame)
+            state = after if frame else settled
+            drift = drift_from(window.skinned[state.frame], window.garments, after.positions)
             if is_lost(stretched, drift, collision):
                 return frame, energy, strain
             energy += float(energies.total)
             strain += stretched
-            state = after if frame else State(after.positions, window.skinned_velocity(state.frame), state.frame)
         return self.frames, energy, strain
