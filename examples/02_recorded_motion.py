@@ -56,4 +56,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except pb4u.Pb4uError as error:
+        raise SystemExit(str(error)) from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from tests.garment.cloth_shapes import saved, triangle_tube
 
+import pb4u as package
 from pb4u.body.library import load_body
 from pb4u.garment.garment import SourceMesh
 from pb4u.garment.obj_file import read_obj
@@ -37,6 +39,29 @@ def test_convert_selects_frames(pb4u: Callable, walk: Path, tmp_path: Path) -> N
     before, after = Trajectory.open(walk), Trajectory.open(tmp_path / "b.npz")
     np.testing.assert_array_equal(after.positions, before.positions[1:6:2])
     assert after.fps == 15.0
+
+
+@pytest.mark.parametrize(
+    ("out", "frames", "says"),
+    [
+        ("b.obj", "0:6", "b_0000.obj to b_0005.obj"),
+        ("b.obj", "0:2", "b_0000.obj, b_0001.obj"),
+        ("b.pc2", "0:6", "b.pc2, b.obj"),
+        ("b.mdd", "0:6", "b.mdd, b.obj"),
+        ("b.glb", "0:6", "b.glb"),
+    ],
+)
+def test_convert_tells_the_files_that_it_wrote(
+    pb4u: Callable, walk: Path, monkeypatch: pytest.MonkeyPatch, out: str, frames: str, says: str
+) -> None:
+    monkeypatch.chdir(walk.parent)
+    assert pb4u("convert", "walk.npz", out, "--range", frames).out == f"Wrote {says}\n"
+
+
+def test_convert_warns_of_a_range_beyond_the_end(pb4u: Callable, walk: Path, tmp_path: Path) -> None:
+    ended = pb4u("convert", walk, tmp_path / "b.npz", "--range", "4:100")
+    assert ended.code == 0
+    assert ended.err == "pb4u: warning: The trajectory has 6 frames; of the range 4:100, 4:6 is there.\n"
 
 
 @pytest.mark.parametrize(
@@ -118,6 +143,13 @@ def test_assets_bake_tells_what_it_wrote(pb4u: Callable, tmp_path: Path, monkeyp
     assert "absent for --json" in pb4u("assets", "bake", "--json", tmp_path / "absent" / "r.json").err
 
 
+def test_bake_without_its_extra_says_what_for(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "anny", None)
+    ended = pb4u("assets", "bake", "--folder", tmp_path / "bodies")
+    assert ended.err == 'pb4u: Baking a body needs the "anny" extra: pip install "pb4u[anny]".\n'
+    assert not (tmp_path / "bodies").exists()
+
+
 def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_path: Path) -> None:
     mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
     extra = (np.array([500, 501, 0]), mesh.polygons[7])
@@ -167,6 +199,26 @@ def test_check_looks_at_its_targets_before_any_work(
     assert says in ended.err
 
 
+@pytest.mark.parametrize("out", ["shirt.obj", "./shirt.obj", "linked.obj"])
+def test_the_author_s_file_is_not_mended_over(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("shirt.obj").write_text(CUBE)
+    Path("linked.obj").symlink_to("shirt.obj")
+    monkeypatch.setattr("pb4u.garment.garment_file.read_source", lambda *_: pytest.fail("the garment was read"))
+    ended = pb4u("check", "shirt.obj", "--fix", out)
+    assert ended.code == 1
+    assert ended.err == f"pb4u: --fix {Path(out)} would overwrite the garment that it mends; give another name.\n"
+    assert Path("shirt.obj").read_text() == CUBE
+
+
+def test_check_says_that_it_leaves_the_triangles_of_a_file(pb4u: Callable, tmp_path: Path) -> None:
+    file = saved(tmp_path, triangle_tube(low=0.6, high=1.0, radius=0.22))
+    assert "warning: --triangles is for a built-in garment" in pb4u("check", file, "--triangles", 500).err
+    assert "--triangles" not in pb4u("check", "tshirt", "--triangles", 500).err
+
+
 def test_a_built_in_garment_is_not_mended(pb4u: Callable, tmp_path: Path) -> None:
     ended = pb4u("check", "tshirt", "--fix", tmp_path / "m.obj")
     assert ended.code == 1
@@ -191,3 +243,23 @@ def test_info_lists_extras(pb4u: Callable) -> None:
     found = json.loads(pb4u("info", "--json", "-").out)
     assert {"pb4u", "device", "threads", "extras"} <= set(found)
     assert isinstance(found["extras"]["newton"], bool)
+    assert "smpl" not in found["extras"]  # its files need none
+
+
+def test_the_version_is_told_before_anything_else(pb4u: Callable) -> None:
+    ended = pb4u("--version")
+    assert (ended.code, ended.out) == (0, f"pb4u {package.__version__}\n")
+
+
+@pytest.mark.parametrize(
+    ("verb", "says"),
+    [
+        (("simulate",), ("beta0=1.5", "GLB is within 1 mm", "garment alone", "Blender", "solver always runs on the")),
+        (("convert",), ("GLB is within 1 mm", "garment alone", "Blender")),
+        (("check",), ("beta0=1.5",)),
+        (("assets", "write"), ("beta0=1.5", "takes as --body")),
+    ],
+)
+def test_help_says_what_has_to_be_known(pb4u: Callable, verb: tuple[str, ...], says: tuple[str, ...]) -> None:
+    text = " ".join(pb4u(*verb, "--help").out.replace("│", " ").split())
+    assert [phrase for phrase in says if phrase not in text] == []

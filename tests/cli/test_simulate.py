@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.garment.cloth_shapes import quad_tube, saved
 
+from pb4u.cli.divergence import diverged_at
+from pb4u.evaluation.metrics import measure
+from pb4u.evaluation.skinned_centres import skinned_centres
 from pb4u.garment.obj_file import read_obj
+from pb4u.scene.assembly import make_scene
+from pb4u.scene.scene import Scene
+from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation.simulator import RunRecord
+from pb4u.simulation.skinning_simulator import SkinningSimulator
 
 SMALL = ("--triangles", 1000, "--lead-in", 0, "--model", "skinning")
 
@@ -49,6 +58,26 @@ def test_writes_trajectory_objs_and_report_by_the_contract(pb4u: Callable, tmp_p
 def test_json_alone_goes_to_standard_output(pb4u: Callable, tmp_path: Path) -> None:
     ended = pb4u("simulate", *SMALL, "--frames", 1, "--out", tmp_path / "a.npz", "--json", "-")
     assert json.loads(ended.out)["frames"] == 1
+
+
+def test_tells_the_files_that_it_wrote_when_they_are_there(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = ("simulate", *SMALL, "--frames", 3)
+    ended = pb4u(*flags, "--out", "a.npz", "--out", "b.obj", "--out", "b.pc2", "--json", "r.json")
+    assert ended.out == "Wrote a.npz, b_0000.obj to b_0002.obj, b.pc2, b.obj\n"
+    monkeypatch.setattr("pb4u.cli.simulate._export", lambda *_: None)
+    assert pb4u(*flags).out.startswith("Wrote tshirt_walk.npz, tshirt_walk.glb, tshirt_walk.png, tshirt_walk.")
+    assert pb4u(*flags, "--garment", "tshrt").out == ""
+
+
+def test_cuda_is_no_use_to_what_runs_on_the_processor(pb4u: Callable, tmp_path: Path) -> None:
+    flags = ("simulate", *SMALL[:4], "--frames", 1, "--out", tmp_path / "a.npz")
+    for model in ("skinning", "solver"):
+        said = pb4u(*flags, "--model", model, "--device", "cuda").err
+        assert said == f"pb4u: warning: {model} always runs on the CPU; --device cuda is for networks.\n"
+    assert pb4u(*flags, "--model", "skinning", "--device", "auto").err == ""
 
 
 def test_same_seed_same_bytes(pb4u: Callable, tmp_path: Path) -> None:
@@ -150,6 +179,50 @@ def test_a_sequence_of_vertices_takes_no_motion_crop_or_pose(pb4u: Callable, mov
     assert silent.code == 0, silent.err
     assert "not used" not in silent.err
     assert Trajectory.open(tmp_path / "b.npz").metadata["motion"] == "moving"
+
+
+def test_a_moving_body_given_as_motion_is_told_apart(pb4u: Callable, moving_body: Path, tmp_path: Path) -> None:
+    ended = pb4u("simulate", *SMALL, "--motion", moving_body, "--out", tmp_path / "a.npz")
+    assert ended.code == 1
+    assert ended.err == (
+        f"pb4u: {moving_body} is a body that moves, not a recording; give it as --body {moving_body}.\n"
+    )
+
+
+@pytest.mark.parametrize("json_flag", [(), ("--json", "r.json")])
+def test_a_run_that_diverged_is_written_and_warned_of(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, json_flag: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = ("simulate", *SMALL, "--frames", 4, "--out", "a.npz", *json_flag)
+    assert "diverged" not in pb4u(*flags).err
+    rollout = SkinningSimulator.rollout
+
+    def falling(self: SkinningSimulator, scene: Scene, record: RunRecord) -> Iterator[State]:
+        for frame, state in enumerate(rollout(self, scene, record)):
+            yield replace(state, positions=state.positions - 0.2 * max(0, frame - 1))
+
+    monkeypatch.setattr(SkinningSimulator, "rollout", falling)
+    ended = pb4u(*flags)
+    assert ended.code == 0
+    assert "warning: The run diverged at frame 3: " in ended.err
+    assert "try --model solver" in ended.err
+
+
+def test_divergence_is_judged_as_the_report_does() -> None:
+    scene = make_scene(triangles=1000, lead_in=0, frames=6)
+    plain = SkinningSimulator().simulate(scene)
+    centres = skinned_centres(scene, plain)
+    wide, lost, fallen = (plain.positions.copy() for _ in range(3))
+    wide[2:] = wide[2:] * (1.8, 1.0, 1.8)
+    lost[4, 7, 1] = np.nan
+    fallen[3:, :, 1] -= 0.6
+    found = []
+    for positions in (plain.positions, wide, lost, fallen):
+        run = replace(plain, positions=positions)
+        found.append(diverged_at(scene, run))
+        assert found[-1] == measure(run, centres)["diverged_at"]
+    assert found == [None, 2, 4, 3]
 
 
 def test_the_author_s_quads_come_back_moved(pb4u: Callable, tmp_path: Path) -> None:

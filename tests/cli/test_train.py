@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from tests.training.ball_data import TINY, ball_data
 
 from pb4u.training.configuration import training_to_json
 from pb4u.training.packed_data import load_training_data, save_training_data
+from pb4u.training.run_folder import RunFolder
 
 Call = Callable[..., Any]
 QUICK = (
@@ -42,6 +44,22 @@ def test_a_training_leaves_weights_a_curve_and_a_way_to_go_on(pb4u: Call, pack: 
     further = pb4u("train", "--resume", run, "--steps", 8, "--device", "cpu")
     assert further.code == 0, further.err
     assert "Trained 8 steps." in further.out
+
+
+def test_of_a_training_s_folder_the_best_weights_are_the_model(
+    pb4u: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = RunFolder.create("run", {})
+    run.save_state({"weight": torch.zeros(2)}, {})
+    for best in (False, True):
+        if best:
+            run.best.touch()
+        advice = "give run/best.safetensors" if best else "give a .safetensors file of weights"
+        for model, what in (("run", "a folder"), ("run/last.safetensors", "what a training goes on from")):
+            ended = pb4u("simulate", "--model", model, "--out", "a.npz")
+            assert ended.code == 1
+            assert ended.err == f"pb4u: {model} is {what}, not a model; {advice}.\n"
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from tests.export.readers import pc2_frames
 from pb4u.errors import InputError, InputWarning, MissingExtraError
 from pb4u.export.finite_frames import hold_finite
 from pb4u.export.picture import View, render
-from pb4u.export.registry import WRITERS, check_target, export
+from pb4u.export.registry import WRITERS, check_target, export, written_files
 from pb4u.scene.trajectory import Trajectory
 
 DATA_SUFFIXES = [".npz", ".obj", ".pc2", ".mdd", ".usdc", ".usda", ".usdz", ".glb"]
@@ -42,6 +42,14 @@ def test_an_unknown_suffix_lists_the_known(trajectory: Trajectory, tmp_path: Pat
     with pytest.raises(InputError) as refused:
         export(trajectory, tmp_path / "walk.abc")
     assert all(suffix in str(refused.value) for suffix in (*DATA_SUFFIXES, ".png", ".jpg", ".gif", ".mp4"))
+
+
+@pytest.mark.parametrize("suffix", [*DATA_SUFFIXES, ".PC2"])
+def test_the_files_told_are_those_written(trajectory: Trajectory, tmp_path: Path, suffix: str) -> None:
+    skip_without_usd(suffix)
+    export(trajectory, tmp_path / f"walk{suffix}")
+    told = written_files(tmp_path / f"walk{suffix}", trajectory.frame_count)
+    assert sorted(told) == sorted(tmp_path.iterdir())
 
 
 def test_suffixes_may_be_in_capitals(trajectory: Trajectory, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, InputWarning
 from pb4u.export.selection import on_source, select_frames
 from pb4u.scene.trajectory import Frame, SourceTrack, Trajectory, TrajectoryHeader
 
@@ -32,6 +32,13 @@ def test_frames_are_chosen_and_the_rate_follows(trajectory: Trajectory) -> None:
     assert chosen.frame_count == 3
     assert chosen.fps == 10.0
     np.testing.assert_allclose(chosen.positions[1, 0], 5.0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_range_beyond_the_end_is_warned_of(trajectory: Trajectory) -> None:
+    with pytest.warns(InputWarning, match="has 10 frames; of the range 7:100, 7:10 is there"):
+        assert select_frames(trajectory, (7, 100), 1).frame_count == 3
+    assert select_frames(trajectory, (7, 10), 1).frame_count == 3
 
 
 @pytest.mark.parametrize("span", [(10, 12), (30, 40)])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pb4u.body.skinning import joint_positions
+from pb4u.body.vertex_sequence import write_vertex_sequence
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, from_axis_angle, rotate
 from pb4u.motion.library import load_motion
@@ -125,6 +126,36 @@ def test_axis_other_than_usual_is_noticed_and_told(tmp_path):
     assert "Z up" in motion.notes[0]
     up = rotate(motion.recording.poses.rotations[:, 0], np.array([0.0, 1.0, 0.0]))
     np.testing.assert_allclose(up[:, 1], 1.0, atol=1e-6)
+
+
+def test_the_shape_that_was_recorded_is_told(tmp_path):
+    betas = np.array([0.5312, -1.2, 0.004, -0.001, 0.9, 0.3])
+    path = write_amass(tmp_path / "a.npz", betas=betas, gender=np.array(b"female"))
+    assert load_motion(path, crop=(2, 9)).notes == (
+        "a.npz: the shape of the recorded body is not taken over; on an SMPL-family body (female) it is --body-shape "
+        "beta0=0.53,beta1=-1.2,beta2=0,beta3=0 (the first 4 of 6).",
+    )
+    (note,) = load_motion(write_amass(tmp_path / "a.npz", betas=betas[:2])).notes
+    assert note.endswith("on an SMPL-family body it is --body-shape beta0=0.53,beta1=-1.2.")
+
+
+@pytest.mark.parametrize(
+    "betas",
+    [
+        None, np.full(16, 0.05), np.zeros(0), np.full(10, np.nan), np.array(["tall"]),
+        np.array([{"a": 1}], dtype=object),
+    ],
+)  # fmt: skip
+def test_no_shape_worth_telling_is_no_note_and_no_fault(tmp_path, betas):
+    path = write_amass(tmp_path / "a.npz", betas=betas, gender=np.array(["male"], dtype=object))
+    assert load_motion(path).notes == ()
+
+
+def test_a_moving_body_is_no_recording(tmp_path):
+    path = tmp_path / "walk.npz"
+    write_vertex_sequence(path, np.zeros((2, 3, 3)), np.array([[0, 1, 2]]), 30.0)
+    with pytest.raises(InputError, match=r"is a body that moves, not a recording; give it as --body .*walk\.npz"):
+        load_motion(path)
 
 
 @pytest.mark.parametrize("key", ["poses", "trans", "mocap_framerate"])

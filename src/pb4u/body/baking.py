@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,8 @@ def bake(out_folder: str | Path | None = None) -> list[Path]:
     The same version of Anny gives the same files, byte for byte. Raises MissingExtraError when the "anny" extra is not
     installed.
     """
+    if find_spec("anny") is None:
+        raise MissingExtraError("anny", "Baking a body")
     folder = Path(__file__).parent / "data" if out_folder is None else Path(out_folder)
     folder.mkdir(parents=True, exist_ok=True)
     anny = AnnyBody()

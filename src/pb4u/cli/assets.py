@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import BodyShape, check_json_target, check_writable, progress_bar, write_json
+from pb4u.cli.console import SHAPE_EXAMPLES, BodyShape, check_json_target, check_writable, progress_bar, write_json
 from pb4u.errors import InputError
 
 if TYPE_CHECKING:
@@ -105,13 +105,15 @@ def write(
     out: Annotated[
         Path,
         typer.Argument(
-            help="OBJ for garments and bodies, NPZ (a vertex sequence) for motions, JSON for materials.",
+            help="OBJ for garments and bodies, JSON for materials, NPZ for motions: the body that performs one, which "
+            "`pb4u simulate` takes as --body.",
             show_default=False,
         ),
     ],
     body: Annotated[str, typer.Option(help="Body that a garment is cut for, or that performs a motion.")] = "woman",
     body_shape: Annotated[
-        BodyShape | None, typer.Option(parser=BodyShape.parse, metavar="KEY=VALUE,..", help="Shape of that body.")
+        BodyShape | None,
+        typer.Option(parser=BodyShape.parse, metavar="KEY=VALUE,..", help=f"Shape of that body, {SHAPE_EXAMPLES}."),
     ] = None,
     triangles: Annotated[int | None, typer.Option(help="Triangles of a garment.")] = None,
     frames: Annotated[int, typer.Option(help="Frames of a motion.")] = 60,

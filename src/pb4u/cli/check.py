@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from pb4u.cli.console import BodyShape, FrameRange, check_json_target, check_writable, write_json
-from pb4u.errors import InputError, Pb4uError
+from pb4u.cli.console import SHAPE_EXAMPLES, BodyShape, FrameRange, check_json_target, check_writable, write_json
+from pb4u.errors import InputError, InputWarning, Pb4uError
 
 
 def register(app: typer.Typer) -> None:
@@ -28,9 +29,7 @@ def check(
     body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = "woman",
     body_shape: Annotated[
         BodyShape | None,
-        typer.Option(
-            parser=BodyShape.parse, metavar="KEY=VALUE,..", help="Shape of the body, such as height=0.7,weight=0.4."
-        ),
+        typer.Option(parser=BodyShape.parse, metavar="KEY=VALUE,..", help=f"Shape of the body, {SHAPE_EXAMPLES}."),
     ] = None,
     motion: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="Motion to read and retarget as well.", show_default=False)
@@ -44,7 +43,9 @@ def check(
     triangles: Annotated[int | None, typer.Option(help="Triangles of a built-in garment.")] = None,
     fix: Annotated[
         Path | None,
-        typer.Option(metavar="OUT.obj", help="Write the garment with all mended that is safe to mend."),
+        typer.Option(
+            metavar="OUT.obj", help="Write the garment with all mended that is safe to mend, to a file of its own."
+        ),
     ] = None,
     json: Annotated[
         str | None, typer.Option(metavar="FILE|-", help="Write the findings as JSON; '-' is standard output.")
@@ -55,6 +56,7 @@ def check(
     Ends with exit code 1 when simulation would refuse the garment: as it was given, or with --fix as it was mended.
     """
     from pb4u.body.library import load_body
+    from pb4u.garment.library import garment_names
 
     given = garment or file
     if given is None and motion is None:
@@ -64,6 +66,13 @@ def check(
     check_json_target(json)
     if fix is not None:
         _check_fix(fix, given)
+    if triangles is not None and given not in garment_names():
+        warnings.warn(
+            "--triangles is for a built-in garment and is not used here; what a file holds is checked as it is, and "
+            "`pb4u simulate --triangles` remeshes it.",
+            InputWarning,
+            stacklevel=1,
+        )
     figure = load_body(body, body_shape)
     report: dict[str, Any] = {}
     refused = False
@@ -90,6 +99,8 @@ def _check_fix(fix: Path, given: str | None) -> None:
     if given is None or given in garment_names():
         raise InputError("--fix mends a garment from a file; give that file.")
     check_writable(fix, "--fix")
+    if fix.exists() and Path(given).exists() and fix.samefile(given):
+        raise InputError(f"--fix {fix} would overwrite the garment that it mends; give another name.")
 
 
 def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | None) -> dict[str, Any]:

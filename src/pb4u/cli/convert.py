@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import FrameRange, check_json_target, progress_bar, write_json
+from pb4u.cli.console import FORMATS, FrameRange, check_json_target, progress_bar, write_json, wrote
 
 
 class Surface(str, Enum):
@@ -25,12 +25,7 @@ def register(app: typer.Typer) -> None:
 
 def convert(
     trajectory: Annotated[Path, typer.Argument(help="Trajectory .npz written by `pb4u simulate`.", show_default=False)],
-    out: Annotated[
-        Path,
-        typer.Argument(
-            help="File to write: .npz .obj .pc2 .mdd .usdc .usda .usdz .glb .png .jpg .gif .mp4.", show_default=False
-        ),
-    ],
+    out: Annotated[Path, typer.Argument(help=f"File to write: {FORMATS}", show_default=False)],
     every: Annotated[int, typer.Option(help="Keep every N-th frame; the frame rate is divided by N.")] = 1,
     range_: Annotated[
         FrameRange | None,
@@ -64,3 +59,5 @@ def convert(
     summary = {"out": str(out), "frames": chosen.frame_count, "vertices": chosen.positions.shape[1], "fps": chosen.fps}
     if json:
         write_json(summary, json)
+    if json != "-":
+        print(wrote([out], chosen.frame_count))

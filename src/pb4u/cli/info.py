@@ -17,7 +17,6 @@ _EXTRAS = {
     "usd": "pxr",
     "view": "viser",
     "newton": "newton",
-    "smpl": "smplx",
     "ray": "ray",
 }
 

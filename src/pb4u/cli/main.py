@@ -6,9 +6,11 @@ import os
 import sys
 import traceback
 import warnings
+from typing import Annotated
 
 import typer
 
+from pb4u import __version__
 from pb4u.cli import assets, check, convert, evaluate, info, simulate, train, view
 from pb4u.errors import InputWarning, Pb4uError
 
@@ -22,6 +24,21 @@ app = typer.Typer(
 )
 for verb in (simulate, view, check, convert, train, evaluate, assets, info):
     verb.register(app)
+
+
+def _tell_version(asked: bool) -> None:
+    if asked:
+        print(f"pb4u {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_tell_version, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
 
 
 def _one_line_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:

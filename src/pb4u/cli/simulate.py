@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import BodyShape, FrameRange, check_json_target, progress_bar, write_json
+from pb4u.cli.console import (
+    FORMATS,
+    SHAPE_EXAMPLES,
+    BodyShape,
+    FrameRange,
+    check_json_target,
+    progress_bar,
+    write_json,
+    wrote,
+)
+from pb4u.cli.divergence import diverged_at
 from pb4u.errors import InputError, InputWarning, Pb4uError
 
 if TYPE_CHECKING:
@@ -27,7 +37,7 @@ class Switch(str, Enum):
 
 
 class Device(str, Enum):
-    """Where networks and energies are computed."""
+    """Where networks and newton compute."""
 
     auto = "auto"
     cpu = "cpu"
@@ -54,9 +64,7 @@ def simulate(
     ] = "woman",
     body_shape: Annotated[
         BodyShape | None,
-        typer.Option(
-            parser=BodyShape.parse, metavar="KEY=VALUE,..", help="Shape of the body, such as height=0.7,weight=0.4."
-        ),
+        typer.Option(parser=BodyShape.parse, metavar="KEY=VALUE,..", help=f"Shape of the body, {SHAPE_EXAMPLES}."),
     ] = None,
     motion: Annotated[
         str | None,
@@ -109,14 +117,15 @@ def simulate(
     ] = None,
     refine: Annotated[int, typer.Option(metavar="N", help="Solver iterations after each step of a network.")] = 5,
     contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = Switch.on,
-    device: Annotated[Device, typer.Option(help="Where to compute.")] = Device.auto,
+    device: Annotated[
+        Device, typer.Option(help="Where a network or newton computes; the solver always runs on the CPU.")
+    ] = Device.auto,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     out: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help="File to write, repeatable: .npz .obj .pc2 .mdd .usdc .usda .usdz .glb .png .jpg .gif .mp4. "
-            "Default: GARMENT_MOTION with .npz, .glb, .png and .mp4.",
+            help=f"File to write, repeatable: {FORMATS} Default: GARMENT_MOTION with .npz, .glb, .png and .mp4.",
         ),
     ] = None,
     json: Annotated[
@@ -130,7 +139,7 @@ def simulate(
     from pb4u.simulation.models import load_simulator
     from pb4u.simulation.simulator import RunRecord
 
-    targets = list(out) if out else _default_targets(garment, body, motion, quiet=json == "-")
+    targets = list(out) if out else _default_targets(garment, body, motion)
     for target in targets:
         check_target(target)
     check_json_target(json)
@@ -144,15 +153,13 @@ def simulate(
         passes=passes,
         device=device.value,
     )
+    if device is Device.cuda and simulator.settings().get("device", "cpu") == "cpu":
+        _warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
     asked_frames, simulated_fps = frames, simulator.fps or fps
     if frames is not None and keep_lead_in:
         asked_frames = frames + lead_in
     if not math.isclose(simulated_fps, fps):
-        warnings.warn(
-            f"{simulator.name} runs at {simulated_fps:g} frames per second; the result is resampled to {fps:g}.",
-            InputWarning,
-            stacklevel=1,
-        )
+        _warn(f"{simulator.name} runs at {simulated_fps:g} frames per second; the result is resampled to {fps:g}.")
         frames = None if frames is None else math.ceil((frames - 1) * simulated_fps / fps) + 1
         lead_in = round(lead_in * simulated_fps / fps)
     scene = make_scene(
@@ -161,34 +168,52 @@ def simulate(
         seed=seed,
     )  # fmt: skip
     record = RunRecord()
-    trajectory = _run(simulator, scene, targets, record, fps, asked_frames)
-    _export(trajectory, targets)
+    left = list(targets)
+    trajectory = _run(simulator, scene, left, record, fps, asked_frames)
+    _export(trajectory, left)
+    if json != "-":
+        print(wrote(targets, trajectory.frame_count))
+    diverged = None
     if json:
-        write_json(_report(trajectory, simulator, scene, record), json)
+        report = _report(trajectory, simulator, scene, record)
+        write_json(report, json)
+        diverged = report["diverged_at"]
+    elif record.failed_at is None:
+        diverged = diverged_at(scene, trajectory)
     if record.failed_at is not None:
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
             "before it were written. Try --model solver, or --refine 10."
         )
+    if diverged is not None:
+        mend = "look at it with `pb4u view`" if simulator.name == "solver" else "try --model solver, or --refine 10"
+        _warn(
+            f"The run diverged at frame {diverged}: the cloth is stretched by more than 60 %, or over 0.5 m from where "
+            f"the body carries it; {mend}."
+        )
 
 
-def _default_targets(garment: str, body: str, motion: str | None, quiet: bool) -> list[Path]:
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, InputWarning, stacklevel=2)
+
+
+def _default_targets(garment: str, body: str, motion: str | None) -> list[Path]:
     from importlib.util import find_spec
 
     # A body of the user's own may be a sequence, which moves by itself.
     moves = motion or (body if Path(body).exists() else "walk")
     stem = f"{Path(garment).stem}_{Path(moves).stem}"
     suffixes = [".npz", ".glb", ".png", ".mp4" if find_spec("cv2") else ".gif"]
-    targets = [Path(stem + suffix) for suffix in suffixes]
-    if not quiet:
-        print(f"Writing {', '.join(str(t) for t in targets)}")
-    return targets
+    return [Path(stem + suffix) for suffix in suffixes]
 
 
 def _run(
     simulator: Simulator, scene: Scene, targets: list[Path], record: RunRecord, fps: float, frames: int | None
 ) -> Trajectory:
-    """Stream into the first .npz asked for; into memory without one, or where frames have to be resampled."""
+    """Stream into the first .npz asked for; into memory without one, or where frames have to be resampled.
+
+    What is streamed into is taken off `targets`.
+    """
     from pb4u.export.selection import resampled
     from pb4u.scene.trajectory import Trajectory
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.evaluation.divergence import first_diverged
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.geometry.nearest_surface import TriangleSurface
@@ -24,12 +25,6 @@ GEOMETRY = ("strain_p95", "strain_max", "penetration_percent", "penetration_dept
 
 PENETRATION_TOLERANCE = 1e-3
 """Depth [m] beyond which a vertex counts as inside the body."""
-
-DIVERGED_STRAIN = 0.6
-"""`strain_p95` beyond which a run counts as diverged."""
-
-DIVERGED_DISTANCE = 0.5
-"""Distance [m] between the garment's centre of mass and where skinning puts it beyond which it fell off."""
 
 Progress = Callable[[int, int], None]
 
@@ -54,7 +49,8 @@ def measure(
         paper_rows.append(paper_row)
         if progress:
             progress(t + 1, trajectory.frame_count)
-    diverged_at = _diverged_at(trajectory, rows, skinned)
+    masses = garment_of(trajectory).vertex_masses
+    diverged_at = first_diverged([row["strain_p95"] for row in rows], trajectory.positions, masses, skinned)
     return {
         "metrics": _summary(rows, (*ENERGIES, *GEOMETRY)),
         "metrics_paper": _summary(paper_rows, ENERGIES),
@@ -70,19 +66,6 @@ def _summary(rows: list[dict[str, float]], names: tuple[str, ...]) -> dict[str, 
         for name, values in columns.items()
         if not np.isnan(values).all() or name in ENERGIES
     }
-
-
-def _diverged_at(trajectory: Trajectory, rows: list[dict[str, float]], skinned: np.ndarray | None) -> int | None:
-    """The first frame in which the run had diverged."""
-    # Not "exceeds": what is not a number has diverged too.
-    diverged = ~(np.array([row["strain_p95"] for row in rows]) <= DIVERGED_STRAIN)
-    if skinned is not None:
-        masses = garment_of(trajectory).vertex_masses
-        centres = np.einsum("v,tvd->td", masses / masses.sum(), trajectory.positions)
-        count = min(len(centres), len(skinned))
-        fell = np.linalg.norm(centres[:count] - skinned[:count], axis=1) > DIVERGED_DISTANCE
-        diverged[:count] |= fell
-    return int(diverged.argmax()) if diverged.any() else None
 
 
 def garment_of(trajectory: Trajectory) -> Garment:

@@ -11,9 +11,9 @@ from pb4u.errors import InputError
 from pb4u.export.animation import write_gif, write_mp4
 from pb4u.export.finite_frames import hold_finite
 from pb4u.export.gltf import write_glb
-from pb4u.export.obj_sequence import write_obj_sequence
+from pb4u.export.obj_sequence import frame_path, write_obj_sequence
 from pb4u.export.picture import write_still
-from pb4u.export.point_cache import check_companion, write_mdd, write_pc2
+from pb4u.export.point_cache import check_companion, companion, write_mdd, write_pc2
 from pb4u.export.progress import Progress
 from pb4u.export.usd import check_usd, write_usd
 from pb4u.scene.trajectory import Trajectory
@@ -63,6 +63,14 @@ def check_target(path: Path) -> None:
         raise InputError(f"{path} is a folder; choose another name.")
     if suffix in _CHECKS:
         _CHECKS[suffix](path)
+
+
+def written_files(path: Path, frames: int) -> tuple[Path, ...]:
+    """The files that `export` writes for a trajectory of so many frames."""
+    suffix = path.suffix.lower()
+    if suffix == ".obj":
+        return tuple(frame_path(path, t) for t in range(frames))
+    return (path, companion(path)) if suffix in (".pc2", ".mdd") else (path,)
 
 
 def export(trajectory: Trajectory, path: str | Path, progress: Progress | None = None) -> Path:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, InputWarning
 from pb4u.export.lazy_frames import LazyFrames
 from pb4u.scene.trajectory import Trajectory
 
 
 def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: int) -> Trajectory:
-    """Frames span[0]..span[1]-1, every n-th of them. Raises InputError when none is left."""
+    """Frames span[0]..span[1]-1, every n-th of them.
+
+    Warns where the span goes beyond the last frame. Raises InputError when none is left.
+    """
     if every < 1:
         raise InputError(f"The stride from one kept frame to the next must be 1 or more, not {every}.")
     first, last = (0, trajectory.frame_count) if span is None else (span[0], min(span[1], trajectory.frame_count))
@@ -21,6 +25,12 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
     if first >= min(last, trajectory.frame_count):
         raise InputError(
             f"The trajectory has frames 0 to {trajectory.frame_count - 1}; none lies in the range asked for."
+        )
+    if span is not None and span[1] > last:
+        warnings.warn(
+            f"The trajectory has {last} frames; of the range {first}:{span[1]}, {first}:{last} is there.",
+            InputWarning,
+            stacklevel=2,
         )
     return Trajectory(
         replace(trajectory.header, fps=trajectory.fps / every),

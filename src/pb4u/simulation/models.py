@@ -9,6 +9,10 @@ from pathlib import Path
 from pb4u.errors import InputError
 from pb4u.simulation.simulator import Simulator
 
+_BEST = "best.safetensors"
+_TRAINING_STATE = "pb4u_training"
+"""What the header of a training's last.safetensors holds; `training`, which writes it, lies above this package."""
+
 
 def model_descriptions() -> dict[str, str]:
     """Name -> one line, of every simulator that needs no file."""
@@ -79,6 +83,8 @@ def load_simulator(
         from pb4u.simulation.newton_simulator import NewtonSimulator
 
         return NewtonSimulator(device)
+    if wanted not in model_descriptions():
+        _refuse_other_files_of_a_training(Path(wanted))
     if not Path(wanted).suffix and wanted not in model_descriptions():
         near = get_close_matches(wanted, model_descriptions())
         hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(model_descriptions())}."
@@ -87,6 +93,26 @@ def load_simulator(
     from pb4u.simulation.network_simulator import NetworkSimulator
 
     return NetworkSimulator(from_pretrained(wanted), propagation_steps, refine, answering, _device(device), passes)
+
+
+def _refuse_other_files_of_a_training(path: Path) -> None:
+    """Of what `pb4u train` leaves in its folder, only some files are models."""
+    best = path / _BEST if path.is_dir() else path.with_name(_BEST)
+    advice = f"give {best if best.is_file() else 'a .safetensors file of weights'}"
+    if path.is_dir():
+        raise InputError(f"{path} is a folder, not a model; {advice}.")
+    if path.is_file() and _TRAINING_STATE in _header(path):
+        raise InputError(f"{path} is what a training goes on from, not a model; {advice}.")
+
+
+def _header(path: Path) -> dict[str, str]:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            return file.metadata() or {}
+    except (SafetensorError, OSError):
+        return {}
 
 
 def _device(name: str) -> str:
