@@ -4,8 +4,10 @@
 
 The file is in metres, Y up, placed on the body at rest. No garment at hand? Write one, and the body to fit it to:
 
-    pb4u assets write skirt skirt.obj
-    pb4u assets write woman woman.obj
+    pb4u assets write tshirt my_shirt.obj --body man
+    pb4u assets write man man.obj
+
+A file has no pins, and a skirt or trousers need them to stay on: give --pins waist.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ def main() -> None:
     parser.add_argument("--body", default="woman")
     parser.add_argument("--motion", default="walk")
     parser.add_argument("--triangles", type=int, help="remesh to about so many triangles; default as it is")
+    parser.add_argument("--pins", help="vertices that follow the body, such as waist; default none")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--model", default="auto")
     parser.add_argument("--out", type=Path, default=Path("moved.obj"), help="one OBJ a frame is written")
@@ -47,7 +50,9 @@ def main() -> None:
         write_obj(garment, mended)
         print("mended:", *said)
 
-    scene = pb4u.make_scene(garment, body, options.motion, triangles=options.triangles, frames=options.frames)
+    scene = pb4u.make_scene(
+        garment, body, options.motion, triangles=options.triangles, frames=options.frames, pins=options.pins
+    )
     trajectory = pb4u.load_simulator(options.model).simulate(scene)
 
     # The simulated mesh has triangles only, and with --triangles other ones than yours; yours rides on it.

@@ -38,11 +38,11 @@ EXPERIMENTS = {
     "pb4u-ruled-steps": ("network=pb4u_small_descent", *FIXED_DEPTH),
     "pb4u-paper-features": ("network=pb4u_small",),
     "pb4u-passes": ("network=pb4u_small_passes",),
-    "carried": ("network=pb4u_small_carried",),
-    "carried-interleaved": ("network=pb4u_small_carried", "interleaved=8"),
-    "carried-two-passes": ("network=pb4u_small_carried", "network.passes=2"),
-    "carried-without-scaling": ("network=small_carried_without_scaling",),
-    "carried-without-control": ("network=small_carried_without_control", *FIXED_DEPTH),
+    "carried": ("network=pb4u_small_carried", "network.passes=1"),
+    "carried-interleaved": ("network=pb4u_small_carried", "network.passes=1", "interleaved=8"),
+    "carried-two-passes": ("network=pb4u_small_carried",),
+    "carried-without-scaling": ("network=small_carried_without_scaling", "network.passes=1"),
+    "carried-without-control": ("network=small_carried_without_control", "network.passes=1", *FIXED_DEPTH),
 }
 """What --only can name besides: other parts in one place, never shipped by default."""
 

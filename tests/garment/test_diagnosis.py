@@ -10,6 +10,8 @@ from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.diagnosis import Severity, diagnose, require_worn
 from pb4u.garment.garment import SourceMesh
+from pb4u.garment.library import build_garment
+from pb4u.garment.pins import resolve_pins
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +25,38 @@ def finding(diagnosis, code):
 
 
 def test_a_sound_garment_has_nothing_to_mend(woman):
-    diagnosis = diagnose(triangle_tube(low=0.6, high=1.0, radius=0.22), woman)
+    shirt = build_garment("tshirt", woman, 600)
+    diagnosis = diagnose(SourceMesh(shirt.vertices, tuple(shirt.faces)), woman)
     assert diagnosis.codes == ()
     assert not diagnosis.is_refused
-    assert diagnosis.measures["boundary_loops"] == 2
+    assert diagnosis.measures["boundary_loops"] == 4
     assert diagnosis.measures["penetration_percent"] == 0.0
+
+
+def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
+    garment = tube_garment(low=0.6, high=1.0, radius=0.22)
+    diagnosis = diagnose(garment, woman)
+    hint = finding(diagnosis, "unsupported")
+    assert diagnosis.codes == ("unsupported",)
+    assert hint.severity is Severity.NOTE
+    assert not hint.mendable
+    assert not diagnosis.is_refused
+    assert hint.sentence == "Nothing holds the garment up: none of it lies on the shoulders."
+    assert "`--pins waist`" in hint.fix
+    with pytest.warns(InputWarning, match=r"^tube: Nothing holds the garment up.*; simulate it with `--pins waist`\.$"):
+        require_worn(garment, woman)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        require_worn(garment, woman, pins_given=True)
+        require_worn(garment.with_pins(resolve_pins("waist", garment)), woman)
+    assert diagnose(garment.with_pins(resolve_pins("waist", garment)), woman).codes == ()
+
+
+def test_support_is_looked_for_where_the_garment_belongs(woman):
+    shirt = build_garment("tshirt", woman, 600)
+    low = SourceMesh(100.0 * (shirt.vertices - [0.0, woman.lift, 0.0]), tuple(shirt.faces))
+    assert "units" in diagnose(low, woman).codes
+    assert "unsupported" not in diagnose(low, woman).codes
 
 
 def test_every_fault_of_the_mesh_is_named_with_its_place():
@@ -89,7 +118,7 @@ def test_first_frame_penetration_is_measured(woman):
     assert 1.0 < diagnosis.measures["penetration_percent"] < 60.0
     assert diagnosis.measures["penetration_depth_max"] > 0.002
     with pytest.warns(InputWarning, match="start inside the body, the deepest"):
-        require_worn(garment, woman)
+        require_worn(garment, woman, pins_given=True)
 
 
 def test_a_garment_wholly_inside_is_refused(woman):
@@ -104,6 +133,7 @@ def test_a_garment_far_from_the_body_is_refused(woman):
     garment = tube_garment()
     far = replace(garment, vertices=garment.vertices + np.array([3.0, 0.0, 0.0]))
     assert finding(diagnose(far, woman), "far").severity is Severity.REFUSED
+    assert "unsupported" not in diagnose(far, woman).codes
     with pytest.raises(InputError, match=r"far from the body.*2.[0-9]+ m away"):
         require_worn(far, woman)
 
@@ -144,4 +174,4 @@ def test_penetration_is_not_reported_for_a_body_with_holes(woman):
 def test_a_garment_inside_out_is_told(woman):
     mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
     turned = replace(mesh, polygons=tuple(p[::-1] for p in mesh.polygons))
-    assert diagnose(turned, woman).codes == ("inside-out",)
+    assert diagnose(turned, woman).codes == ("inside-out", "unsupported")

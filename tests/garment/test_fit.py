@@ -5,12 +5,23 @@ from cloth_shapes import tube_arrays
 
 from pb4u.body.library import load_body
 from pb4u.garment.fit import AXES, UNITS, RestBody, find_fit
+from pb4u.garment.library import build_garment
 from pb4u.geometry.triangle_mesh import vertex_normals
 
 
 @pytest.fixture(scope="module")
-def body():
-    return RestBody.of(load_body("woman"))
+def woman():
+    return load_body("woman")
+
+
+@pytest.fixture(scope="module")
+def body(woman):
+    return RestBody.of(woman)
+
+
+@pytest.fixture(scope="module")
+def man():
+    return RestBody.of(load_body("man"))
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +52,26 @@ def test_any_other_height_is_searched_for(body, shirt):
     fit = find_fit(shirt - np.array([0.0, 0.3, 0.0]), body)
     assert fit.searched
     assert fit.shift[1] == pytest.approx(0.3, abs=0.015)
+
+
+@pytest.mark.parametrize(("triangles", "lowered"), [(600, 0.25), (2500, 0.15)])
+def test_a_skirt_above_the_ground_is_not_lifted_over_the_head(woman, man, triangles, lowered):
+    skirt = build_garment("skirt", woman, triangles).vertices - [0.0, lowered, 0.0]
+    # Around the head it would be as near to the body as at the man's waist, which is some 0.1 m above the woman's.
+    assert man.misfit(skirt + [0.0, man.lift, 0.0]) < 1.25 * man.misfit(skirt + [0.0, lowered + 0.1, 0.0]) + 0.003
+    fit = find_fit(skirt, man)
+    assert fit.searched
+    assert fit.shift[1] == pytest.approx(lowered + 0.1, abs=0.04)
+
+
+@pytest.mark.parametrize("worn_by", ["woman", "man"])
+def test_a_skirt_made_around_the_models_own_origin_is_lifted(woman, body, man, worn_by):
+    rest = {"woman": body, "man": man}[worn_by]
+    skirt = build_garment("skirt", woman, 600).vertices - [0.0, woman.lift, 0.0]
+    assert skirt[:, 1].min() < -0.3
+    fit = find_fit(skirt, rest)
+    assert not fit.searched
+    np.testing.assert_array_equal(fit.shift, [0.0, rest.lift, 0.0])
 
 
 def test_a_wide_skirt_stays_where_it_is(body):

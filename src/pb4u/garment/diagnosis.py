@@ -18,12 +18,15 @@ from pb4u.garment.garment import Garment, SourceMesh
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.layers import double_layered
 from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.support import is_held_up
 from pb4u.geometry.triangle_mesh import edge_lengths
 
 WORST_MISFIT = 0.08
 """Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn."""
 FAR = 0.05
 """A garment whose nearest point is farther from the body than this [m] does not touch it."""
+NOT_WORN = ("far", "inside")
+"""Findings after which nothing is said of what holds the garment up."""
 GRADED = 0.35
 DOUBLE = 0.2
 
@@ -92,9 +95,12 @@ def diagnose(
 ) -> Diagnosis:
     """Everything that is wrong with a garment, on its own and on the resting `body`; `file` is named in the cures.
 
-    First-frame penetration is measured where the garment belongs, after the move that units and axes call for.
+    First-frame penetration, and whether the shoulders hold a garment without pins, are measured where the garment
+    belongs, after the move that units and axes call for.
     """
+    pinned = False
     if isinstance(garment, Garment):
+        pinned = bool(garment.pinned.any())
         garment = SourceMesh(garment.vertices, tuple(garment.faces))
     surface = SourceSurface.of(garment)
     findings = _surface_findings(surface)
@@ -115,16 +121,20 @@ def diagnose(
         mend = fix_command(file, rest.name)
         findings += _placement_findings(vertices, fit, rest, mend)
         findings += _contact_findings(surface, fit, rest, measures, mend)
+        if not pinned and not any(f.code in NOT_WORN for f in findings):
+            findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
         findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres", False))
     order = list(Severity)
     return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures)
 
 
-def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | Path = "GARMENT.obj") -> None:
-    """Refuse a garment that the resting body does not wear; warn when it starts inside the body or seems turned.
+def require_worn(
+    garment: Garment, body: ShapedBody | AnimatedBody, file: str | Path = "GARMENT.obj", *, pins_given: bool = False
+) -> None:
+    """Refuse a garment that the resting body does not wear; warn when it starts inside, seems turned or will fall.
 
-    `file` is where it was read from, for the cures.
+    `file` is where it was read from, for the cures; with `pins_given` what holds it up was chosen and is not looked at.
     Raises InputError when it is far from the body, wholly inside it, or in other units or axes.
     """
     rest = RestBody.of(body)
@@ -134,6 +144,8 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     if misfit > 0.6 * WORST_MISFIT:  # well under it there is nothing to look for
         found = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
     found += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
+    if not pins_given and not garment.pinned.any():
+        found += _support_findings(garment.vertices, garment.faces, rest)
     for finding in found:
         if finding.severity is Severity.REFUSED:
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
@@ -244,6 +256,14 @@ def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
         return []
     sentence = f'The garment is far from the body "{body.name}": its nearest point is {distance:.2f} m away.'
     return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made", False)]
+
+
+def _support_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> list[Finding]:
+    """A garment without pins, its (vertices, 3) where it is worn, that will slide down."""
+    if is_held_up(vertices, faces, body):
+        return []
+    sentence = "Nothing holds the garment up: none of it lies on the shoulders."
+    return [Finding("unsupported", Severity.NOTE, sentence, "simulate it with `--pins waist`", False)]
 
 
 def _contact_findings(

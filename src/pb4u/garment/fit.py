@@ -19,6 +19,10 @@ SHIFT_STEP = 0.03
 FARTHEST = 0.3
 WHOLLY_INSIDE = 0.95
 """Share of vertices inside the body from which a garment counts as inside it."""
+BELOW_GROUND = 0.1
+"""A garment made around the body model's own origin reaches at least so far [m] below the ground, if it is long."""
+SAME_HEIGHT = 0.05
+"""Heights [m] that differ by less are one place on the body."""
 UP = np.array([0.0, 1.0, 0.0])
 
 UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
@@ -132,7 +136,8 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
     """The transform under which a garment (vertices, 3), in whatever unit and axes, fits the body best.
 
     What needs less change wins among those that fit about as well: first as it is, then by the body model's own origin
-    or none, then any height. A garment that lies wholly inside the body is not looked for elsewhere.
+    where it reaches below the ground or fits best there, then any height. A garment that lies wholly inside the body is
+    not looked for elsewhere.
     """
     picked = np.linspace(0, len(vertices) - 1, min(SAMPLES, len(vertices))).astype(np.int64)
     sample = vertices[picked]
@@ -154,19 +159,32 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
 
 def _fits_at(unit: str, axes: str, points: np.ndarray, body: RestBody) -> list[Fit]:
     """Fits of turned and scaled `points` (points, 3): unmoved, by the model's origin, and at the best height."""
+    searched = _best_height(points, body)
+    tried = [(0.0, False)]
+    # At most heights a wide garment fits about as well, over the head too: the model's origin has to be likely.
+    if points[:, 1].min() < -BELOW_GROUND or (searched is not None and abs(searched - body.lift) < SAME_HEIGHT):
+        tried.append((body.lift, False))
+    if searched is not None:
+        tried.append((searched, True))
+    return [Fit(unit, axes, h * UP, float(body.misfit(points + h * UP)), is_searched) for h, is_searched in tried]
+
+
+def _best_height(points: np.ndarray, body: RestBody) -> float | None:
+    """Height [m] to move `points` (points, 3) by; of several that fit about as well, the smallest move.
+
+    None where there is no room between the ground and the top of the head.
+    """
     top = float(body.vertices[:, 1].max())
     heights = np.arange(-float(points[:, 1].min()), top - float(points[:, 1].max()) + SHIFT_STEP, SHIFT_STEP)
-    tried = [0.0, body.lift]
-    if len(heights):
-        coarse = [float(body.misfit(points[::COARSE] + h * UP)) for h in heights]
-        around = heights[int(np.argmin(coarse))] + np.linspace(-SHIFT_STEP, SHIFT_STEP, 13)
-        fine = [float(body.misfit(points + h * UP)) for h in around]
-        tried.append(float(around[int(np.argmin(fine))]))
-    fits = []
-    for place, height in enumerate(tried):
-        shift = height * UP
-        fits.append(Fit(unit, axes, shift, float(body.misfit(points + shift)), searched=place == 2))
-    return fits
+    if not len(heights):
+        return None
+    coarse = np.array([float(body.misfit(points[::COARSE] + h * UP)) for h in heights])
+    framed = np.pad(coarse, 1, constant_values=np.inf)
+    dips = (coarse <= framed[:-2]) & (coarse <= framed[2:]) & (coarse <= 1.05 * coarse.min() + 0.001)
+    nearest = heights[dips][np.argmin(np.abs(heights[dips]))]
+    around = nearest + np.linspace(-SHIFT_STEP, SHIFT_STEP, 13)
+    fine = [float(body.misfit(points + h * UP)) for h in around]
+    return float(around[int(np.argmin(fine))])
 
 
 def _change(fit: Fit) -> tuple[int, int, bool, bool, float]:

@@ -41,7 +41,7 @@ pb4u_small_descent = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT,)))
 
 pb4u_small_passes = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT, ADVANCE)), passes=4)
 
-pb4u_small_carried = replace(pb4u_small_passes, passes=1, carried_shares=(0.25, 0.5, 0.75, 1.0))
+pb4u_small_carried = replace(pb4u_small_passes, passes=2, carried_shares=(0.25, 0.5, 0.75, 1.0))
 """Starts each step part of the way that the body carries the garment, whichever part has least potential."""
 
 small_carried_without_scaling = replace(pb4u_small_carried, scaling=NoScaling())

@@ -65,7 +65,8 @@ def make_scene(
         arms_away: degrees by which hanging arms are held away from the torso.
         seed: seed of procedural motion and of everything random.
 
-    Raises InputError when anything cannot be used. Warns of a motion that the body does not perform.
+    Raises InputError when anything cannot be used. Warns of a motion that the body does not perform, and of
+    a garment from a file that is given without pins and that the shoulders do not hold up.
     """
     _check_counts(frames, lead_in, fps)
     _check_choices(seed, arms_away)
@@ -82,7 +83,11 @@ def make_scene(
         collider, frames = _use_sequence(figure, frames, lead_in, fps)
         motion_name = figure.name
     worn = _load_garment(
-        garment, figure, triangles, load_material(material) if not isinstance(material, Material) else material
+        garment,
+        figure,
+        triangles,
+        load_material(material) if not isinstance(material, Material) else material,
+        pins_given=pins is not None,
     )
     if pins is not None:
         worn = worn.with_pins(resolve_pins(str(pins), worn))
@@ -172,13 +177,17 @@ def _use_sequence(body: AnimatedBody, frames: int | None, lead_in: int, fps: flo
 
 
 def _load_garment(
-    garment: str | Path | Garment, body: ShapedBody | AnimatedBody, triangles: int | None, material: Material
+    garment: str | Path | Garment,
+    body: ShapedBody | AnimatedBody,
+    triangles: int | None,
+    material: Material,
+    pins_given: bool,
 ) -> Garment:
     if isinstance(garment, Garment):
         return garment
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), material, triangles=triangles)
-        require_worn(loaded, body, garment)
+        require_worn(loaded, body, garment, pins_given=pins_given)
         return loaded
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())

@@ -1,0 +1,70 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cloth_shapes import saved
+
+from pb4u.body.library import load_body
+from pb4u.garment.diagnosis import diagnose
+from pb4u.garment.fit import RestBody
+from pb4u.garment.garment import SourceMesh
+from pb4u.garment.garment_file import read_source
+from pb4u.garment.library import build_garment, garment_names
+from pb4u.garment.support import LEAST_AREA, is_held_up, resting_area
+
+FALLS = {"skirt", "trousers"}
+
+
+@pytest.fixture(scope="module")
+def woman():
+    return load_body("woman")
+
+
+def source_of(garment):
+    return SourceMesh(garment.vertices, tuple(garment.faces))
+
+
+@pytest.mark.parametrize("name", garment_names())
+def test_skirt_and_trousers_are_told_once_a_file_has_lost_their_pins(name, woman, tmp_path):
+    built = build_garment(name, woman, 600)
+    exported = read_source(saved(tmp_path, source_of(built)))
+    assert diagnose(exported, woman).codes == (("unsupported",) if name in FALLS else ())
+    assert diagnose(built, woman).codes == ()
+
+
+@pytest.mark.parametrize("body", ["woman", "man"])
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_straps_and_waists_lie_far_on_either_side_of_the_limit(body, weight):
+    wearer = load_body(body, {"height": 0.0, "weight": weight})  # the least area of straps, and hips that face up most
+    rest = RestBody.of(wearer)
+    straps = build_garment("tanktop", wearer, 200)
+    assert resting_area(straps.vertices, straps.faces, rest) > 5 * LEAST_AREA
+    skirt = build_garment("skirt", wearer, 600)
+    assert resting_area(skirt.vertices, skirt.faces, rest) < 0.2 * LEAST_AREA
+
+
+def test_a_top_cut_off_below_the_shoulders_is_not_held_up(woman):
+    rest = RestBody.of(woman)
+    top = build_garment("tanktop", woman, 600)
+    centres = top.vertices[top.faces].mean(axis=1)
+    assert is_held_up(top.vertices, top.faces, rest)
+    assert not is_held_up(top.vertices, top.faces[centres[:, 1] < 0.8 * woman.height], rest)
+
+
+def test_cloth_on_the_feet_does_not_hold(woman):
+    rest = RestBody.of(woman)
+    feet = (woman.vertices[:, 1] < 0.12) & woman.contact
+    faces = woman.faces[feet[woman.faces].all(axis=1)]
+    socks = woman.vertices + np.array([0.0, 0.005, 0.0])
+    normals = np.cross(socks[faces[:, 1]] - socks[faces[:, 0]], socks[faces[:, 2]] - socks[faces[:, 0]])
+    assert np.maximum(normals[:, 1], 0.0).sum() / 2 > 10 * LEAST_AREA
+    assert not is_held_up(socks, faces, rest)
+
+
+def test_the_place_of_body_and_ground_does_not_matter(woman):
+    rest = RestBody.of(woman)
+    raised = replace(rest, vertices=rest.vertices + np.array([0.3, 1.0, -0.2]))
+    top = build_garment("tanktop", woman, 600)
+    area = resting_area(top.vertices, top.faces, rest)
+    moved = resting_area(top.vertices + np.array([0.3, 1.0, -0.2]), top.faces, raised)
+    assert moved == pytest.approx(area, rel=1e-6)
