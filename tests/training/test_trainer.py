@@ -168,6 +168,22 @@ def test_a_curriculum_by_the_clock_ends_by_the_clock() -> None:
     assert 1.2 <= trainer.counters.seconds < 20.0
 
 
+def test_the_end_of_the_minutes_does_not_wait_for_a_round(monkeypatch: pytest.MonkeyPatch) -> None:
+    long = replace(TINY, interleaved=2, curriculum=Curriculum(window_steps=((0.0, 1000),), learning_rate=1e-3))
+    trainer = Trainer(long, Budget(steps=None, minutes=10.0), ball_data(), ALONE, None, Listener())
+    original, taken = Trainer._advance, [0]
+
+    def late(self: Trainer, course: Course) -> bool:
+        taken[0] += 1
+        if taken[0] == 6:
+            self._clock -= 700.0
+        return original(self, course)
+
+    monkeypatch.setattr(Trainer, "_advance", late)
+    assert trainer.run() == "finished"
+    assert taken[0] == 6
+
+
 def test_better_means_more_frames_survived_then_less_energy() -> None:
     assert Score(1.0, 9.0, 0.1).beats(Score(0.9, 1.0, 0.1))
     assert Score(1.0, -1.1, 0.1).beats(Score(1.0, -1.0, 0.1), 0.005)

@@ -199,8 +199,11 @@ class Trainer:
                 if not self._advance(course):
                     return RoundEnd.CAME_APART
             courses = [course for course in courses if course.left]
-            if courses and self.workers.agreed(self.stopping()):
+            ending = self._ending() if courses else None
+            if ending == "stopped":
                 return RoundEnd.STOPPED
+            if ending == "finished":
+                break
         return RoundEnd.LEARNT
 
     def _advance(self, course: Course) -> bool:
