@@ -1,4 +1,4 @@
-"""Does the network earn its place? The solver from free flight against the solver from the network's prediction.
+"""Does the network earn its place? The solver from free flight, from where the network starts, and from its prediction.
 
     python benchmarks/head_start.py [--models pb4u-small,FILE] [--garments tshirt,dress] [--triangles 2500,11000]
         [--motion walk] [--frames 10] [--targets 5,30] [--json FILE]
@@ -21,6 +21,7 @@ from typing import Any
 from torch import Tensor
 
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.integrator import integrate
 from pb4u.physics.solver import Progress, Solver
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.state import State
@@ -30,6 +31,7 @@ from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.solver_simulator import SolverSimulator
 from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import BallisticPredictor, Predictor, Situation, StepParts
+from pb4u.simulation.step_start import StepStart, start_of
 
 FREE_FLIGHT = "free flight"
 MOST_ITERATIONS = 60
@@ -53,6 +55,18 @@ class Run:
             if total <= energy:
                 return iteration, 1e3 * seconds
         return None
+
+
+class StartAlone(Predictor):
+    """Where a network starts its step, without the network: what it has to beat."""
+
+    def __init__(self, start: StepStart) -> None:
+        self.start = start
+
+    def predict(self, situation: Situation) -> State:
+        accelerations = self.start.accelerations(situation)
+        garments = situation.garments
+        return integrate(situation.state, accelerations, situation.dt, garments.pinned, situation.pin_positions)
 
 
 class Race(Predictor):
@@ -93,6 +107,8 @@ class RacingSimulator(SolverSimulator):
         starts: dict[str, Predictor] = {FREE_FLIGHT: BallisticPredictor()}
         for name in self.models:
             checkpoint = from_pretrained(name)
+            if checkpoint.model.network.carried_shares:
+                starts[f"{Path(name).stem}, its start alone"] = StartAlone(start_of(checkpoint.model.network))
             for passes in sorted({1, checkpoint.model.network.passes}):
                 network = NetworkSimulator(checkpoint, passes=passes)
                 label = f"{Path(name).stem}, {passes} pass{'es' * (passes > 1)}"

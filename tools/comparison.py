@@ -19,7 +19,7 @@ from pathlib import Path
 FIXED_DEPTH = ("most_propagation_steps=0",)
 
 COMPARED = {
-    "pb4u": ("network=pb4u_small_descent",),
+    "pb4u": ("network=pb4u_small_carried",),
     "mgn": ("network=mgn_small",),
     "hood": ("network=hood_small",),
     "eslr": ("network=eslr_small",),
@@ -34,15 +34,12 @@ EXPERIMENTS = {
     "mgn-relative": ("network=mgn_relative_small",),
     "hood-metric": ("network=hood_metric_small",),
     "pb4u-mean-scaling": ("network=small_mean_scaling",),
-    "pb4u-one-level": ("network=pb4u_small_descent", "data.triangles=1200"),
-    "pb4u-ruled-steps": ("network=pb4u_small_descent", *FIXED_DEPTH),
+    "pb4u-one-level": ("network=pb4u_small_carried", "data.triangles=1200"),
+    "pb4u-ruled-steps": ("network=pb4u_small_carried", *FIXED_DEPTH),
+    "pb4u-interleaved": ("network=pb4u_small_carried", "interleaved=8"),
+    "pb4u-two-passes": ("network=pb4u_small_two_passes",),
+    "pb4u-free-flight": ("network=pb4u_small_descent",),
     "pb4u-paper-features": ("network=pb4u_small",),
-    "pb4u-passes": ("network=pb4u_small_passes",),
-    "carried": ("network=pb4u_small_carried", "network.passes=1"),
-    "carried-interleaved": ("network=pb4u_small_carried", "network.passes=1", "interleaved=8"),
-    "carried-two-passes": ("network=pb4u_small_carried",),
-    "carried-without-scaling": ("network=small_carried_without_scaling", "network.passes=1"),
-    "carried-without-control": ("network=small_carried_without_control", "network.passes=1", *FIXED_DEPTH),
 }
 """What --only can name besides: other parts in one place, never shipped by default."""
 

@@ -1,8 +1,9 @@
 """Computes the floor of every catalogue test scene: the energies that the solver reaches at its tolerance.
 
-python tools/floors.py [--levels base,11K] [--recordings FOLDER] [--frames 30]
+python tools/floors.py [--levels base,11K] [--only test/tshirt/walk-2000,...] [--recordings FOLDER] [--frames 30]
 
-Results go to src/pb4u/evaluation/floors.json, one entry a scene and level; entries already there are kept.
+Results go to src/pb4u/evaluation/floors.json, one entry a scene, level and number of frames; entries already there are
+kept.
 """
 
 from __future__ import annotations
@@ -29,7 +30,6 @@ def floor_of(name: str, triangles: int, frames: int, recordings: Path | None) ->
     trajectory = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record))
     measured = measure(trajectory)
     return {
-        "frames": trajectory.frame_count,
         "triangles": len(trajectory.faces),
         "energies": {
             term: measured["metrics"][term]["mean"]
@@ -44,22 +44,28 @@ def main() -> None:
     """Run what is missing."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--levels", default="base")
+    parser.add_argument("--only", help="scenes by name; without it all")
     parser.add_argument("--recordings", type=Path)
     parser.add_argument("--frames", type=int, default=30)
     options = parser.parse_args()
     floors = json.loads(FLOORS_FILE.read_text()) if FLOORS_FILE.exists() else {}
     for level in options.levels.split(","):
         names = scene_names("test", recordings=options.recordings is not None)
+        if options.only:
+            wanted = set(options.only.split(","))
+            if unknown := wanted - {str(name) for name in names}:
+                parser.error(f"no such test scene: {', '.join(sorted(unknown))}")
+            names = tuple(name for name in names if str(name) in wanted)
         for name in sorted(names, key=lambda name: name.needs_recording):
-            key = f"{name}@{level}"
-            if key in floors:
+            known = floors.setdefault(f"{name}@{level}", {})
+            if str(options.frames) in known:
                 continue
             began = time.perf_counter()
-            floors[key] = floor_of(str(name), LEVELS[level], options.frames, options.recordings)
+            known[str(options.frames)] = floor_of(str(name), LEVELS[level], options.frames, options.recordings)
             beside = FLOORS_FILE.with_suffix(".part")
             beside.write_text(json.dumps(dict(sorted(floors.items())), indent=1) + "\n")
             os.replace(beside, FLOORS_FILE)
-            print(f"{key}: {time.perf_counter() - began:.0f} s", flush=True)
+            print(f"{name}@{level}: {time.perf_counter() - began:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

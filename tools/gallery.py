@@ -3,7 +3,7 @@
 python tools/gallery.py [--models skinning,pb4u-small,solver] [--triangles 2500,11000] [--garments dress,skirt]
 
 A model is a name or a checkpoint's path. Pictures are kept in --cells as they are drawn, so that a run that was
-stopped goes on where it was; a picture is drawn anew when its scene, its size or its model's file changed.
+stopped goes on where it was; a picture is drawn anew when its scene, its size or its model's weights changed.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from PIL import Image
 from pb4u import Pb4uError, load_simulator, make_scene
 from pb4u.export.picture import View
 from pb4u.garment.library import garment_names
+from pb4u.simulation.checkpoint import weights_file
 
 SHOWN = {
     "tshirt": ("man", "walk", 14, 30.0),
@@ -41,8 +42,7 @@ FAILED_INK = (190, 30, 30)
 def cell(garment: str, triangles: int, model: str, size: int, folder: Path) -> np.ndarray:
     """The picture of one garment by one model, from the folder where it is there."""
     body, motion, moment, azimuth = SHOWN[garment]
-    weights = Path(model).read_bytes() if Path(model).is_file() else b""
-    recipe = f"{body} {motion} {moment} {azimuth} {LEAD_IN} {size} {model}".encode() + weights
+    recipe = f"{body} {motion} {moment} {azimuth} {LEAD_IN} {size} {model}".encode() + weights_of(model)
     kept = folder / f"{garment}_{triangles}_{Path(model).stem}_{hashlib.sha256(recipe).hexdigest()[:8]}.png"
     if kept.is_file():
         return np.asarray(Image.open(kept).convert("RGB"))
@@ -51,6 +51,15 @@ def cell(garment: str, triangles: int, model: str, size: int, folder: Path) -> n
     Image.fromarray(picture).save(kept)
     print(f"{kept.name}: {time.perf_counter() - began:.0f} s", flush=True)
     return picture
+
+
+def weights_of(model: str) -> bytes:
+    """The weights of a network, built in or a file; nothing for what has none."""
+    try:
+        with weights_file(model) as path:
+            return path.read_bytes()
+    except Pb4uError:
+        return b""
 
 
 def draw(garment: str, triangles: int, model: str, view: View) -> np.ndarray:

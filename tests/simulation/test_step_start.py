@@ -11,8 +11,9 @@ from torch import Tensor
 
 from pb4u.errors import InputError
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration
 from pb4u.physics.integrator import integrate
+from pb4u.presets.networks import network_preset
 from pb4u.scene.packed import ColliderFrame, pack
 from pb4u.scene.state import State
 from pb4u.simulation.network_simulator import NetworkPredictor
@@ -124,10 +125,10 @@ def test_pinned_vertices_are_left_to_their_pins() -> None:
     assert not start[at.garments.pinned].any()
 
 
-def test_a_network_that_adds_nothing_ends_at_the_start() -> None:
+@pytest.mark.parametrize("name", ["pb4u_small_carried", "mgn_small", "hood_small", "eslr_small", "contourcraft_small"])
+def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
     torch.manual_seed(0)
-    configuration = Pb4uConfiguration(width=8, blocks=1, carried_shares=SHARES)
-    model = AccelerationModel(configuration.network())
+    model = AccelerationModel(replace(network_preset(name), width=8).network())
     for parameter in model.network.decoder.parameters():
         torch.nn.init.zeros_(parameter)
     at = sheet_on_a_rising_ball(0.03)
@@ -137,7 +138,8 @@ def test_a_network_that_adds_nothing_ends_at_the_start() -> None:
     assert torch.allclose(NetworkPredictor(model, prepared).predict(at).positions, expected.positions)
 
 
+@pytest.mark.parametrize("network", [Pb4uConfiguration(), network_preset("eslr"), network_preset("contourcraft")])
 @pytest.mark.parametrize("shares", [(0.0,), (-0.5,), (0.5, 1.5)])
-def test_shares_beyond_the_bodys_motion_are_refused(shares: tuple[float, ...]) -> None:
+def test_shares_beyond_the_bodys_motion_are_refused(network: NetworkConfiguration, shares: tuple[float, ...]) -> None:
     with pytest.raises(InputError, match="Shares of the body's motion"):
-        Pb4uConfiguration(carried_shares=shares)
+        replace(network, carried_shares=shares)

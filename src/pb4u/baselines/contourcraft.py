@@ -23,7 +23,7 @@ from pb4u.graph.builder import EdgeFinder, NoFoundEdges
 from pb4u.graph.features import FOUND_EDGE_FEATURES, FeatureLayout
 from pb4u.graph.graph import GARMENT, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
-from pb4u.nn.acceleration_model import FurtherLoss
+from pb4u.nn.acceleration_model import FurtherLoss, NetworkConfiguration
 from pb4u.nn.interaction_block import InteractionBlock
 from pb4u.scene.packed import PackedGarments
 
@@ -43,8 +43,8 @@ CONTOURCRAFT_LAYOUT = FeatureLayout(
 )
 
 
-@dataclass(frozen=True)
-class ContourCraftConfiguration:
+@dataclass(frozen=True, kw_only=True)
+class ContourCraftConfiguration(NetworkConfiguration):
     """A ContourCraft.
 
     Args:
@@ -66,6 +66,7 @@ class ContourCraftConfiguration:
     world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0 <= self.level <= 12 or not 0.0 <= self.radius < float("inf"):
             raise InputError(
                 f"ContourCraft needs a coarse level from 0 to 12 and a radius of 0 m or more, not {self.level} and "

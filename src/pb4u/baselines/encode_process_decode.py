@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -13,8 +12,7 @@ from torch import Tensor, nn
 from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout, total_width
 from pb4u.graph.graph import GARMENT, Graph, NodeType
-from pb4u.graph.world_edges import WorldEdgeRule
-from pb4u.nn.acceleration_model import GraphNetwork
+from pb4u.nn.acceleration_model import GraphNetwork, NetworkConfiguration
 from pb4u.nn.mlp import MLP
 
 TYPE_WIDTH = 9
@@ -25,19 +23,6 @@ MESH_GRAPH_LAYOUT = FeatureLayout(
     mesh_edge=("relative_position", "length", "rest_relative_position", "rest_length", "dt", "material")
 )
 """Edges with absolute vectors and lengths, as MeshGraphNet and HOOD have them: 12 columns (reference 1.2)."""
-
-
-class BaselineConfiguration(Protocol):
-    """What the configuration of every baseline says."""
-
-    @property
-    def width(self) -> int: ...
-
-    @property
-    def layout(self) -> FeatureLayout: ...
-
-    @property
-    def world_edges(self) -> WorldEdgeRule: ...
 
 
 class EncodeProcessDecode(GraphNetwork):
@@ -51,14 +36,13 @@ class EncodeProcessDecode(GraphNetwork):
 
     def __init__(
         self,
-        configuration: BaselineConfiguration,
+        configuration: NetworkConfiguration,
         mesh_kinds: Sequence[str],
         found_kinds: Sequence[str] = (),
         levels: int = 0,
     ) -> None:
-        super().__init__()
+        super().__init__(configuration)
         width, layout = configuration.width, configuration.layout
-        self.layout, self.world_edges = layout, configuration.world_edges
         self.node_type = nn.Embedding(len(NodeType), TYPE_WIDTH)
         self.level = nn.Embedding(levels, LEVEL_WIDTH) if levels else None
         marks = TYPE_WIDTH + (LEVEL_WIDTH if levels else 0)

@@ -20,6 +20,7 @@ from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import GARMENT, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.nn.acceleration_model import NetworkConfiguration
 from pb4u.nn.interaction_block import InteractionBlock
 from pb4u.nn.mlp import MLP, SplitMLP
 from pb4u.nn.segment import gather, segment_sum
@@ -30,8 +31,8 @@ _BIAS_WIDTH = 16
 _ROWS_PER_PIECE = 4096
 
 
-@dataclass(frozen=True)
-class EslrConfiguration:
+@dataclass(frozen=True, kw_only=True)
+class EslrConfiguration(NetworkConfiguration):
     """A reconstruction of ESLR.
 
     Args:
@@ -53,6 +54,7 @@ class EslrConfiguration:
     world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.landmarks < 0 or self.heads < 1 or self.width % self.heads or not self.geodesic_scale > 0.0:
             raise InputError(
                 "ESLR needs 0 landmarks or more, a number of heads that divides the width and a scale above 0 m, not "

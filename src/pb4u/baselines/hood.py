@@ -24,6 +24,7 @@ from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import BODY, GARMENT, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.nn.acceleration_model import NetworkConfiguration
 from pb4u.nn.interaction_block import InteractionBlock
 from pb4u.scene.packed import PackedGarments
 
@@ -79,8 +80,8 @@ class LevelsByLength:
         return near, max(far, near + 1)
 
 
-@dataclass(frozen=True)
-class HoodConfiguration:
+@dataclass(frozen=True, kw_only=True)
+class HoodConfiguration(NetworkConfiguration):
     """A HOOD.
 
     Args:

@@ -11,11 +11,12 @@ from pb4u.baselines.encode_process_decode import MESH_GRAPH_LAYOUT, EncodeProces
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import GARMENT, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.nn.acceleration_model import NetworkConfiguration
 from pb4u.nn.interaction_block import InteractionBlock
 
 
-@dataclass(frozen=True)
-class MeshGraphNetConfiguration:
+@dataclass(frozen=True, kw_only=True)
+class MeshGraphNetConfiguration(NetworkConfiguration):
     """A MeshGraphNet.
 
     Args:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor, nn
 
-from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout, total_width
 from pb4u.graph.garment_graph import GarmentGraph
 from pb4u.graph.graph import GARMENT, Graph, NodeType
@@ -16,15 +15,15 @@ from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.model.propagation import Propagation, PropagationForm
 from pb4u.model.propagation_control import ConstantDistance, FixedSteps, PropagationControl
 from pb4u.model.update_scaling import MeanScaling, NoScaling, PerVertexScaling, UpdateScaling
-from pb4u.nn.acceleration_model import GraphNetwork
+from pb4u.nn.acceleration_model import GraphNetwork, NetworkConfiguration
 from pb4u.nn.interaction_block import InteractionBlock
 from pb4u.nn.mlp import MLP, SplitMLP
 
 TYPE_WIDTH = 9
 
 
-@dataclass(frozen=True)
-class Pb4uConfiguration:
+@dataclass(frozen=True, kw_only=True)
+class Pb4uConfiguration(NetworkConfiguration):
     """Everything that makes one Pb4U-GNet differ from another.
 
     Args:
@@ -35,9 +34,6 @@ class Pb4uConfiguration:
         scaling: how large an update.
         layout: the columns read.
         world_edges: which body vertices a garment vertex sees.
-        passes: how often the network is asked in one time step; above 1 the layout should name "descent" and "advance".
-        carried_shares: shares of the body's motion that a time step may start with, the best of them and free flight;
-            with any the layout should name the same two.
     """
 
     width: int = 128
@@ -47,14 +43,6 @@ class Pb4uConfiguration:
     scaling: PerVertexScaling | MeanScaling | NoScaling = field(default_factory=PerVertexScaling)
     layout: FeatureLayout = field(default_factory=FeatureLayout)
     world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
-    passes: int = 1
-    carried_shares: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.passes < 1:
-            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
-        if not all(0.0 < share <= 1.0 for share in self.carried_shares):
-            raise InputError(f"Shares of the body's motion lie above 0 and up to 1, not {self.carried_shares}.")
 
     def network(self) -> Pb4uGNet:
         """A network of this configuration with fresh weights."""
@@ -65,12 +53,9 @@ class Pb4uGNet(GraphNetwork):
     """The network of the paper, on normalised features."""
 
     def __init__(self, configuration: Pb4uConfiguration) -> None:
-        super().__init__()
+        super().__init__(configuration)
         self.configuration = configuration
-        self.layout = layout = configuration.layout
-        self.world_edges = configuration.world_edges
-        self.passes = configuration.passes
-        self.carried_shares = configuration.carried_shares
+        layout = configuration.layout
         self.control: PropagationControl = configuration.control
         self.scaling: UpdateScaling = configuration.scaling
         width = configuration.width

@@ -36,20 +36,50 @@ class FurtherLoss(Protocol):
         """
 
 
-class GraphNetwork(nn.Module, ABC):
-    """A network on normalised features; a baseline differs from ours in this and in nothing else.
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfiguration(ABC):
+    """What every network's configuration says; that of a method adds its own.
 
-    Attributes:
-        layout: the columns it reads.
+    Args:
+        width: of all latents and hidden layers.
+        layout: the columns read.
         world_edges: which body vertices a garment vertex sees.
-        passes: how often it is asked in one time step, each time from where it left off; 1 in the paper.
-        carried_shares: shares of the body's motion that a time step may start with; none in the paper.
+        passes: how often the network is asked in one time step, each time from where it left off; 1 in the paper. Above
+            1 the layout should name "descent" and "advance".
+        carried_shares: shares of the body's motion that a time step may start with, the best of them and free flight;
+            none in the paper. With any the layout should name the same two.
     """
 
+    width: int
     layout: FeatureLayout
     world_edges: WorldEdgeRule
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.passes < 1:
+            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+        if not all(0.0 < share <= 1.0 for share in self.carried_shares):
+            raise InputError(f"Shares of the body's motion lie above 0 and up to 1, not {self.carried_shares}.")
+
+    @abstractmethod
+    def network(self) -> GraphNetwork:
+        """A network of this configuration with fresh weights."""
+
+
+class GraphNetwork(nn.Module, ABC):
+    """A network on normalised features; a baseline differs from ours in this and in nothing else.
+
+    Args:
+        configuration: what it reads, and how it is asked.
+    """
+
+    def __init__(self, configuration: NetworkConfiguration) -> None:
+        super().__init__()
+        self.layout = configuration.layout
+        self.world_edges = configuration.world_edges
+        self.passes = configuration.passes
+        self.carried_shares = configuration.carried_shares
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:

@@ -19,13 +19,9 @@ from torch import Tensor
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
-from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
 from pb4u.scene.packed import PackedGarments
-from pb4u.simulation.network_configuration import (
-    NetworkConfiguration,
-    configuration_from_json,
-    configuration_to_json,
-)
+from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
 FORMAT_VERSION = 1
 SUFFIX = ".safetensors"

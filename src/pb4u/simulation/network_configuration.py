@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from pb4u.baselines.contact_losses import ContourLength, Ramp, Repulsion
 from pb4u.baselines.contourcraft import ContourCraftConfiguration
@@ -17,19 +17,7 @@ from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.model.propagation import PropagationForm
 from pb4u.model.propagation_control import ConstantDistance, FixedSteps
 from pb4u.model.update_scaling import MeanScaling, NoScaling, PerVertexScaling
-from pb4u.nn.acceleration_model import GraphNetwork
-
-
-class NetworkConfiguration(Protocol):
-    """A frozen dataclass that makes a network."""
-
-    @property
-    def width(self) -> int:
-        """Of its latents."""
-
-    def network(self) -> GraphNetwork:
-        """A network of this configuration with fresh weights."""
-
+from pb4u.nn.acceleration_model import NetworkConfiguration
 
 NETWORK_TYPES: tuple[type, ...] = (
     Pb4uConfiguration,

@@ -10,12 +10,9 @@ from typing import Any
 
 from pb4u.errors import InputError
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
+from pb4u.nn.acceleration_model import NetworkConfiguration
 from pb4u.presets.networks import network_preset
-from pb4u.simulation.network_configuration import (
-    NetworkConfiguration,
-    configuration_from_json,
-    configuration_to_json,
-)
+from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 from pb4u.training.curriculum import Curriculum
 
 AFTER_SETTLING = ("skinned", "slowed", "zero", "carried")

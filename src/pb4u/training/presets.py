@@ -6,7 +6,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 
 from pb4u.errors import InputError
-from pb4u.presets.networks import pb4u_paper, pb4u_small, pb4u_small_carried, pb4u_small_descent
+from pb4u.presets.networks import pb4u_paper, pb4u_small, pb4u_small_carried, pb4u_small_two_passes
 from pb4u.training.configuration import DataSelection, TrainingConfiguration
 from pb4u.training.curriculum import Curriculum
 
@@ -14,7 +14,7 @@ paper = TrainingConfiguration(network=pb4u_paper, data=DataSelection(triangles=(
 """The paper's own protocol: one low level, windows of up to 5 steps, 450,000 optimiser steps."""
 
 small = TrainingConfiguration(
-    network=pb4u_small_carried,
+    network=pb4u_small_two_passes,
     data=DataSelection(triangles=(1300, 2500), shapes=4, clip_frames=200),
     curriculum=Curriculum(
         # What cloth drifts into over a clip is only seen in long windows.
@@ -37,7 +37,7 @@ small = TrainingConfiguration(
 
 comparison = replace(
     small,
-    network=pb4u_small_descent,
+    network=pb4u_small_carried,
     data=DataSelection(garments=("tshirt", "dress"), triangles=(700, 1200), shapes=2, clips=96),
     curriculum=Curriculum(
         window_steps=((0.0, 1), (0.03, 2), (0.06, 3), (0.1, 5), (0.4, 10), (0.7, 20)),
