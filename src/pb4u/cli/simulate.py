@@ -105,7 +105,7 @@ def simulate(
         str,
         typer.Option(
             metavar="NAME|FILE",
-            help="solver, skinning, newton, or a network: pb4u-small or a .safetensors file. Default: the solver.",
+            help="solver, skinning, newton, or a network by name or .safetensors file. Default: pb4u-small.",
         ),
     ] = "auto",
     propagation_steps: Annotated[

@@ -33,14 +33,10 @@ def _network_line(name: str) -> str:
 
 
 def default_model() -> str:
-    """The paper-size network where it is shipped, else the solver.
-
-    The small network is no default: what it was tried on is little (docs/models.md), and at 2.5K triangles the solver
-    is as fast.
-    """
+    """The best network that is shipped: the paper-size one, else the small one; the solver where there is none."""
     from pb4u.simulation.checkpoint import built_in_models
 
-    return "pb4u" if "pb4u" in built_in_models() else "solver"
+    return next((name for name in ("pb4u", "pb4u-small") if name in built_in_models()), "solver")
 
 
 def load_simulator(
