@@ -2,8 +2,8 @@
 
     python benchmarks/weights_table.py --out FOLDER [--model pb4u-small] [--tables alone,refined,motions]
 
-Each rollout is kept in the folder, its trajectory too, to be looked at. A run that was stopped goes on where it was,
-and several may share the folder. The floor is the stored one of the base level over as many frames, or over 30 where
+Each rollout is kept in the folder, under its weights, its trajectory too, to be looked at. A run that was stopped goes
+on where it was, and several may share the folder. The floor is the stored one of the base level over as many frames, or over 30 where
 there is none of so many.
 """
 
@@ -23,9 +23,11 @@ from pb4u.atomic_file import replace_file
 from pb4u.evaluation.floors import ratio, stored_floor
 from pb4u.evaluation.metrics import measure
 from pb4u.evaluation.paper_figures import TERMS
+from pb4u.evaluation.rollout_job import digest
 from pb4u.garment.library import LEVELS
 from pb4u.scene.catalogue import SEEDS, TRAINING_GARMENTS, catalogue_scene
 from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation.checkpoint import weights_file
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.simulator import RunRecord
 
@@ -157,10 +159,12 @@ def main() -> None:
     parser.add_argument("--model", default="pb4u-small")
     parser.add_argument("--tables", default="alone,refined,motions")
     options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+    with weights_file(options.model) as weights:
+        folder = options.out / f"{Path(options.model).stem}_{digest(weights)[:8]}"
+    folder.mkdir(parents=True, exist_ok=True)
     warnings.simplefilter("ignore")
     for table in options.tables.split(","):
-        made = {clip: result(options.model, clip, options.out) for clip in clips(table)}
+        made = {clip: result(options.model, clip, folder) for clip in clips(table)}
         print(f"\n{table}\n\n{markdown({clip: each for clip, each in made.items() if each})}\n", flush=True)
 
 
