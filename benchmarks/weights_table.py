@@ -3,8 +3,8 @@
     python benchmarks/weights_table.py --out FOLDER [--model pb4u-small] [--tables alone,refined,motions]
 
 Each rollout is kept in the folder, under its weights, its trajectory too, to be looked at. A run that was stopped goes
-on where it was, and several may share the folder. The floor is the stored one of the base level over as many frames, or over 30 where
-there is none of so many.
+on where it was, and several may share the folder. The floor is the stored one of the base level over as many frames, or
+over 30 where there is none of so many.
 """
 
 from __future__ import annotations
