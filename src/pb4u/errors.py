@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class Pb4uError(Exception):
     """The request failed or was refused; the message is one plain sentence saying what, where and how to mend."""
@@ -21,3 +24,17 @@ class MissingExtraError(Pb4uError, ImportError):
 
 class InputWarning(UserWarning):
     """An input is unusual but usable; the message is one plain sentence."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
+    """The refusal of a name that is none of the `known`.
+
+    Args:
+        kind: what was named, such as "garment".
+        name: as it was given.
+        known: every name there is.
+    """
+    names = list(known)
+    near = get_close_matches(name.lower(), names, n=3, cutoff=0.5)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names)}."
+    return InputError(f"There is no {kind} {name!r}; {hint}")

@@ -11,6 +11,12 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.garment.dressing import Placement
 from pb4u.garment.garment import Garment
 
+STANDARD_GRAVITY = 9.81
+"""Magnitude of gravity [m/s^2] in every scene that does not say otherwise; forces and residuals are measured in it."""
+
+UP = (0.0, 1.0, 0.0)
+"""Normal of the ground, the vertical of the world: the files of the package have +Y up."""
+
 
 @dataclass(frozen=True, eq=False)
 class DressedGarment:
@@ -45,7 +51,7 @@ class Scene:
     frames: int
     lead_in: int = 0
     fps: float = 30.0
-    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, -9.81, 0.0]))
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, -STANDARD_GRAVITY, 0.0]))
     ground_height: float | None = 0.0
     seed: int = 0
     labels: dict[str, Any] = field(default_factory=dict)
