@@ -1,7 +1,7 @@
 """Shows that a change left results equal to the bit: records them, and compares two records.
 
-`record FOLDER` runs scenes, trainings and a protocol through the command line and writes `FOLDER/results.json`: a digest
-of every array, and every number that does not depend on the clock. `compare BEFORE AFTER` names each difference;
+`record FOLDER` runs scenes, trainings and a protocol through the command line and writes `FOLDER/results.json`: a
+digest of every array, and every number that does not depend on the clock. `compare BEFORE AFTER` names each difference;
 what only AFTER has is new, not different. Record both on one machine with the same number of threads.
 """
 
@@ -32,7 +32,7 @@ MODELS = {
 TRAININGS = {
     "comparison": "--preset comparison --set data.clips=4 --set data.shapes=1 --set data.triangles=[700]",
     "small": "--preset small --set data.clips=4 --set data.shapes=2 --set data.triangles=[500,900] "
-    '--set data.garments=["tshirt","skirt"] --set validate_every=80 --set validation_frames=10',
+    """--set 'data.garments=["tshirt","skirt"]' --set validate_every=80 --set validation_frames=10""",
 }
 PROTOCOL = (
     "--models skinning,solver,pb4u-small,comparison-hood,comparison-contourcraft,comparison-eslr,comparison-mgn "
@@ -100,6 +100,7 @@ def _numbers(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def main() -> None:
+    """Record or compare, as the command line says."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     verbs = parser.add_subparsers(required=True, dest="verb")
     recording = verbs.add_parser("record")
