@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.topology import Topology
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments, pack, pack_colliders
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
 
@@ -92,9 +94,9 @@ class Ruler:
         self.dt = 1.0 / trajectory.fps
         self.gravity = torch.tensor(header.metadata.get("gravity", [0.0, -9.81, 0.0]), dtype=torch.float64)
         self.ground = header.metadata.get("ground_height", 0.0)
-        self.body_faces = torch.from_numpy(np.array(header.body_faces))
-        self.body_contact = torch.from_numpy(np.array(header.body_contact))
-        self.body_owner = torch.zeros(len(header.body_contact), dtype=torch.int64)
+        faces, contact = (torch.from_numpy(np.array(part)) for part in (header.body_faces, header.body_contact))
+        self.colliders = pack_colliders([faces], [contact], [0], self.ground)
+        self._pose = lru_cache(maxsize=3)(self._posed)
         closed = Topology(np.array(header.body_faces), len(header.body_contact)).is_closed
         touchable = closed and bool(header.body_contact[header.body_faces].all(axis=1).any())
         self.surface = (
@@ -111,7 +113,7 @@ class Ruler:
             return lost, dict.fromkeys(ENERGIES, float("nan"))
         state, collider = self._before(t, x)
         ours, paper = (
-            potential.prepare(self.garments, state, collider, self.dt, self.gravity).energies(x).floats()
+            potential.of(TimeStep(self.garments, state, collider, self.dt, self.gravity)).energies(x).floats()
             for potential in self.potentials
         )
         strains = face_strains(x, self.garments.faces, self.garments.inverse_rest_shape)
@@ -126,11 +128,11 @@ class Ruler:
     def _before(self, t: int, x: Tensor) -> tuple[State, ColliderFrame]:
         """The state and bodies that the step to frame t started from; frame 0 is judged standing still."""
         before, velocity = (x, torch.zeros_like(x)) if t == 0 else (self._garment(t - 1), self._velocity(t - 1))
-        previous, now, following = (self._body(max(s, 0)) for s in (t - 2, t - 1, t))
-        collider = ColliderFrame(
-            previous, now, following, self.body_faces, self.body_contact, self.body_owner, self.ground
-        )
+        collider = ColliderFrame(*(self._pose(max(s, 0)) for s in (t - 2, t - 1, t)))
         return State(torch.nan_to_num(before), velocity, t - 1), collider
+
+    def _posed(self, t: int) -> ColliderPose:
+        return self.colliders.pose(self._body(t))
 
     def _garment(self, t: int) -> Tensor:
         return torch.from_numpy(np.array(self.trajectory.positions[t], dtype=np.float64))

@@ -276,7 +276,7 @@ def _models(request: Request, protocol: Protocol, device: str) -> tuple[list[Mod
 def _model(name: str, label: str, device: str) -> ModelRecord:
     from pb4u.simulation.checkpoint import weights_file
     from pb4u.simulation.models import load_simulator
-    from pb4u.simulation.network_simulator import NetworkSimulator
+    from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
     if Path(name).suffix and not Path(name).is_file():
         raise InputError(f"There is no model file {name}.")

@@ -152,7 +152,7 @@ def _check_content(path: Path, expected: str) -> None:
 
 def _own_steps(simulator: Any, mean_edge_length: float) -> int | None:
     """K that a network's own rule takes, whatever it was told; None for what has none."""
-    from pb4u.simulation.network_simulator import NetworkSimulator
+    from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
     if not isinstance(simulator, NetworkSimulator):
         return None

@@ -40,25 +40,6 @@ class NoFoundEdges:
         return {}
 
 
-class ContactVertices:
-    """The body vertices that each garment may touch; found anew only when the collider's own tensors change."""
-
-    def __init__(self) -> None:
-        self._key: tuple[Tensor, Tensor] | None = None
-        self._vertices: tuple[Tensor, ...] = ()
-
-    def of(self, collider: ColliderFrame, garment_count: int) -> tuple[Tensor, ...]:
-        """Packed body vertices of each garment, int64."""
-        key = (collider.contact, collider.vertex_garment)
-        if self._key is None or self._key[0] is not key[0] or self._key[1] is not key[1]:
-            self._vertices = tuple(
-                torch.nonzero((collider.vertex_garment == garment) & collider.contact)[:, 0]
-                for garment in range(garment_count)
-            )
-            self._key = key
-        return self._vertices
-
-
 @dataclass(frozen=True, eq=False)
 class GraphBuilder:
     """Makes the graph of each step; everything that does not change was computed when the builder was made.
@@ -79,7 +60,6 @@ class GraphBuilder:
     layout: FeatureLayout
     world_edges: WorldEdgeRule
     fixed_shapes: bool = False
-    contact_vertices: ContactVertices = field(default_factory=ContactVertices)
     finder: EdgeFinder = field(default_factory=NoFoundEdges)
     rest: Mapping[str, Tensor] = field(default_factory=dict)
 
@@ -203,7 +183,8 @@ class GraphBuilder:
         origin: Tensor | None,
         step_dt: Tensor,
     ) -> None:
-        now, following = self._localise(collider.now, origin), self._localise(collider.following, origin)
+        now = self._localise(collider.now.positions, origin)
+        following = self._localise(collider.following.positions, origin)
         near, found = self._nearest(positions, now, collider)
         garment = torch.arange(len(positions), device=near.device).repeat_interleave(near.shape[1])
         body, mask = near.reshape(-1), found.reshape(-1)
@@ -254,11 +235,11 @@ class GraphBuilder:
     def _body_nodes(
         self, collider: ColliderFrame, now: Tensor, kept: Tensor, step_dt: Tensor, active: Tensor | None
     ) -> NodeSet:
-        velocity = (collider.now - collider.previous).to(self.dtype)[kept]
+        velocity = (collider.now.positions - collider.previous.positions).to(self.dtype)[kept]
         absent = velocity.new_full((1,), -1.0)
         columns = {
             "velocity": velocity,
-            "normal": vertex_normals(now, collider.faces)[kept],
+            "normal": vertex_normals(now, collider.colliders.faces)[kept],
             "dt": step_dt.expand(len(kept), 1),
             "areal_density": absent.expand(len(kept), 1),
             "vertex_mass": absent.expand(len(kept), 1),
@@ -267,14 +248,14 @@ class GraphBuilder:
         chosen = [columns[name] for name in self.layout.node]
         chosen += [velocity.new_zeros(len(kept), feature.width) for feature in self.layout.extra]
         types = torch.full((len(kept),), int(NodeType.BODY), device=kept.device)
-        return NodeSet(torch.cat(chosen, dim=1), types, collider.vertex_garment[kept], active)
+        return NodeSet(torch.cat(chosen, dim=1), types, collider.colliders.vertex_world[kept], active)
 
     def _nearest(self, positions: Tensor, body: Tensor, collider: ColliderFrame) -> tuple[Tensor, Tensor]:
         """Packed body vertices (vertices, neighbours) near each garment vertex, of its own body and in contact only."""
         near, found = [], []
-        offsets = self.static.vertex_offsets
-        for garment, allowed in enumerate(self.contact_vertices.of(collider, len(offsets) - 1)):
-            points = positions[offsets[garment] : offsets[garment + 1]]
+        offsets = self.static.world_offsets
+        for world, allowed in enumerate(collider.colliders.touchable):
+            points = positions[offsets[world] : offsets[world + 1]]
             index, exists = nearest_within(points, body[allowed], self.world_edges)
             near.append(allowed[index] if len(allowed) else index)
             found.append(exists)

@@ -50,6 +50,7 @@ class GarmentGraph:
         incident_length: (vertices,) mean rest length of the mesh edges at each vertex [m].
         mean_edge_lengths: of each garment [m].
         vertex_offsets: first vertex of each garment, and the total.
+        world_offsets: first vertex of each world, and the total.
         faces: (faces, 3) int64.
     """
 
@@ -62,6 +63,7 @@ class GarmentGraph:
     incident_length: Tensor
     mean_edge_lengths: tuple[float, ...]
     vertex_offsets: tuple[int, ...]
+    world_offsets: tuple[int, ...]
     faces: Tensor
 
 
@@ -90,6 +92,7 @@ def garment_graph(
         incident_length=_mean_at(garments.edges.reshape(-1), lengths, garments).to(dtype),
         mean_edge_lengths=garments.mean_edge_lengths,
         vertex_offsets=garments.vertex_offsets,
+        world_offsets=garments.world_offsets,
         faces=garments.faces,
     )
 

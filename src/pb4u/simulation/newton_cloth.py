@@ -12,6 +12,7 @@ import numpy as np
 
 from pb4u.errors import InputError, MissingExtraError
 from pb4u.garment.garment import Garment
+from pb4u.scene.author_mesh import joined_indices, offsets
 from pb4u.scene.scene import Scene
 from pb4u.simulation.newton_material import hinge_stiffness, membrane_stiffness, wave_speed
 
@@ -70,7 +71,7 @@ class NewtonCloth:
         newton, self._warp = import_newton()
         self.substeps = options.substeps or needed_substeps(scene)
         self._search_distance = options.search_distance
-        self._pinned = np.flatnonzero(scene.garments[0].garment.pinned)
+        self._pinned = np.flatnonzero(np.concatenate([worn.garment.pinned for worn in scene.garments]))
         with _quiet(self._warp), self._warp.ScopedDevice(device):
             self._body, self._model = _build(newton, self._warp, scene, body, options)
             self._pipeline = newton.CollisionPipeline(
@@ -138,9 +139,11 @@ def warp_device(name: str) -> str:
 
 
 def needed_substeps(scene: Scene) -> int:
-    """Sub-steps a frame short enough for the garment's resolution and material."""
-    garment = scene.garments[0].garment
-    return math.ceil(wave_speed(garment.material) * scene.dt / (EDGES_PER_SUBSTEP * garment.mean_edge_length))
+    """Sub-steps a frame short enough for every garment's resolution and material."""
+    return max(
+        math.ceil(wave_speed(worn.material) * scene.dt / (EDGES_PER_SUBSTEP * worn.mean_edge_length))
+        for worn in (dressed.garment for dressed in scene.garments)
+    )
 
 
 def import_newton() -> tuple[Any, Any]:
@@ -172,16 +175,19 @@ def _build(newton: Any, warp: Any, scene: Scene, body: np.ndarray, options: Newt
     # Newton counts crossings to tell inside from outside of a watertight mesh, which is wrong where an arm sinks into
     # the torso; the pseudo-normal that it takes for other meshes is right there too.
     open_mesh = type("OpenMesh", (newton.Mesh,), {"is_watertight": False})
-    garment = scene.garments[0].garment
     builder = newton.ModelBuilder(up_axis=newton.Axis.Y)
     surface = newton.ModelBuilder.ShapeConfig(
         density=0.0, ke=options.contact_stiffness, kd=0.0, mu=FRICTION, margin=0.0, has_shape_collision=False
     )
-    mesh = open_mesh(body.astype(np.float32), scene.colliders[0].faces.reshape(-1), compute_inertia=False)
+    faces = joined_indices([b.faces for b in scene.colliders], offsets([b.contact for b in scene.colliders]))
+    mesh = open_mesh(body.astype(np.float32), faces.reshape(-1), compute_inertia=False)
     builder.add_shape_mesh(body=-1, mesh=mesh, cfg=surface)
     if scene.ground_height is not None:
         builder.add_ground_plane(height=scene.ground_height, cfg=surface)
-    _add_garment(builder, warp, garment, options)
+    for worn in scene.garments:
+        _add_garment(builder, warp, worn.garment, options)
+    # Once for all: colours of one garment would say nothing of the next.
+    builder.color(include_bending=True)
     model = builder.finalize()
     model.set_gravity(tuple(float(g) for g in scene.gravity))
     model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = options.contact_stiffness, 0.0, FRICTION
@@ -194,6 +200,7 @@ def _build(newton: Any, warp: Any, scene: Scene, body: np.ndarray, options: Newt
 
 def _add_garment(builder: Any, warp: Any, garment: Garment, options: NewtonOptions) -> None:
     tri_ke, tri_ka = membrane_stiffness(garment.material)
+    particles, edges = len(builder.particle_q), len(builder.edge_indices)
     builder.add_cloth_mesh(
         pos=warp.vec3(0.0, 0.0, 0.0),
         rot=warp.quat_identity(),
@@ -211,10 +218,10 @@ def _add_garment(builder: Any, warp: Any, garment: Garment, options: NewtonOptio
         edge_kd=0.0,
         particle_radius=options.contact_distance,
     )
-    stiffness = hinge_stiffness(garment, np.asarray(builder.edge_indices))
-    builder.edge_bending_properties[:] = [(float(ke), 0.0) for ke in stiffness]
-    builder.edge_rest_angle[:] = [0.0] * len(stiffness)
+    own = np.asarray(builder.edge_indices[edges:])
+    stiffness = hinge_stiffness(garment, np.where(own < 0, own, own - particles))
+    builder.edge_bending_properties[edges:] = [(float(ke), 0.0) for ke in stiffness]
+    builder.edge_rest_angle[edges:] = [0.0] * len(stiffness)
     for vertex in np.flatnonzero(garment.pinned):
         # Without the flag a particle takes no part in dynamics and is moved from outside.
-        builder.particle_flags[int(vertex)] = 0
-    builder.color(include_bending=True)
+        builder.particle_flags[particles + int(vertex)] = 0

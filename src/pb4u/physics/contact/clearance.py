@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact_planes import PosedColliders, collider_surfaces
-from pb4u.scene.packed import ColliderFrame, PackedGarments
+from pb4u.physics.contact.planes import clearances, nearest_planes
+from pb4u.scene.packed import ColliderPose, PackedGarments
 from pb4u.scene.state import State
 
 
@@ -35,36 +35,35 @@ class FaceClearance:
     largest_push: float = 5e-3
     passes: int = 2
 
-    def lift(self, garments: PackedGarments, state: State, collider: ColliderFrame) -> State:
-        """`state` with its edges and faces out of `collider.following`."""
-        if not len(collider.faces):
+    def lift(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
+        """`state` with its edges and faces out of the bodies at `pose`."""
+        if not len(pose.colliders.faces):
             return state
-        body = collider_surfaces(garments, collider).at(collider.following)
         x = state.positions
-        elements = self._near(garments, body, x)
+        elements = self._near(garments, pose, x)
         for _ in range(self.passes):
             if not any(len(corners) for corners in elements):
                 break
-            push, elements = self._pushes(garments, body, x, elements)
+            push, elements = self._pushes(garments, pose, x, elements)
             x = x + push
         return replace(state, positions=x)
 
-    def _near(self, garments: PackedGarments, body: PosedColliders, x: Tensor) -> list[Tensor]:
+    def _near(self, garments: PackedGarments, pose: ColliderPose, x: Tensor) -> list[Tensor]:
         """Edges and faces with a corner nearer to the body than they are long."""
-        planes = body.nearest(x)
+        planes = nearest_planes(pose, garments, x)
         reach = x.new_tensor(garments.mean_edge_lengths)[garments.vertex_garment]
         close = planes.touchable & (planes.distance < reach)
         return [corners[close[corners].any(1)] for corners in (garments.edges, garments.faces)]
 
     def _pushes(
-        self, garments: PackedGarments, body: PosedColliders, x: Tensor, elements: list[Tensor]
+        self, garments: PackedGarments, pose: ColliderPose, x: Tensor, elements: list[Tensor]
     ) -> tuple[Tensor, list[Tensor]]:
         """Displacement of every vertex (vertices, 3) [m], and the elements that needed one."""
         wanted = self.clearance + x.new_tensor(garments.mean_edge_lengths).square() / (32.0 * self.smallest_radius)
         direction, depth, dipping = torch.zeros_like(x), x.new_zeros(len(x)), []
         for corners in elements:
             garment = garments.vertex_garment[corners[:, 0]]
-            distance, normals = body.clearance(x[corners].mean(1), garment)
+            distance, normals = clearances(pose, x[corners].mean(1), garments.garment_world[garment])
             below = (wanted[garment] - distance).clamp(0.0, self.largest_push)
             rows = below > 0
             dipping.append(corners[rows])

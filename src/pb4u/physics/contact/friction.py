@@ -7,21 +7,18 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pb4u.physics.collision import REFERENCE_AREA, Collision
-from pb4u.physics.energy_term import (
-    ElementBlocks,
-    EnergyTerm,
-    TimeStep,
-    dot,
-    gradient_by_autograd,
-    outer,
-    sum_by_garment,
-)
+from pb4u.physics.contact.collision import REFERENCE_AREA, Collision
+from pb4u.physics.contact.planes import ContactSet
+from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, dot, outer, sum_by_garment, vertex_elements
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import PackedGarments
+from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
-_STANDARD_GRAVITY = 9.81
 _FLOOR = 1e-4
-# Share of the softening along the slip that the curvature has: with all of it, steps overshoot where slipping ends.
+"""Share of the squared slip that always counts, so that sliding straight down costs a little (reference 2.6)."""
+
 _SOFTENING = 0.8
+"""Share of the softening along the slip that the curvature has: with all of it, steps overshoot where slipping ends."""
 
 
 @dataclass(frozen=True)
@@ -48,22 +45,25 @@ class Friction(EnergyTerm):
     load: Collision | None = None
     name = "friction"
 
-    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
-        limit, carried, normal = self._contact(step, x)
-        magnitude = self._magnitude(step, _slip(x, carried, normal))
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+        limit, anchor, normal = self._sliding(step, contacts)
+        magnitude = self._magnitude(step, _slip(x, anchor, normal))
         return self._sum(step, limit, magnitude)
 
-    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
-        limit, carried, normal = self._contact(step, x)
-        slip = _slip(x, carried, normal)
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
+        limit, anchor, normal = self._sliding(step, contacts)
+        slip = _slip(x, anchor, normal)
         magnitude = self._magnitude(step, slip)
         pull = slip * _directional(x) * (limit / magnitude)[:, None]
         return self._sum(step, limit, magnitude), pull - dot(pull, normal)[:, None] * normal
 
-    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
+    def elements(self, garments: PackedGarments) -> Tensor:
+        return vertex_elements(garments)
+
+    def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         """A little stiffer than exact along the slip; positive, because the smoothed norm is convex."""
-        limit, carried, normal = self._contact(step, x)
-        slip = _slip(x, carried, normal)
+        limit, anchor, normal = self._sliding(step, contacts)
+        slip = _slip(x, anchor, normal)
         magnitude = self._magnitude(step, slip)
         weights = _directional(x)
         along = slip * weights / magnitude[:, None]
@@ -73,8 +73,7 @@ class Friction(EnergyTerm):
         weighted = weights[:, None] * axes
         across = outer(axes, (axes * weighted).sum(0) * axes - weighted) - outer(weighted, axes)
         stiff = torch.diag(weights)[:, :, None] + across - _SOFTENING * outer(along, along)
-        blocks = stiff * (limit / magnitude)
-        return ElementBlocks(torch.arange(len(x), device=x.device)[:, None], blocks[:, :, None])
+        return (stiff * (limit / magnitude))[:, :, None]
 
     def _magnitude(self, step: TimeStep, slip: Tensor) -> Tensor:
         return (dot(slip * slip, _directional(slip)) + (self.smoothing * step.dt) ** 2).sqrt()
@@ -83,33 +82,33 @@ class Friction(EnergyTerm):
         energy = limit * (magnitude - self.smoothing * step.dt)
         return sum_by_garment(energy, step.garments.vertex_garment, step.garments.garment_count)
 
-    def _contact(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Friction limit mu m g (vertices,) [N], 0 where nothing touches; carried start and normal (vertices, 3)."""
-        before = step.state.positions
-        carried, normal = before, torch.zeros_like(before)
+    def _sliding(self, step: TimeStep, contacts: ContactSet) -> tuple[Tensor, Tensor, Tensor]:
+        """Friction limit mu m g (vertices,) [N], 0 where nothing touches; anchor and normal (vertices, 3)."""
+        before, now = step.state.positions, contacts.now
+        anchor, normal = before, torch.zeros_like(before)
         touching = torch.zeros(len(before), dtype=torch.bool, device=before.device)
         distance = torch.full_like(before[:, 0], torch.inf)
-        if step.contact_now is not None and step.carried is not None and step.carried_normals is not None:
-            distance = torch.where(step.contact_now.touchable, step.contact_now.distance, torch.inf)
+        if now is not None and contacts.transported is not None and contacts.transported_normals is not None:
+            distance = torch.where(now.touchable, now.distance, torch.inf)
             touching = distance < self.radius
-            carried, normal = step.carried, step.carried_normals
+            anchor, normal = contacts.transported, contacts.transported_normals
         if step.ground_height is not None:
             height = before[:, 1] - step.ground_height
             on_ground = (height < self.radius) & (height < distance)
             touching = touching | on_ground
-            carried = torch.where(on_ground[:, None], before, carried)
-            normal = torch.where(on_ground[:, None], before.new_tensor([0.0, 1.0, 0.0]), normal)
-        force = _STANDARD_GRAVITY * step.garments.vertex_masses
-        if self.load is not None and step.contact_now is not None:
+            anchor = torch.where(on_ground[:, None], before, anchor)
+            normal = torch.where(on_ground[:, None], before.new_tensor(UP), normal)
+        force = STANDARD_GRAVITY * step.garments.vertex_masses
+        if self.load is not None and now is not None:
             # Cloth deep inside is a fault to be mended, not a load: its force would freeze it there.
             depth = (self.load.clearance - distance).clamp(0.0, 2.0 * self.load.clearance)
-            carried_load = 3.0 * self.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
-            force = torch.maximum(force, carried_load)
-        return torch.where(touching, self.coefficient * force, 0.0), carried, normal
+            pressed = 3.0 * self.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
+            force = torch.maximum(force, pressed)
+        return torch.where(touching, self.coefficient * force, 0.0), anchor, normal
 
 
 @dataclass(frozen=True)
-class ReleasedFriction(EnergyTerm):
+class ReleasedFriction(MeasuredTerm):
     """The family's released friction, for tables: not smoothed, gates on squared distances, the third axis as up.
 
     Sum of mu m g c |s| over vertices whose nearest face centres before and after the step both lie within
@@ -120,25 +119,21 @@ class ReleasedFriction(EnergyTerm):
     squared_radius: float = 3e-3
     name = "friction"
 
-    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
-        garments, now, following = step.garments, step.contact_now, step.contact_next
-        if now is None or following is None or step.carried is None:
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+        garments, now, following = step.garments, contacts.now, contacts.next
+        if now is None or following is None or contacts.transported is None:
             return x.new_zeros(garments.garment_count)
         mean = now.normals + following.normals
-        slip = _slip(x, step.carried, mean / mean.norm(dim=1, keepdim=True).clamp_min(torch.finfo(x.dtype).tiny))
+        slip = _slip(
+            x, contacts.transported, mean / mean.norm(dim=1, keepdim=True).clamp_min(torch.finfo(x.dtype).tiny)
+        )
         squared = dot(slip, slip)
         safe = squared.clamp_min(torch.finfo(x.dtype).tiny)
         length = torch.where(squared > 0, (safe * (1.0 + _FLOOR) - slip[:, 2] ** 2).clamp_min(0.0).sqrt(), 0.0)
         near = (now.distance**2 < self.squared_radius) & (following.distance**2 < self.squared_radius)
-        limit = self.coefficient * _STANDARD_GRAVITY * garments.vertex_masses
+        limit = self.coefficient * STANDARD_GRAVITY * garments.vertex_masses
         energy = torch.where(near & now.touchable & following.touchable, limit * length, 0.0)
         return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
-
-    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
-        return gradient_by_autograd(self, step, x)
-
-    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
-        return None
 
 
 def _directional(x: Tensor) -> Tensor:
@@ -146,6 +141,6 @@ def _directional(x: Tensor) -> Tensor:
     return x.new_tensor([1.0 + _FLOOR, _FLOOR, 1.0 + _FLOOR])
 
 
-def _slip(x: Tensor, carried: Tensor, normal: Tensor) -> Tensor:
-    moved = x - carried
+def _slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
+    moved = x - anchor
     return moved - dot(moved, normal)[:, None] * normal
