@@ -16,9 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.overrun import lifted_off_the_body
 from pb4u.physics.contact.planes import ContactPlanes
-from pb4u.physics.contact.tracking import TrackedContact
+from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.energy_term import EnergyTerm
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
 from pb4u.physics.linear_solver import LinearSolution, PatchBasis, TwoLevelPreconditioner, conjugate_gradient
