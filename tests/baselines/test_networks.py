@@ -122,7 +122,7 @@ def test_hood_reaches_48_mesh_edges(repeats, hops):
     """
     garment = strip(121)
     model = model_of(replace(TINY["hood"], width=8, repeats=repeats))
-    levels = model.network.rest_quantities(pack([garment]))["level"]
+    levels = model.network.derive(pack([garment])).rest["level"]
     near = torch.nonzero(levels == 1)[:, 0]
     middle = near[(near - 4 * 60).abs() < 12].tolist()
     reaches = [reach(model, garment, vertex) for vertex in middle]
@@ -132,7 +132,7 @@ def test_hood_reaches_48_mesh_edges(repeats, hops):
 def test_contourcraft_reaches_16_mesh_edges_a_block():
     garment = strip(141)
     model = model_of(ContourCraftConfiguration(width=8, blocks=3, level=3, radius=0.0))
-    levels = model.network.rest_quantities(pack([garment]))["level"]
+    levels = model.network.derive(pack([garment])).rest["level"]
     on_all = torch.nonzero(levels == 4)[:, 0]
     centre = int(on_all[(on_all - 4 * 70).abs().argmin()])
     felt, _, most = reach(model, garment, centre)

@@ -6,7 +6,7 @@ training, the cutting out of faces that intersect from the start, and windows of
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,16 +14,16 @@ import torch
 from torch import Tensor, nn
 
 from pb4u.baselines.coarsening import level_labels
-from pb4u.baselines.contact_losses import ContourLength, Repulsion
+from pb4u.baselines.contact_losses import ContourLength, Repulsion, SelfContactLoss
 from pb4u.baselines.encode_process_decode import LEVEL, EncodeProcessDecode, packed_pairs, require_scipy
 from pb4u.baselines.hood import garment_levels
-from pb4u.baselines.self_proximity import ATTRACTION, REPULSION, SelfProximityEdges
+from pb4u.baselines.proximity_edges import ATTRACTION, REPULSION, SelfProximityEdges, garments_proximity
 from pb4u.errors import InputError
-from pb4u.graph.builder import EdgeFinder, NoFoundEdges
+from pb4u.graph.builder import NoFoundEdges
 from pb4u.graph.features import FOUND_EDGE_FEATURES, FeatureLayout
 from pb4u.graph.graph import GARMENT, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
-from pb4u.nn.acceleration_model import FurtherLoss, NetworkConfiguration
+from pb4u.nn.acceleration_model import Derived, NetworkConfiguration
 from pb4u.nn.interaction_block import InteractionBlock
 from pb4u.scene.packed import PackedGarments
 
@@ -97,22 +97,16 @@ class ContourCraft(EncodeProcessDecode):
             nodes, edges = block(nodes, edges, graph, receivers=(GARMENT,) if last else None)
         return self.decoder(nodes[GARMENT])
 
-    def further_edges(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        coarsest = [torch.from_numpy(levels[-1]) for levels in self._levels(garments)]
-        return {COARSE: packed_pairs(coarsest, garments.vertex_offsets, garments.edges)}
-
-    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
+    def derive(self, garments: PackedGarments) -> Derived:
+        c = self.configuration
+        levels = [garment_levels(garments, garment, c.level + 1) for garment in range(garments.garment_count)]
+        coarsest = [torch.from_numpy(of[-1]) for of in levels]
         counts = np.diff(garments.vertex_offsets).tolist()
-        labels = [level_labels(levels, count) for levels, count in zip(self._levels(garments), counts, strict=True)]
-        return {LEVEL: torch.from_numpy(np.concatenate(labels)).to(garments.device)}
-
-    def edge_finder(self, garments: PackedGarments) -> EdgeFinder:
-        radius = self.configuration.radius
-        return SelfProximityEdges(garments, radius) if radius > 0 else NoFoundEdges()
-
-    def further_losses(self) -> tuple[FurtherLoss, ...]:
-        return self.configuration.losses
-
-    def _levels(self, garments: PackedGarments) -> list[list[np.ndarray]]:
-        count = self.configuration.level + 1
-        return [garment_levels(garments, garment, count) for garment in range(garments.garment_count)]
+        labels = [level_labels(of, count) for of, count in zip(levels, counts, strict=True)]
+        finders = garments_proximity(garments)
+        return Derived(
+            edges={COARSE: packed_pairs(coarsest, garments.vertex_offsets, garments.edges)},
+            finder=SelfProximityEdges(finders, garments.vertex_offsets, c.radius) if c.radius > 0 else NoFoundEdges(),
+            rest={LEVEL: torch.from_numpy(np.concatenate(labels)).to(garments.device)},
+            losses=tuple(SelfContactLoss(loss, garments, finders) for loss in c.losses),
+        )

@@ -7,7 +7,7 @@ network, and its results are not theirs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -20,7 +20,7 @@ from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import GARMENT, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
-from pb4u.nn.acceleration_model import NetworkConfiguration
+from pb4u.nn.acceleration_model import Derived, NetworkConfiguration
 from pb4u.nn.interaction_block import InteractionBlock
 from pb4u.nn.mlp import MLP, SplitMLP
 from pb4u.nn.segment import gather, segment_sum
@@ -82,10 +82,10 @@ class Eslr(EncodeProcessDecode):
             nodes, edges = layer(nodes, edges, graph)
         return self.decoder(nodes[GARMENT])
 
-    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
+    def derive(self, garments: PackedGarments) -> Derived:
         count = self.configuration.landmarks
         if count == 0:
-            return {}
+            return Derived()
         landmarks, distances = [], []
         for garment in range(garments.garment_count):
             start, stop = garments.vertex_offsets[garment : garment + 2]
@@ -95,7 +95,7 @@ class Eslr(EncodeProcessDecode):
             landmarks.append(torch.from_numpy(chosen))
             distances.append(torch.from_numpy(away) / self.configuration.geodesic_scale)
         device = garments.device
-        return {LANDMARKS: torch.stack(landmarks).to(device), GEODESICS: torch.cat(distances).to(device)}
+        return Derived(rest={LANDMARKS: torch.stack(landmarks).to(device), GEODESICS: torch.cat(distances).to(device)})
 
 
 class _Layer(nn.Module):

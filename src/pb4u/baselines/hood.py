@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -24,7 +24,7 @@ from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import BODY, GARMENT, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
-from pb4u.nn.acceleration_model import NetworkConfiguration
+from pb4u.nn.acceleration_model import Derived, NetworkConfiguration
 from pb4u.nn.interaction_block import InteractionBlock
 from pb4u.scene.packed import PackedGarments
 
@@ -130,21 +130,18 @@ class Hood(EncodeProcessDecode):
             edges = edges | changed
         return self.decoder(nodes[GARMENT])
 
-    def further_edges(self, garments: PackedGarments) -> Mapping[str, Tensor]:
+    def derive(self, garments: PackedGarments) -> Derived:
         chosen = [_chosen_levels(garments, garment, self.choice) for garment in range(garments.garment_count)]
         offsets = garments.vertex_offsets
-        return {
-            name: packed_pairs([torch.from_numpy(levels[place]) for levels in chosen], offsets, garments.edges)
-            for place, name in enumerate((NEAR, FAR))
-        }
-
-    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        offsets = garments.vertex_offsets
-        labels = [
-            level_labels(_chosen_levels(garments, garment, self.choice), offsets[garment + 1] - offsets[garment])
-            for garment in range(garments.garment_count)
-        ]
-        return {LEVEL: torch.from_numpy(np.concatenate(labels)).to(garments.device)}
+        counts = np.diff(offsets).tolist()
+        labels = [level_labels(levels, count) for levels, count in zip(chosen, counts, strict=True)]
+        return Derived(
+            edges={
+                name: packed_pairs([torch.from_numpy(levels[place]) for levels in chosen], offsets, garments.edges)
+                for place, name in enumerate((NEAR, FAR))
+            },
+            rest={LEVEL: torch.from_numpy(np.concatenate(labels)).to(garments.device)},
+        )
 
 
 def garment_levels(garments: PackedGarments, garment: int, count: int) -> list[np.ndarray]:

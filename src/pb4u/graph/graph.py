@@ -132,7 +132,7 @@ class Graph:
         nodes: node sets by name: "garment", and "body" where a body is near.
         edges: edge sets by name: "mesh", what a network adds ("coarse"), "body_to_garment", "garment_to_body".
         vertex_offsets: first garment node of each garment, and the total.
-        rest: what the network derived once from the garments at rest (`GraphNetwork.rest_quantities`).
+        rest: what the network derived once from the garments at rest (`Derived.rest`).
     """
 
     nodes: dict[str, NodeSet]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import torch
@@ -25,15 +25,38 @@ MOST_PROPAGATION_STEPS = 500
 
 
 class FurtherLoss(Protocol):
-    """What a method minimises in training besides the incremental potential."""
+    """What a method minimises in training besides the incremental potential, for the garments of one pack."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Under which it is logged."""
 
-    def energies(self, garments: PackedGarments, before: Tensor, after: Tensor, progress: float) -> Tensor:
-        """(garments,) losses [J] of a step between positions `before` and `after` (vertices, 3) [m]; differentiable.
+    def energies(self, before: Tensor, after: Tensor, progress: float) -> Tensor:
+        """(garments,) losses of a step [J], differentiable with respect to `after`.
 
-        `progress` is the fraction of the training's budget that is spent.
+        Args:
+            before: (vertices, 3) positions before the step [m].
+            after: (vertices, 3) positions after it [m].
+            progress: fraction of the training's budget that is spent.
         """
+
+
+@dataclass(frozen=True, eq=False)
+class Derived:
+    """What a method derives once from the garments of a pack, beyond their meshes; nothing by default.
+
+    Args:
+        edges: undirected edges (edges, 2) int64 between vertices of one garment, by kind, such as "coarse"; they carry
+            the columns of mesh edges and share their normaliser.
+        finder: finds edges anew at every step; they carry the layout's `found_edge` columns.
+        rest: tensors handed on in `Graph.rest`, by name.
+        losses: what training minimises besides the incremental potential.
+    """
+
+    edges: Mapping[str, Tensor] = field(default_factory=dict)
+    finder: EdgeFinder = field(default_factory=NoFoundEdges)
+    rest: Mapping[str, Tensor] = field(default_factory=dict)
+    losses: tuple[FurtherLoss, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,24 +116,9 @@ class GraphNetwork(nn.Module, ABC):
         """Dimensionless factors (vertices, 1) on the accelerations, or None for 1."""
         return None
 
-    def further_edges(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        """Undirected edges (edges, 2) between vertices of a garment beyond its mesh, by kind, such as "coarse".
-
-        They carry the columns of mesh edges and share their normaliser.
-        """
-        return {}
-
-    def edge_finder(self, garments: PackedGarments) -> EdgeFinder:
-        """What finds edges between garment vertices anew at every step; they have the layout's `found_edge` columns."""
-        return NoFoundEdges()
-
-    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        """Tensors derived once from the garments at rest and found again in `Graph.rest`, by name."""
-        return {}
-
-    def further_losses(self) -> tuple[FurtherLoss, ...]:
-        """What is minimised in training besides the incremental potential."""
-        return ()
+    def derive(self, garments: PackedGarments) -> Derived:
+        """What the method needs of the garments beyond their meshes; derived once."""
+        return Derived()
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +128,14 @@ class PreparedGarments:
     Args:
         builder: makes the graph of a step.
         steps: propagation steps of each garment.
-        scale: (vertices, 1) dimensionless factors on the accelerations, or None.
+        scale: (vertices, 1) dimensionless factors on the accelerations, or None for 1.
+        losses: what the method minimises in training besides the incremental potential.
     """
 
     builder: GraphBuilder
     steps: tuple[int, ...]
     scale: Tensor | None
+    losses: tuple[FurtherLoss, ...] = ()
 
     def graph(
         self,
@@ -194,19 +204,13 @@ class AccelerationModel(nn.Module):
 
         Raises InputError where the override is not between 1 and 500, or where shapes are to be fixed that change.
         """
-        network = self.network
+        network, layout = self.network, self.network.layout
+        derived = network.derive(garments)
         builder = graph_builder(
-            garments,
-            network.layout,
-            network.world_edges,
-            dtype,
-            fixed_shapes,
-            network.further_edges(garments),
-            network.edge_finder(garments),
-            network.rest_quantities(garments),
+            garments, layout, network.world_edges, dtype, fixed_shapes, derived.edges, derived.finder, derived.rest
         )
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
-        prepared = PreparedGarments(builder, steps, network.update_scale(builder.static))
+        prepared = PreparedGarments(builder, steps, network.update_scale(builder.static), derived.losses)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
     def forward(self, graph: Graph, prepared: PreparedGarments) -> Tensor:

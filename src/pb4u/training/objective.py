@@ -7,7 +7,7 @@ from dataclasses import replace
 from torch import Tensor, nn
 
 from pb4u.graph.graph import Graph
-from pb4u.nn.acceleration_model import GraphNetwork, PreparedGarments
+from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.physics.collision import Collision
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential
 from pb4u.physics.integrator import integrate
@@ -87,18 +87,18 @@ def mean_energies(energies: Energies) -> dict[str, Tensor]:
 
 
 def further_losses(
-    network: GraphNetwork, situation: Situation, positions: Tensor, progress: float
+    prepared: PreparedGarments, situation: Situation, positions: Tensor, progress: float
 ) -> dict[str, Tensor]:
     """What the network's method minimises besides the potential, each averaged over the garments; mostly nothing.
 
     Args:
-        network: that is trained. situation: before the step. positions: (vertices, 3) [m] after it.
+        prepared: the garments.
+        situation: before the step.
+        positions: (vertices, 3) after it [m].
         progress: fraction of the training's budget spent.
     """
-    return {
-        loss.name: loss.energies(situation.garments, situation.state.positions, positions, progress).mean()
-        for loss in network.further_losses()
-    }
+    before = situation.state.positions
+    return {loss.name: loss.energies(before, positions, progress).mean() for loss in prepared.losses}
 
 
 def comparable_total(terms: dict[str, float], collision_weight: float) -> float:

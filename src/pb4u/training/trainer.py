@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
+from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 from pb4u.simulation.first_frame import SETTLING_DT
@@ -218,7 +219,7 @@ class Trainer:
         for _ in range(self.model.network.passes):
             predictor = LearningPredictor(self.network, prepared, start, features=course.features)
             after = step(situation, StepParts(predictor))
-            if not self._learn(situation, after):
+            if not self._learn(prepared, situation, after):
                 return False
             start = Reached(predictor.reached)
         state = State(after.positions.detach(), after.velocities.detach(), after.frame)
@@ -244,14 +245,14 @@ class Trainer:
         }
         return State(settled.positions, velocities[self.configuration.after_settling], row)
 
-    def _learn(self, situation: Situation, after: State) -> bool:
+    def _learn(self, prepared: PreparedGarments, situation: Situation, after: State) -> bool:
         """One optimiser step on the energies of a step; False where they or their gradient are not finite."""
         weight = self.configuration.curriculum.collision(self.progress)
         rate = self.configuration.curriculum.rate(self.progress) * self.counters.rate_factor
         finite = torch.isfinite(after.positions)
         positions = torch.where(finite, after.positions, situation.state.positions)
         terms = mean_energies(step_energies(situation, positions, weight))
-        further = further_losses(self.model.network, situation, positions, self.progress)
+        further = further_losses(prepared, situation, positions, self.progress)
         gradient = self.learner.gradient(torch.stack([terms["total"], *further.values()]).sum())
         terms |= further
         watched = torch.stack([*(value.detach() for value in terms.values()), finite.all().to(positions)])
