@@ -203,7 +203,7 @@ def test_propagation_steps_are_not_read(name):
 
 @every_method
 def test_runs_of_edges_without_gradients_give_what_whole_edges_give_with_them(name, monkeypatch):
-    monkeypatch.setattr("pb4u.graph.graph.receiver_runs.__defaults__", (100,))
+    monkeypatch.setattr("pb4u.graph.incidence.edge_runs.__defaults__", (100,))
     model, at = model_of(TINY[name]), dented_moment(two_sheets())
     whole = accelerations(model, at)
     with torch.inference_mode():
@@ -275,14 +275,6 @@ def test_what_sees_cloth_near_itself_answers_to_it_and_what_does_not_does_not():
         model = model_of(TINY[name])
         change = (accelerations(model, at) - accelerations(model, poked)).abs().max()
         assert (float(change.detach()) > 1e-6) == feels
-
-
-def test_a_captured_step_is_refused_where_edges_come_and_go():
-    model, at = model_of(TINY["contourcraft"]), moment([sheet(5, 5)])
-    with pytest.raises(InputError, match="fixed shapes"):
-        prepared_for(model, at, fixed_shapes=True)
-    free, fixed = (accelerations(model_of(TINY["hood"]), at, fixed_shapes=fixed) for fixed in (False, True))
-    assert difference(free, fixed) < 1e-12
 
 
 def test_senseless_configurations_are_refused():

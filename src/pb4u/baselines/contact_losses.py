@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -57,19 +58,29 @@ class Repulsion:
     name = "repulsion"
 
     def energy(
-        self, weight: float, proximity: SelfProximity, vertex_areas: Tensor, before: Tensor, after: Tensor
+        self,
+        weight: float,
+        proximity: SelfProximity,
+        garments: PackedGarments,
+        own: slice,
+        before: Tensor,
+        after: Tensor,
     ) -> Tensor:
         """The loss of one garment [J]; arguments as in `ContourLength.energy`."""
-        facing = proximity.find(before.detach().to("cpu", torch.float64).numpy(), self.reach)
+        facing = proximity.find(before[own].detach().to("cpu", torch.float64).numpy(), self.reach)
         kept = ~facing.passed
         vertices, faces, side = (
             torch.from_numpy(values[kept]).to(after.device)
-            for values in (facing.vertices, proximity.faces[facing.faces], np.sign(facing.heights))
+            for values in (
+                facing.vertices + own.start,
+                proximity.faces[facing.faces] + own.start,
+                np.sign(facing.heights),
+            )
         )
         a, b, c = (after[faces[:, corner]] for corner in range(3))
         normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-12)
         height = side.to(after) * ((after[vertices] - a) * normal).sum(dim=1)
-        share = vertex_areas[vertices].to(after) / self.reference_area
+        share = garments.vertex_areas[vertices].to(after) / self.reference_area
         return (weight * share * (self.clearance - height).clamp_min(0.0) ** 3).sum()
 
 
@@ -88,18 +99,25 @@ class ContourLength:
     name = "contours"
 
     def energy(
-        self, weight: float, proximity: SelfProximity, vertex_areas: Tensor, before: Tensor, after: Tensor
+        self,
+        weight: float,
+        proximity: SelfProximity,
+        garments: PackedGarments,
+        own: slice,
+        before: Tensor,
+        after: Tensor,
     ) -> Tensor:
         """The loss of one garment [J], differentiable with respect to `after`.
 
         Args:
             weight: w at this point of the training.
             proximity: finder of the garment's contacts with itself.
-            vertex_areas: (vertices,) [m^2].
-            before: (vertices, 3) positions before the step [m].
-            after: (vertices, 3) positions after it [m].
+            garments: the pack that it is in.
+            own: its vertices in the pack.
+            before: (vertices, 3) positions of the pack before the step [m].
+            after: (vertices, 3) positions of the pack after it [m].
         """
-        return weight * squared_contour_length(proximity.contours, after)
+        return weight * squared_contour_length(proximity.contours, after[own])
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +142,10 @@ class SelfContactLoss:
         weight, total = self.loss.weight.at(progress), after.new_zeros(len(self.finders))
         if weight == 0.0:
             return total
-        offsets, areas = self.garments.vertex_offsets, self.garments.vertex_areas
-        parts = []
-        for finder, start, stop in zip(self.finders, offsets, offsets[1:], strict=False):
-            own = slice(start, stop)
-            parts.append(self.loss.energy(weight, finder, areas[own], before[own], after[own]))
+        parts = [
+            self.loss.energy(weight, finder, self.garments, slice(*span), before, after)
+            for finder, span in zip(self.finders, pairwise(self.garments.vertex_offsets), strict=True)
+        ]
         return total + torch.stack(parts).to(total)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -22,7 +22,7 @@ from pb4u.baselines.encode_process_decode import (
 )
 from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
-from pb4u.graph.graph import BODY, GARMENT, Graph
+from pb4u.graph.graph import GARMENT, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.nn.acceleration_model import Derived, NetworkConfiguration
 from pb4u.nn.interaction_block import InteractionBlock
@@ -117,7 +117,8 @@ class Hood(EncodeProcessDecode):
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
         """Normalised accelerations (garment vertices, 3); `steps` is not read."""
         nodes, edges = self.encode(graph)
-        views = {kinds: _on_level(with_edges(graph, (*kinds, "world")), _depth(kinds)) for kinds in SCHEDULE}
+        views = {kinds: with_edges(graph, (*kinds, "world")) for kinds in SCHEDULE}
+        masks = [_level_masks(graph, depth) for depth in range(3)]
         put_aside: list[dict[str, Tensor]] = []
         for index, (kinds, block) in enumerate(zip(self.schedule, self.blocks, strict=True)):
             depth = _depth(kinds)
@@ -126,7 +127,7 @@ class Hood(EncodeProcessDecode):
             elif depth < len(put_aside):
                 edges = edges | put_aside.pop()
             last = index == len(self.blocks) - 1
-            nodes, changed = block(nodes, edges, views[kinds], receivers=(GARMENT,) if last else None)
+            nodes, changed = block(nodes, edges, views[kinds], (GARMENT,) if last else None, masks[depth])
             edges = edges | changed
         return self.decoder(nodes[GARMENT])
 
@@ -170,15 +171,14 @@ def _world_latents(graph: Graph, edges: dict[str, Tensor]) -> dict[str, Tensor]:
     return latents if torch.is_grad_enabled() else {name: values.clone() for name, values in latents.items()}
 
 
-def _on_level(graph: Graph, depth: int) -> Graph:
-    """The graph with the world edges of vertices on level `depth` (0 for the mesh); the others' are masked."""
-    if depth == 0 or BODY not in graph.nodes:
-        return graph
+def _level_masks(graph: Graph, depth: int) -> dict[str, Tensor]:
+    """(edges, 1) by edge set: 0 for world edges of garment vertices not on level `depth`, where the mesh is level 0."""
+    if depth == 0:
+        return {}
     on_level = (graph.rest[LEVEL] >= depth)[:, None]
-    edges = dict(graph.edges)
+    masks = {}
     for name, edge_set in graph.edges.items():
         if edge_set.kind == "world":
             garment_end = edge_set.receivers if edge_set.receiver_set == GARMENT else edge_set.senders
-            mask = on_level[garment_end.index].to(edge_set.features)
-            edges[name] = replace(edge_set, mask=mask if edge_set.mask is None else mask * edge_set.mask.to(mask))
-    return replace(graph, edges=edges)
+            masks[name] = on_level[garment_end.index].to(edge_set.features)
+    return masks

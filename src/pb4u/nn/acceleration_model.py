@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges, graph_builder
+from pb4u.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges
 from pb4u.graph.features import Feature, FeatureLayout
-from pb4u.graph.garment_graph import GarmentGraph
+from pb4u.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.graph.graph import EdgeSet, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.nn.normaliser import Normaliser
@@ -172,8 +172,7 @@ class AccelerationModel(nn.Module):
     """A network between its normalisers: acceleration x dt^2 from a graph of raw features.
 
     Called as `model(prepared.graph(state, collider, dt, origin), prepared)`. On an accelerator cast the network alone,
-    `model.network.to(torch.bfloat16)`: normalisers and what comes out stay in full precision. `model.network.compile()`
-    compiles it; garments prepared with fixed shapes then never make it compile again.
+    `model.network.to(torch.bfloat16)`: normalisers and what comes out stay in full precision.
     """
 
     def __init__(self, network: GraphNetwork) -> None:
@@ -192,7 +191,6 @@ class AccelerationModel(nn.Module):
         garments: PackedGarments,
         propagation_steps: int | None = None,
         dtype: torch.dtype = torch.float32,
-        fixed_shapes: bool = False,
     ) -> PreparedGarments:
         """Everything that is the same at every step of `garments`.
 
@@ -200,17 +198,16 @@ class AccelerationModel(nn.Module):
             garments: on the device to compute on.
             propagation_steps: overrides what the resolution asks for.
             dtype: precision of features and accelerations.
-            fixed_shapes: same shapes every step, for a captured accelerator step.
 
-        Raises InputError where the override is not between 1 and 500, or where shapes are to be fixed that change.
+        Raises:
+            InputError: the override is not between 1 and 500.
         """
         network, layout = self.network, self.network.layout
         derived = network.derive(garments)
-        builder = graph_builder(
-            garments, layout, network.world_edges, dtype, fixed_shapes, derived.edges, derived.finder, derived.rest
-        )
+        static = garment_graph(garments, layout.material_range, dtype, derived.edges)
+        builder = GraphBuilder(static, layout, network.world_edges, derived.finder, derived.rest)
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
-        prepared = PreparedGarments(builder, steps, network.update_scale(builder.static), derived.losses)
+        prepared = PreparedGarments(builder, steps, network.update_scale(static), derived.losses)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
     def forward(self, graph: Graph, prepared: PreparedGarments) -> Tensor:
@@ -235,12 +232,10 @@ class AccelerationModel(nn.Module):
         garments = len(graph.vertex_offsets) - 1
         node_sets = list(graph.nodes.values())
         owner = torch.cat([node_set.owner for node_set in node_sets])
-        counted = torch.cat([_counted(s.active, len(s.owner), owner.device) for s in node_sets])
-        self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), owner, garments, counted)
+        self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), owner, garments)
         for edge_set in graph.edges.values():
             edge_owner = graph.nodes[edge_set.receiver_set].owner[edge_set.receivers.index]
-            present = None if edge_set.mask is None else edge_set.mask[:, 0] > 0
-            self._edge_normaliser(edge_set).gather(edge_set.features, edge_owner, garments, present)
+            self._edge_normaliser(edge_set).gather(edge_set.features, edge_owner, garments)
         self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].owner, garments)
 
     def normalisers(self) -> tuple[Normaliser, ...]:
@@ -261,7 +256,3 @@ class AccelerationModel(nn.Module):
     def _edge_normaliser(self, edges: EdgeSet) -> Normaliser:
         normaliser: Normaliser = getattr(self, f"{edges.columns}_normaliser")
         return normaliser
-
-
-def _counted(active: Tensor | None, rows: int, device: torch.device) -> Tensor:
-    return torch.ones(rows, dtype=torch.bool, device=device) if active is None else active
