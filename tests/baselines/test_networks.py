@@ -14,8 +14,7 @@ from tests.baselines.scenes import dented_moment, two_sheets
 from tests.network_scenes import DT, Moment, accelerations, moment, prepared_for, sheet
 
 from pb4u.baselines.contourcraft import ContourCraftConfiguration
-from pb4u.baselines.eslr import EslrConfiguration, GeodesicAttention
-from pb4u.baselines.geodesics import geodesic_landmarks
+from pb4u.baselines.eslr import EslrConfiguration, GeodesicAttention, geodesic_landmarks
 from pb4u.baselines.hood import HoodConfiguration, LevelsByLength
 from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.errors import InputError

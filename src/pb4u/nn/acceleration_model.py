@@ -69,13 +69,13 @@ class NetworkConfiguration(ABC):
         world_edges: which body vertices a garment vertex sees.
         passes: how often the network is asked in one time step, each time from where it left off; 1 in the paper. Above
             1 the layout should name "descent" and "advance".
-        carried_shares: shares of the body's motion that a time step may start with, the best of them and free flight;
-            none in the paper. With any the layout should name the same two.
+        carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
+            flight, is taken; none in the paper. With any the layout should name the same two.
     """
 
-    width: int
-    layout: FeatureLayout
-    world_edges: WorldEdgeRule
+    width: int = 128
+    layout: FeatureLayout = field(default_factory=FeatureLayout)
+    world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
 
