@@ -11,7 +11,7 @@ from tests.network_scenes import COTTON, DT, moment, sheet
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.triangle_mesh import vertex_normals
-from pb4u.graph.builder import graph_builder
+from pb4u.graph.builder import GraphBuilder
 from pb4u.graph.features import (
     MESH_EDGE_FEATURES,
     NODE_FEATURES,
@@ -20,6 +20,7 @@ from pb4u.graph.features import (
     FeatureLayout,
     total_width,
 )
+from pb4u.graph.garment_graph import garment_graph
 from pb4u.graph.graph import NodeType
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.scene.packed import pack
@@ -29,8 +30,12 @@ def built(at, layout=None, rule=None, **options):
     build_options = {key: options.pop(key) for key in ("origin", "extra") if key in options}
     dt = options.pop("dt", DT)
     layout = layout or FeatureLayout()
-    builder = graph_builder(at.garments, layout, rule or WorldEdgeRule(), torch.float64, **options)
+    builder = builder_of(at.garments, layout, rule or WorldEdgeRule(), **options)
     return builder.build(at.state, at.collider, dt, **build_options)
+
+
+def builder_of(packed, layout, rule, further_edges=None):
+    return GraphBuilder(garment_graph(packed, layout.material_range, torch.float64, further_edges), layout, rule)
 
 
 def columns(features, layout_columns):
@@ -102,7 +107,7 @@ def test_an_isolated_vertex_gets_finite_features_and_the_mean_scale():
     garment = sheet(5, 5)
     vertices = torch.cat([torch.as_tensor(garment.vertices), torch.tensor([[5.0, 5.0, 5.0]])]).numpy()
     packed = pack([Garment("sheet", vertices, garment.faces, garment.material)])
-    builder = graph_builder(packed, FeatureLayout(node=tuple(NODE_FEATURES)), WorldEdgeRule(), torch.float64)
+    builder = builder_of(packed, FeatureLayout(node=tuple(NODE_FEATURES)), WorldEdgeRule())
     for part in ("areal_density", "vertex_mass", "node_material", "incident_length"):
         assert bool(torch.isfinite(getattr(builder.static, part)).all()), part
     torch.testing.assert_close(builder.static.incident_length[-1], builder.static.incident_length[:-1].mean())
@@ -171,21 +176,6 @@ def test_body_vertices_out_of_contact_have_no_edges():
     none = replace(at.collider, contact=torch.zeros_like(at.collider.contact))
     assert near > 0
     assert set(built(replace(at, collider=none)).edges) == {"mesh"}
-    masked = built(replace(at, collider=none), fixed_shapes=True).edges["body_to_garment"]
-    assert masked.edge_count == at.garments.vertex_count
-    assert float(masked.mask.sum()) == 0
-
-
-def test_fixed_shapes_keep_their_shapes_wherever_the_body_is():
-    at = moment([sheet(6, 8)])
-    away = replace(at, collider=replace(at.collider, now=at.collider.now + 1.0))
-    shapes = []
-    for place in (at, away):
-        graph = built(place, rule=WorldEdgeRule(neighbours=2), fixed_shapes=True)
-        shapes.append({name: (s.features.shape, s.receivers.order.shape) for name, s in graph.edges.items()})
-        active = graph.nodes["body"].active
-        assert bool(active.any()) == (place is at)
-    assert shapes[0] == shapes[1]
 
 
 def test_an_extra_feature_arrives_by_name():
@@ -211,9 +201,7 @@ def test_an_unknown_feature_and_a_senseless_world_edge_rule_are_refused():
 def test_edges_that_a_network_adds_carry_the_columns_of_mesh_edges():
     at = moment([sheet(5, 6)])
     pairs = torch.tensor([[0, 12], [3, 29]])
-    builder = graph_builder(
-        at.garments, FeatureLayout(), WorldEdgeRule(), torch.float64, further_edges={"coarse": pairs}
-    )
+    builder = builder_of(at.garments, FeatureLayout(), WorldEdgeRule(), further_edges={"coarse": pairs})
     graph = builder.build(at.state, at.collider, DT)
     coarse = graph.edges["coarse"]
     assert (coarse.kind, coarse.senders.index.tolist(), coarse.receivers.index.tolist()) == (

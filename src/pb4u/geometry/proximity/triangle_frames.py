@@ -12,9 +12,12 @@ class TriangleFrames:
     """Affine forms of triangles; (triangles, 4) rows r give r[:3] . x + r[3] at a point x.
 
     Args:
-        height: [m] over the plane, positive on the side that the corners go round counter-clockwise.
-        second, third: barycentric coordinates of the foot with respect to corners 1 and 2.
-        centres: (triangles, 3) [m]. radii: (triangles,) [m] from the centre to the farthest corner.
+        height: (triangles, 4) height over the plane [m], positive on the side from which the corners go round
+            counter-clockwise.
+        second: (triangles, 4) barycentric coordinate of the foot with respect to corner 1.
+        third: (triangles, 4) the same with respect to corner 2.
+        centres: (triangles, 3) [m].
+        radii: (triangles,) from the centre to the farthest corner [m].
     """
 
     height: np.ndarray
@@ -25,7 +28,12 @@ class TriangleFrames:
 
     @staticmethod
     def of(vertices: np.ndarray, faces: np.ndarray) -> TriangleFrames:
-        """The frames of `faces` (triangles, 3) at `vertices` (vertices, 3) [m]; one without area holds no foot."""
+        """The frames of triangles; one without area contains no foot.
+
+        Args:
+            vertices: (vertices, 3) [m].
+            faces: (triangles, 3) int64.
+        """
         a, b, c = (vertices[faces[:, corner]] for corner in range(3))
         normal = np.cross(b - a, c - a)
         double = np.einsum("ij,ij->i", normal, normal)
@@ -38,7 +46,12 @@ class TriangleFrames:
         return TriangleFrames(_through(unit, a), _through(second, a), _through(third, a), centres, radii)
 
     def contains_foot(self, triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """(pairs,) bool, whether the foot of each of `points` (pairs, 3) lies in its triangle."""
+        """(pairs,) bool, whether the foot of each point on its triangle's plane lies in the triangle.
+
+        Args:
+            triangles: (pairs,) int64.
+            points: (pairs, 3) [m].
+        """
         inside = np.zeros(len(points), dtype=bool)
         second = _at(self.second, triangles, points)
         chosen = np.flatnonzero((second >= 0.0) & (second <= 1.0))
@@ -47,7 +60,12 @@ class TriangleFrames:
         return inside
 
     def heights(self, triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """(pairs,) [m] of `points` (pairs, 3) over the planes of `triangles` (pairs,)."""
+        """(pairs,) signed height [m] of each point over its triangle's plane.
+
+        Args:
+            triangles: (pairs,) int64.
+            points: (pairs, 3) [m].
+        """
         return _at(self.height, triangles, points)
 
 

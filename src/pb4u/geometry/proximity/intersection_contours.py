@@ -1,7 +1,6 @@
-"""Where a cloth passes through itself: crossings of edges and faces, joined to contours, and the side they enclose.
+"""Where a mesh passes through itself: crossings of edges and faces, joined to contours, and the side they enclose.
 
-Intersection contours: Volino and Magnenat-Thalmann 2006; as ContourCraft uses them: reference 6.2. Everything is done
-for all triangles at once.
+Intersection contours: Volino and Magnenat-Thalmann 2006; as ContourCraft uses them: reference 6.2.
 """
 
 from __future__ import annotations
@@ -11,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pb4u.baselines.near_pairs import near_pairs
-from pb4u.baselines.triangle_frames import TriangleFrames
+from pb4u.geometry.proximity.near_pairs import near_pairs
+from pb4u.geometry.proximity.triangle_frames import TriangleFrames
 from pb4u.geometry.topology import Topology
 
 if TYPE_CHECKING:
@@ -21,12 +20,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Contours:
-    """All contours of one garment at one instant.
+    """All contours of one mesh at one instant.
 
     Args:
-        edges: (crossings, 2) int64 ends of the edge at each crossing. faces: (crossings,) int64 face it passes through.
-        segments: (segments, 2) int64 crossings at both ends of what two triangles share.
-        contour: (crossings,) int64 contour that each belongs to. count: number of contours.
+        edges: (crossings, 2) int64 ends of the edge at each crossing.
+        faces: (crossings,) int64 face it passes through.
+        segments: (segments, 2) int64 crossings at both ends of the line in which two triangles intersect.
+        contour: (crossings,) int64 contour that each belongs to.
+        count: number of contours.
         enclosed: (vertices, contours) bool, vertices on the smaller side of a contour that cuts the mesh apart.
         touched: (faces, contours) bool, faces that a contour runs through or that have an enclosed corner.
     """
@@ -41,10 +42,11 @@ class Contours:
 
 
 class ContourFinder:
-    """Finds the contours of a garment.
+    """Finds the contours of a mesh.
 
     Args:
-        faces: (faces, 3) int64 of the mesh. vertex_count: number of vertices.
+        faces: (faces, 3) int64.
+        vertex_count: number of vertices.
     """
 
     def __init__(self, faces: np.ndarray, vertex_count: int) -> None:
@@ -55,7 +57,7 @@ class ContourFinder:
         self._first_face = np.searchsorted(faces_of[order], np.arange(len(edges) + 1))
 
     def find(self, vertices: np.ndarray) -> Contours:
-        """The contours with `vertices` (vertices, 3) [m] where they are; what is not finite crosses nothing."""
+        """The contours at `vertices` (vertices, 3) [m]; what is not finite crosses nothing."""
         edge, face = self.crossings(vertices)
         segments = self._segments(edge, face)
         count, contour = _pieces(segments, len(edge))
@@ -71,7 +73,11 @@ class ContourFinder:
         )
 
     def crossings(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Edge and face (crossings,) of every edge that passes through a face it has no vertex in common with."""
+        """Edge and face, (crossings,) int64 each, of all edges through faces that they share no vertex with.
+
+        Args:
+            vertices: (vertices, 3) [m].
+        """
         faces, all_edges = self.topology.faces, self.topology.edges
         finite = np.isfinite(vertices).all(axis=1)
         vertices = np.where(finite[:, None], vertices, 0.0).astype(np.float64)
@@ -80,7 +86,7 @@ class ContourFinder:
         usable_edges = np.flatnonzero(finite[all_edges].all(axis=1))
         usable_faces = np.flatnonzero(finite[faces].all(axis=1))
         halves = 0.5 * np.linalg.norm(ends - starts, axis=1)
-        found = [(np.zeros(0, dtype=np.int64),) * 2]
+        pieces = [(np.zeros(0, dtype=np.int64),) * 2]
         for e, f in near_pairs(
             0.5 * (starts + ends)[usable_edges],
             halves[usable_edges],
@@ -91,12 +97,12 @@ class ContourFinder:
             above, below = frames.heights(face, starts[edge]), frames.heights(face, ends[edge])
             kept = np.flatnonzero(above * below < 0.0)
             edge, face, above, below = edge[kept], face[kept], above[kept], below[kept]
-            strange = (all_edges[edge][:, :, None] != faces[face][:, None, :]).all(axis=(1, 2))
-            edge, face, share = edge[strange], face[strange], (above / (above - below))[strange]
+            apart = (all_edges[edge][:, :, None] != faces[face][:, None, :]).all(axis=(1, 2))
+            edge, face, share = edge[apart], face[apart], (above / (above - below))[apart]
             points = starts[edge] + share[:, None] * (ends[edge] - starts[edge])
             inside = frames.contains_foot(face, points)
-            found.append((edge[inside], face[inside]))
-        edge, face = (np.concatenate(parts) for parts in zip(*found, strict=True))
+            pieces.append((edge[inside], face[inside]))
+        edge, face = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
         order = np.lexsort((face, edge))
         return edge[order], face[order]
 

@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 MOST_PAIRS = 40_000_000
+"""Beyond this a garment has collapsed to a point; its pairs (16 bytes each) would also fill the memory."""
 _PAIRS_PER_PIECE = 4_000_000
+"""A piece, with the copies made of it, stays below about half a gigabyte."""
 _SAMPLED = 16
 
 
@@ -20,11 +22,14 @@ def near_pairs(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Indices (pairs,) into both sets of all balls that overlap, in pieces that fit in memory.
 
-    Balls are searched octave by octave of their size, so that one large ball does not make every search wide. Nothing
-    at all comes where there are some 40 million pairs: such a cloth has collapsed, and its contacts mean nothing.
+    Balls are searched octave by octave of their size, so that one large ball does not widen every search. Nothing is
+    returned where there are more than about 40 million pairs: such a cloth has collapsed.
 
     Args:
-        centres, other_centres: (balls, 3) [m], finite. radii, other_radii: (balls,) [m], above 0.
+        centres: (balls, 3) [m], finite.
+        radii: (balls,) [m], above 0.
+        other_centres: (other balls, 3) [m], finite.
+        other_radii: (other balls,) [m], above 0.
     """
     from scipy.spatial import cKDTree
 
@@ -33,18 +38,18 @@ def near_pairs(
         for other in _octaves(other_radii)
         for chosen in _octaves(radii)
     ]
-    counts = [_about(centres[chosen], tree, reach) for chosen, _, tree, reach in searches]
+    counts = [_estimated_count(centres[chosen], tree, reach) for chosen, _, tree, reach in searches]
     if sum(counts) > MOST_PAIRS:
         return
     for (chosen, other, tree, reach), count in zip(searches, counts, strict=True):
         for piece in np.array_split(chosen, 1 + count // _PAIRS_PER_PIECE):
-            found = cKDTree(centres[piece]).sparse_distance_matrix(tree, reach, output_type="ndarray")
-            one, another = piece[found["i"]], other[found["j"]]
-            overlapping = found["v"] <= radii[one] + other_radii[another]
+            within = cKDTree(centres[piece]).sparse_distance_matrix(tree, reach, output_type="ndarray")
+            one, another = piece[within["i"]], other[within["j"]]
+            overlapping = within["v"] <= radii[one] + other_radii[another]
             yield one[overlapping], another[overlapping]
 
 
-def _about(points: np.ndarray, tree: cKDTree, reach: float) -> int:
+def _estimated_count(points: np.ndarray, tree: cKDTree, reach: float) -> int:
     """How many pairs of `points` and points of the tree are within reach, judged by one point in sixteen."""
     return int(type(tree)(points[::_SAMPLED]).count_neighbors(tree, reach)) * min(_SAMPLED, len(points))
 

@@ -1,43 +1,41 @@
-"""What the baselines share: encoders, a decoder, and how they read a graph (reference 1.1, 1.2)."""
+"""Encode, process, decode: what all networks share (Pfaff et al. 2021; reference 1.1, 1.2)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from importlib.util import find_spec
 
 import torch
 from torch import Tensor, nn
 
-from pb4u.errors import InputError
-from pb4u.graph.features import FeatureLayout, total_width
+from pb4u.graph.features import total_width
 from pb4u.graph.graph import GARMENT, Graph, NodeType
 from pb4u.nn.acceleration_model import GraphNetwork, NetworkConfiguration
 from pb4u.nn.mlp import MLP
 
 TYPE_WIDTH = 9
+"""Width of the embedding of a node's type, as in the family's code, which embeds nine types."""
 LEVEL_WIDTH = 4
+"""Width of the embedding of a vertex's coarsest level, as in HOOD's code."""
 LEVEL = "level"
-
-MESH_GRAPH_LAYOUT = FeatureLayout(
-    mesh_edge=("relative_position", "length", "rest_relative_position", "rest_length", "dt", "material")
-)
-"""Edges with absolute vectors and lengths, as MeshGraphNet and HOOD have them: 12 columns (reference 1.2)."""
+"""Name in `Graph.rest` of how many coarse levels each garment vertex has edges on, (vertices,) int64."""
 
 
 class EncodeProcessDecode(GraphNetwork):
-    """Encoders for nodes and for every kind of edge, and a decoder; subclasses process in between.
+    """Encoders for nodes and for every kind of edge; subclasses process, and decode with a decoder of their own.
 
     Args:
         configuration: width, layout and world edges.
-        mesh_kinds: kinds of edges with the columns of mesh edges. found_kinds: those with the columns of found edges.
+        mesh_kinds: kinds of edges with the columns of mesh edges.
+        found_kinds: kinds with the columns of edges found anew at every step.
         levels: number of labels of a vertex's coarsest level, or 0 where nodes carry none.
     """
+
+    decoder: MLP
 
     def __init__(
         self,
         configuration: NetworkConfiguration,
-        mesh_kinds: Sequence[str],
+        mesh_kinds: Sequence[str] = ("mesh",),
         found_kinds: Sequence[str] = (),
         levels: int = 0,
     ) -> None:
@@ -53,7 +51,6 @@ class EncodeProcessDecode(GraphNetwork):
         self.edge_encoders = nn.ModuleDict(
             {kind: MLP(total_width(of), width, width, norm=True) for kind, of in columns.items()}
         )
-        self.decoder = MLP(width, width, 3, norm=False)
 
     def encode(self, graph: Graph) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Node and edge latents (rows, width) by set name."""
@@ -66,19 +63,18 @@ class EncodeProcessDecode(GraphNetwork):
             nodes[name] = self.node_encoder(torch.cat(inputs, dim=1))
         return nodes, {name: self.edge_encoders[s.kind](s.features) for name, s in graph.edges.items()}
 
+    def decode_after(
+        self, blocks: nn.ModuleList, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph
+    ) -> Tensor:
+        """Normalised accelerations (garment vertices, 3) after blocks in a row.
 
-def require_scipy(method: str) -> None:
-    """Raises InputError where scipy, which a machine that only trains may lack, is not installed."""
-    if find_spec("scipy") is None:
-        raise InputError(f"{method} needs scipy, which is not installed here; `pip install scipy` adds it.")
-
-
-def packed_pairs(pairs: Sequence[Tensor], offsets: Sequence[int], like: Tensor) -> Tensor:
-    """Edges (edges, 2) numbered garment by garment as edges of the pack, on the device of `like`."""
-    shifted = [of + offset for of, offset in zip(pairs, offsets, strict=False)]
-    return torch.cat([torch.zeros(0, 2, dtype=torch.int64), *shifted]).to(like.device)
-
-
-def with_edges(graph: Graph, kinds: Sequence[str]) -> Graph:
-    """The graph with edges of the given kinds only."""
-    return replace(graph, edges={name: s for name, s in graph.edges.items() if s.kind in kinds})
+        Args:
+            blocks: any number of `InteractionBlock`.
+            nodes: latents (nodes, width) by set name.
+            edges: latents (edges, width) by set name; overwritten while gradients are off.
+            graph: what joins what.
+        """
+        for index, block in enumerate(blocks):
+            last = index == len(blocks) - 1
+            nodes, edges = block(nodes, edges, graph, receivers=(GARMENT,) if last else None)
+        return self.decoder(nodes[GARMENT])
