@@ -11,7 +11,7 @@ import pytest
 
 from pb4u.export.registry import export
 from pb4u.export.selection import on_source
-from pb4u.garment.obj_file import read_obj
+from pb4u.geometry.obj_file import read_obj
 from pb4u.scene.polygons import Polygons
 from pb4u.scene.trajectory import SourceTrack, Trajectory
 

@@ -1,11 +1,11 @@
 import numpy as np
 
-from pb4u.garment.garment import SourceMesh
 from pb4u.garment.source_surface import SourceSurface
+from pb4u.geometry.mesh_file import PolygonMesh
 
 
 def weld_target(vertices, faces):
-    return SourceSurface.of(SourceMesh(vertices, tuple(np.array(faces)))).weld_target
+    return SourceSurface.of(PolygonMesh(vertices, tuple(np.array(faces)))).weld_target
 
 
 def test_vertices_on_top_of_each_other_find_the_lowest():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pb4u.body.skinning import joint_positions
+from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between
 from pb4u.motion.ground import lowest_heights

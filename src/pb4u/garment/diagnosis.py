@@ -14,10 +14,11 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.fit import UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit
-from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.support import is_held_up
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
 
 WORST_MISFIT = 0.08
@@ -90,7 +91,7 @@ class Diagnosis:
 
 
 def diagnose(
-    garment: SourceMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
+    garment: PolygonMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
 ) -> Diagnosis:
     """Everything that is wrong with a garment, on its own and on the resting `body`; `file` is named in the cures.
 
@@ -100,7 +101,7 @@ def diagnose(
     pinned = False
     if isinstance(garment, Garment):
         pinned = bool(garment.pinned.any())
-        garment = SourceMesh(garment.vertices, tuple(garment.faces))
+        garment = PolygonMesh(garment.vertices, tuple(garment.faces))
     surface = SourceSurface.of(garment)
     findings = _surface_findings(surface)
     vertices = garment.vertices[np.unique(surface.faces)]

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pb4u.garment.garment import SourceMesh
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, connected_labels, faces_to_flip
 from pb4u.geometry.triangle_mesh import face_areas, face_cross_products
 from pb4u.geometry.triangulation import triangulate
@@ -32,12 +32,12 @@ class SourceSurface:
         polygon: (triangles,) int64 the polygon of each triangle.
     """
 
-    source: SourceMesh
+    source: PolygonMesh
     corners: np.ndarray
     polygon: np.ndarray
 
     @classmethod
-    def of(cls, source: SourceMesh) -> SourceSurface:
+    def of(cls, source: PolygonMesh) -> SourceSurface:
         """The triangles of `source`."""
         return cls(source, *triangulate(source.vertices, source.polygons))
 

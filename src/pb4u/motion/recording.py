@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pb4u.body.skeleton import PoseSequence, Skeleton
-from pb4u.body.skinning import joint_positions
+from pb4u.body.skeleton import PoseSequence, Skeleton, joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, multiply, rotate, slerp
 from pb4u.motion.correspondences import ROLES, Blend, SourceMap
