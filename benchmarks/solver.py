@@ -19,6 +19,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from pb4u.physics.contact_response import ContactResponse
+from pb4u.simulation.contact import SurfaceContact
+from pb4u.simulation.solver_simulator import SolverPredictor, SolverSimulator
+from pb4u.simulation.stage import Stage
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 from torch import Tensor
@@ -30,19 +34,15 @@ from pb4u.garment.dressing import SkinnedPlacement
 from pb4u.garment.library import build_garment
 from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.motion.library import load_motion
-from pb4u.physics.contact_response import ContactResponse
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.solver import Progress, Solver
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.contact import SurfaceContact
 from pb4u.simulation.first_frame import FirstFrame, Relaxed
 from pb4u.simulation.refinement import SolverRefinement
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.solver_simulator import SolverPredictor, SolverSimulator
-from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import StepParts
 
 DT = 1.0 / 30.0

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pb4u.simulation.skinning_simulator import SkinningSimulator
 from tests.garment.cloth_shapes import quad_tube, saved
 
 from pb4u.cli.divergence import diverged_at
 from pb4u.evaluation.metrics import measure
 from pb4u.evaluation.skinned_centres import skinned_centres
-from pb4u.garment.obj_file import read_obj
+from pb4u.geometry.obj_file import read_obj
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.skinning_simulator import SkinningSimulator
 
 SMALL = ("--triangles", 1000, "--lead-in", 0, "--model", "skinning")
 

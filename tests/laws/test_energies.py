@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from pb4u.physics.collision import REFERENCE_AREA
+from pb4u.physics.friction import Friction
 from tests.physics.shapes import EVALUATION, at_rest, capsule, collider, packed, sheet, tube
 
-from pb4u.physics.collision import REFERENCE_AREA
 from pb4u.physics.energy_term import ElementBlocks, EnergyTerm, NullTerm, TimeStep, corner_pairs
-from pb4u.physics.friction import Friction
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from pb4u.physics.contact_response import ContactResponse
 from tests.physics.shapes import at_rest, capsule, collider, packed, sheet
 
-from pb4u.physics.contact_response import ContactResponse
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 from ball_scene import ball_scene
-
 from pb4u.physics.contact_planes import collider_surfaces
 from pb4u.physics.face_clearance import FaceClearance
-from pb4u.scene.state import State
 from pb4u.simulation.stage import Stage
+
+from pb4u.scene.state import State
 
 
 def sheet_wrapped_round_the_ball() -> tuple[Stage, State]:

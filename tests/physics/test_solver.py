@@ -8,17 +8,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from pb4u.physics.conjugate_gradient import conjugate_gradient
+from pb4u.physics.divergence import DivergedError, require_finite
+from pb4u.physics.integrator import integrate
+from pb4u.physics.substeps import advance, substep_count
 from tests.physics.shapes import at_rest, capsule, collider, packed, sheet, tube
 
 from pb4u.errors import InputError
-from pb4u.physics.conjugate_gradient import conjugate_gradient
-from pb4u.physics.divergence import DivergedError, require_finite
 from pb4u.physics.energy_term import corner_pairs
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.physics.integrator import integrate
 from pb4u.physics.solver import Progress, Solver
 from pb4u.physics.stiffness_matrix import StiffnessPattern
-from pb4u.physics.substeps import advance, substep_count
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 

@@ -11,8 +11,8 @@ from tests.garment.cloth_shapes import saved
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.errors import InputWarning
-from pb4u.garment.garment import SourceMesh
 from pb4u.garment.library import build_garment
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.scene.assembly import make_scene
 
 
@@ -24,7 +24,7 @@ def woman() -> ShapedBody:
 def exported(name: str, body: ShapedBody, folder: Path) -> Path:
     """A built-in garment as a file, which has no pins."""
     garment = build_garment(name, body, 600)
-    return saved(folder, SourceMesh(garment.vertices, tuple(garment.faces)), f"{name}.obj")
+    return saved(folder, PolygonMesh(garment.vertices, tuple(garment.faces)), f"{name}.obj")
 
 
 @pytest.mark.parametrize("name", ["skirt", "trousers"])

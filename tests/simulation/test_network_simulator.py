@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 import torch
 from ball_scene import ball_scene
+from pb4u.simulation.contact import SurfaceContact
+from pb4u.simulation.network_simulator import NetworkSimulator, local_origin
+from pb4u.simulation.stage import Stage
 
 from pb4u.errors import InputError, InputWarning, Pb4uError
 from pb4u.evaluation.metrics import measure
@@ -17,11 +20,8 @@ from pb4u.graph.graph import Graph
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
-from pb4u.simulation.contact import SurfaceContact
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.network_simulator import NetworkSimulator, local_origin
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import Contact, NoContact
 
 TINY = Pb4uConfiguration(width=16, blocks=2)

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 import torch
 from ball_scene import ball_scene
+from pb4u.simulation.contact import SurfaceContact
+from pb4u.simulation.skinning_simulator import SkinningSimulator
+from pb4u.simulation.solver_simulator import SolverSimulator
+from pb4u.simulation.stage import Stage
 
 from pb4u.errors import InputError
 from pb4u.evaluation.metrics import measure
 from pb4u.scene.state import State
-from pb4u.simulation.contact import SurfaceContact
 from pb4u.simulation.first_frame import AsSkinned, FirstFrame, OneLongStep, Relaxed
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.skinning_simulator import SkinningSimulator
-from pb4u.simulation.solver_simulator import SolverSimulator
-from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import BallisticPredictor, Predictor, Situation, StepParts, step
 from pb4u.simulation.stepwise_simulator import StepwiseSimulator, situation_at
 

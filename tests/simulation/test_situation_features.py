@@ -8,19 +8,19 @@ from pathlib import Path
 import pytest
 import torch
 from ball_scene import ball_scene
+from pb4u.physics.integrator import integrate
+from pb4u.simulation.network_simulator import NetworkPredictor, NetworkSimulator, local_origin
+from pb4u.simulation.situation_features import SituationFeatures
+from pb4u.simulation.stage import Stage
 
 from pb4u.errors import InputError
 from pb4u.graph.features import ADVANCE, DESCENT, Feature, FeatureLayout
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.physics.integrator import integrate
 from pb4u.scene.packed import pack
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.network_simulator import NetworkPredictor, NetworkSimulator, local_origin
-from pb4u.simulation.situation_features import SituationFeatures
-from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import Situation
 from pb4u.simulation.step_start import FreeFlight, Reached, StepStart
 from pb4u.simulation.stepwise_simulator import situation_at

@@ -7,16 +7,16 @@ from dataclasses import replace
 import pytest
 import torch
 from ball_scene import Ball, sheet
+from pb4u.physics.integrator import integrate
+from pb4u.simulation.network_simulator import NetworkPredictor
 from torch import Tensor
 
 from pb4u.errors import InputError
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration
-from pb4u.physics.integrator import integrate
 from pb4u.presets.networks import network_preset
 from pb4u.scene.packed import ColliderFrame, pack
 from pb4u.scene.state import State
-from pb4u.simulation.network_simulator import NetworkPredictor
 from pb4u.simulation.step import Situation
 from pb4u.simulation.step_start import Carried, FreeFlight
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
+from pb4u.training.lost_garment import SUNK, drift_from, is_lost, strain_percentile
 from tests.training.ball_data import sheet
 
 from pb4u.evaluation.divergence import DIVERGED_DISTANCE
 from pb4u.scene.packed import pack
-from pb4u.training.lost_garment import SUNK, drift_from, is_lost, strain_percentile
 
 
 @pytest.mark.parametrize(

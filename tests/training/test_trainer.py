@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from pb4u.training.course import Course
 from tests.training.ball_data import TINY, ball_data
 from tests.training.listening import ALONE, Listener, made
 from torch import Tensor
@@ -21,7 +22,6 @@ from pb4u.simulation.step import Situation
 from pb4u.simulation.step_start import FreeFlight
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget
-from pb4u.training.course import Course
 from pb4u.training.curriculum import Curriculum
 from pb4u.training.progress import draw_curve
 from pb4u.training.run_folder import NotSavedError, RunFolder

@@ -3,7 +3,7 @@ import pytest
 from cloth_shapes import quad_tube
 
 from pb4u.errors import InputError
-from pb4u.garment.obj_file import read_obj, write_obj
+from pb4u.geometry.obj_file import read_obj, write_obj
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 

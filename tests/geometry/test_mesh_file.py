@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pb4u.geometry.mesh_file_size import least_triangles
+from pb4u.geometry.mesh_file import least_triangles
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def test_corners_of_face_lines_are_counted(tmp_path: Path, text: str, triangles:
 def test_blocks_end_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.obj").write_text("v 0 0 0\n" + "f 1 2 3 4\nf 1 2 3\n" * 20)
     for size in range(1, 24):
-        monkeypatch.setattr("pb4u.geometry.mesh_file_size._BLOCK", size)
+        monkeypatch.setattr("pb4u.geometry.mesh_file._BLOCK", size)
         assert least_triangles(tmp_path / "a.obj", 100) == 60
 
 

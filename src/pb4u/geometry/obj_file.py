@@ -1,7 +1,7 @@
 """Wavefront OBJ files, read and written with vertex order, polygons and UVs as their author left them.
 
 trimesh splits quads and n-gons into triangles and splits vertices at UV seams even with process=False, so it cannot
-give the author's mesh back; the little of OBJ that a garment needs (v, vt, f) is read here.
+give the author's mesh back; what is needed of OBJ (v, vt, f) is read here.
 """
 
 from __future__ import annotations
@@ -13,23 +13,62 @@ import numpy as np
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
-from pb4u.garment.garment import SourceMesh
+from pb4u.geometry.mesh_file import PolygonMesh
 
+_KINDS = {b"v ", b"f ", b"vt"}
 Lines = list[tuple[int, bytes]]
+"""Lines of a file with their numbers, from 1."""
+FaceLine = tuple[int, bytes, int, int]
+"""A face line with its number, and the vertices and texture coordinates before it."""
 
 
-def read_obj(path: Path) -> SourceMesh:
+def read_obj(path: Path) -> PolygonMesh:
     """The mesh of an OBJ file, all objects and groups together.
 
-    Raises InputError naming the line of a number that cannot be read, a vertex that is not finite or an index out of
-    range, and when the file has no faces.
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: a number cannot be read, a vertex is not finite, an index is out of range (naming the line), or the
+            file has no faces.
+        OSError: the file cannot be read.
     """
+    vertex_lines, uv_lines, face_lines = _scan(path)
+    if not face_lines:
+        raise InputError(f"{path} has no faces ({len(vertex_lines)} vertices): export it as a polygon mesh.")
+    vertices = _numbers(path, vertex_lines, 3, "vertex")
+    uvs = _numbers(path, uv_lines, 2, "texture coordinate") if uv_lines else None
+    polygons, polygon_uvs = _polygons(path, face_lines, len(vertices), 0 if uvs is None else len(uvs))
+    return PolygonMesh(vertices, polygons, None if polygon_uvs is None else uvs, polygon_uvs)
+
+
+def read_obj_vertices(path: Path) -> tuple[np.ndarray, list[bytes]]:
+    """What is needed of a file of a sequence after the first: much quicker than `read_obj`, which parses every face.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Vertices (vertices, 3) float64, and the text of the faces, equal where two files have the same ones.
+
+    Raises:
+        InputError: a number of a vertex cannot be read or is not finite.
+        OSError: the file cannot be read.
+    """
+    vertex_lines, _, face_lines = _scan(path)
+    return _numbers(path, vertex_lines, 3, "vertex"), [line for _, line, _, _ in face_lines]
+
+
+def _scan(path: Path) -> tuple[Lines, Lines, list[FaceLine]]:
+    """Lines of vertices, texture coordinates and faces."""
     vertex_lines: Lines = []
     uv_lines: Lines = []
-    face_lines: list[tuple[int, bytes, int, int]] = []
+    face_lines: list[FaceLine] = []
     for number, line in enumerate(path.read_bytes().replace(b"\\\n", b" ").replace(b"\\\r\n", b" ").split(b"\n"), 1):
-        line = line.lstrip() if line[:1].isspace() else line
         kind = line[:2]
+        if kind not in _KINDS:
+            line = line.lstrip()
+            kind = line[:2]
         if kind == b"v " or kind == b"v\t":
             vertex_lines.append((number, line))
         elif kind == b"f " or kind == b"f\t":
@@ -37,18 +76,20 @@ def read_obj(path: Path) -> SourceMesh:
             face_lines.append((number, line, len(vertex_lines), len(uv_lines)))
         elif kind == b"vt":
             uv_lines.append((number, line))
-    if not face_lines:
-        raise InputError(f"{path} has no faces ({len(vertex_lines)} vertices): export the garment as a polygon mesh.")
-    vertices = _numbers(path, vertex_lines, 3, "vertex")
-    uvs = _numbers(path, uv_lines, 2, "texture coordinate") if uv_lines else None
-    polygons, polygon_uvs = _polygons(path, face_lines, len(vertices), 0 if uvs is None else len(uvs))
-    if polygon_uvs is None:
-        uvs = None
-    return SourceMesh(vertices, polygons, uvs, polygon_uvs)
+    return vertex_lines, uv_lines, face_lines
 
 
-def write_obj(path: Path, mesh: SourceMesh, comment: str = "") -> None:
-    """Write `mesh` in one step: the file appears whole or not at all. Raises InputError when it cannot be written."""
+def write_obj(path: Path, mesh: PolygonMesh, comment: str = "") -> None:
+    """Write a mesh in one step: the file appears whole or not at all.
+
+    Args:
+        path: the file.
+        mesh: what is written, numbers to nine digits.
+        comment: lines for the top of the file.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     parts = [f"# {line}\n" for line in comment.splitlines()]
     parts += [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.vertices.tolist()]
     if mesh.uvs is not None and mesh.polygon_uvs is not None:
@@ -89,7 +130,7 @@ def _readable(line: bytes, width: int) -> bool:
 
 
 def _polygons(
-    path: Path, lines: Sequence[tuple[int, bytes, int, int]], vertex_count: int, uv_count: int
+    path: Path, lines: Sequence[FaceLine], vertex_count: int, uv_count: int
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...] | None]:
     """Vertex indices of each polygon, and UV indices where every corner has one."""
     vertex_index: list[int] = []
@@ -128,7 +169,7 @@ def _refuse_out_of_range(
     corners: np.ndarray,
     count: int,
     ends: np.ndarray,
-    lines: Sequence[tuple[int, bytes, int, int]],
+    lines: Sequence[FaceLine],
     what: str,
 ) -> None:
     bad = np.flatnonzero((corners < 0) | (corners >= count))
