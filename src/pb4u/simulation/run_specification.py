@@ -2,15 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import os
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields, replace
+from numbers import Integral, Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import tomli_w
+
+from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, unknown_name
-from pb4u.scene.specification import SceneSpecification, require_name, require_switch, require_whole
+from pb4u.scene.specification import (
+    GarmentSpecification,
+    SceneSpecification,
+    require_name,
+    require_switch,
+    require_whole,
+)
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 if TYPE_CHECKING:
     from pb4u.simulation.simulator import Simulator
+
+FORMAT_VERSION = 1
+"""Version of the scene files that are read and written."""
+
+_HEADING = """\
+# A scene of pb4u: run it with `pb4u simulate` and the name of this file.
+# Garments stand inner first. A value with a dot or a slash is a file, relative to this one; any other is a name.
+
+"""
+_SECTIONS = ("format_version", "scene", "garments", "run")
+_FILES = ("garment", "material", "pins", "body", "motion", "model")
+"""Entries that are a name or a file."""
 
 Device = Literal["auto", "cpu", "cuda"]
 FirstFrameChoice = Literal["auto", "settled", "long_step"]
@@ -93,3 +123,111 @@ class RunSpecification:
             passes=self.resolved_passes,
             device=self.device,
         )
+
+    @classmethod
+    def open(cls, path: str | Path) -> RunSpecification:
+        """Read a scene file (TOML): `[scene]`, one `[[garments]]` for each garment, `[run]`.
+
+        The entries are the arguments of the three specifications; what is left out has its default.
+
+        Args:
+            path: the file; paths in it are relative to it.
+
+        Raises:
+            InputError: the file is missing or no TOML, an entry is unknown, or a value cannot be used.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError(f"There is no scene file {path}.")
+        try:
+            tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise InputError(f"{path} is no scene file, which is TOML: {error}.") from None
+        try:
+            return cls._of_tables(tables, path.parent)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    @classmethod
+    def _of_tables(cls, tables: dict[str, Any], folder: Path) -> RunSpecification:
+        _refuse_unknown("section", tables, _SECTIONS)
+        version = tables.get("format_version", FORMAT_VERSION)
+        if version != FORMAT_VERSION:
+            raise InputError(f"The file is of format version {version!r}; this version reads {FORMAT_VERSION}.")
+        garments = tables.get("garments", [{}])
+        if not isinstance(garments, list):
+            raise InputError("Each garment is a section of its own, written [[garments]].")
+        worn = tuple(GarmentSpecification(**_entries("[[garments]]", each, _GARMENT, folder)) for each in garments)
+        scene = SceneSpecification(worn, **_entries("[scene]", tables.get("scene", {}), _SCENE, folder))
+        return cls(scene, **_entries("[run]", tables.get("run", {}), _RUN, folder))
+
+    def save(self, path: str | Path) -> Path:
+        """Write the scene file that `open` reads, with every value that is set.
+
+        Args:
+            path: the file; paths that are relative to the current folder are written relative to it.
+
+        Raises:
+            InputError: something is a loaded object, which has no name to be written.
+        """
+        path = Path(path)
+        tables = {
+            "format_version": FORMAT_VERSION,
+            "scene": _written(self.scene, _SCENE, path.parent),
+            "garments": [_written(each, _GARMENT, path.parent) for each in self.scene.garments],
+            "run": _written(self, _RUN, path.parent),
+        }
+        replace_file(path, (_HEADING + tomli_w.dumps(tables)).encode())
+        return path
+
+
+_GARMENT, _SCENE, _RUN = (
+    tuple(each.name for each in fields(kind) if each.name not in ("garments", "scene"))
+    for kind in (GarmentSpecification, SceneSpecification, RunSpecification)
+)
+
+
+def _refuse_unknown(what: str, given: Iterable[str], known: tuple[str, ...]) -> None:
+    for name in given:
+        if name not in known:
+            raise unknown_name(what, name, known)
+
+
+def _entries(section: str, table: Any, known: tuple[str, ...], folder: Path) -> dict[str, Any]:
+    """The entries of a section, its files found from the `folder` of the scene file."""
+    if not isinstance(table, dict):
+        raise InputError(f"The section {section} must hold entries such as name = value, not {table!r}.")
+    _refuse_unknown(f"entry of {section}", table, known)
+    return {
+        name: folder / value if name in _FILES and isinstance(value, str) and _is_file(value) else value
+        for name, value in table.items()
+    }
+
+
+def _is_file(value: str) -> bool:
+    return bool(Path(value).suffix) or "/" in value or os.sep in value
+
+
+def _written(specification: Any, names: tuple[str, ...], folder: Path) -> dict[str, Any]:
+    """What is set of a specification, as TOML holds it."""
+    values = {name: getattr(specification, name) for name in names}
+    return {name: _plain(name, value, folder) for name, value in values.items() if value is not None and value != {}}
+
+
+def _plain(name: str, value: Any, folder: Path) -> Any:
+    if name in _FILES and (isinstance(value, Path) or (isinstance(value, str) and _is_file(value))):
+        file = value if os.path.isabs(value) else os.path.relpath(value, folder)
+        written = Path(file).as_posix()
+        return written if _is_file(written) else f"./{written}"
+    if isinstance(value, dict):
+        return {key: _plain(key, entry, folder) for key, entry in value.items()}
+    if isinstance(value, tuple):
+        return [_plain("", entry, folder) for entry in value]
+    if isinstance(value, str | bool):
+        return value
+    if isinstance(value, Real):
+        return int(value) if isinstance(value, Integral) else float(value)
+    raise InputError(
+        f"The {name} {getattr(value, 'name', value)} is a loaded object, which a scene file cannot hold; give it by "
+        "name or file."
+    )
