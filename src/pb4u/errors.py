@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-
 _LISTED = 20
 """Names that a refusal lists at most: a line or two; the catalogue of scenes has thousands."""
 

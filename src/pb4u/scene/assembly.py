@@ -142,7 +142,7 @@ def assemble(specification: SceneSpecification) -> Scene:
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
             "body": collider.name,
-            "body_shape": dict(specification.body_shape),
+            "body_shape": dict(body.shape) if isinstance(body, ShapedBody) else {},
             "motion": performance.motion,
         },
         notes=notes,

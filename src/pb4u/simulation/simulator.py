@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.errors import Pb4uError
+from pb4u.errors import InputError, Pb4uError
 from pb4u.garment.garment import SourceMap
 from pb4u.scene.polygons import Polygons
 from pb4u.scene.scene import Scene
@@ -113,7 +113,9 @@ class Simulator(ABC):
         return Trajectory.open(path)
 
     def header(self, scene: Scene) -> TrajectoryHeader:
-        """The static part of the trajectory this simulator makes of `scene`."""
+        """The static part of the trajectory this simulator makes of `scene`. Raises InputError for several garments."""
+        if len(scene.garments) > 1:
+            raise InputError(f"{self.name} simulates one garment so far, and the scene has {len(scene.garments)}.")
         worn, collider = scene.garments[0].garment, scene.colliders[0]
         metadata = {
             "garment": scene.labels.get("garment", worn.name),
