@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -268,7 +267,6 @@ def _default_targets(scene: SceneSpecification) -> list[Path]:
 
 def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | None, json: str | None) -> None:
     from pb4u.export.registry import check_target
-    from pb4u.scene.assembly import assemble
     from pb4u.simulation.simulator import RunRecord
 
     for target in targets:
@@ -276,13 +274,10 @@ def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | Non
     check_json_target(json)
     if save_scene is not None:
         check_writable(save_scene, "--save-scene")
-    simulator, fps = run.simulator(), run.scene.fps
+    simulator = run.simulator()
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
         _warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
-    simulated_fps = simulator.fps or fps
-    if not math.isclose(simulated_fps, fps):
-        _warn(f"{simulator.name} runs at {simulated_fps:g} frames per second; the result is resampled to {fps:g}.")
-    scene = assemble(run.scene.at_rate(simulated_fps))
+    scene = run.assemble(simulator)
     if save_scene is not None:
         run.save(save_scene)
     record = RunRecord()
@@ -318,23 +313,13 @@ def _warn(sentence: str) -> None:
 def _trajectory(
     run: RunSpecification, simulator: Simulator, scene: Scene, targets: list[Path], record: RunRecord
 ) -> Trajectory:
-    """Stream into the first .npz asked for; into memory without one, or where frames have to be resampled.
-
-    What is streamed into is taken off `targets`.
-    """
-    from pb4u.export.selection import resampled
-    from pb4u.scene.trajectory import Trajectory
-
-    streamed = next((t for t in targets if t.suffix.lower() == ".npz"), None)
+    """Simulate into the first .npz asked for, which is taken off `targets`, else into memory."""
+    file = next((target for target in targets if target.suffix.lower() == ".npz"), None)
+    if file is not None:
+        targets.remove(file)
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with progress_bar(f"{count:,} triangles, {simulator.name}") as progress:
-        if streamed is not None and math.isclose(scene.fps, run.scene.fps):
-            targets.remove(streamed)
-            return simulator.simulate_to(scene, streamed, record, progress)
-        simulated = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record, progress))
-    if math.isclose(scene.fps, run.scene.fps):
-        return simulated
-    return resampled(simulated, run.scene.fps, run.scene.written_frames)
+        return run.roll_out(simulator, scene, file, record, progress)
 
 
 def _export(trajectory: Trajectory, targets: list[Path]) -> None:

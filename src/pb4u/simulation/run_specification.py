@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
@@ -13,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import tomli_w
 
 from pb4u.atomic_file import replace_file
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, InputWarning, unknown_name
+from pb4u.progress import Progress, unheard
 from pb4u.scene.specification import (
     GarmentSpecification,
     SceneSpecification,
@@ -28,7 +31,9 @@ else:
     import tomli as tomllib
 
 if TYPE_CHECKING:
-    from pb4u.simulation.simulator import Simulator
+    from pb4u.scene.scene import Scene
+    from pb4u.scene.trajectory import Trajectory
+    from pb4u.simulation.simulator import RunRecord, Simulator
 
 FORMAT_VERSION = 1
 """Version of the scene files that are read and written."""
@@ -123,6 +128,77 @@ class RunSpecification:
             passes=self.resolved_passes,
             device=self.device,
         )
+
+    def assemble(self, simulator: Simulator) -> Scene:
+        """The scene, at the frame rate that the simulator has to run at.
+
+        Args:
+            simulator: what is to simulate it.
+
+        Raises:
+            InputError: something of the scene cannot be used.
+
+        Warns:
+            InputWarning: that rate is another than the scene's, or the scene has something unusual.
+        """
+        from pb4u.scene.assembly import assemble
+
+        asked, simulated = self.scene.fps, simulator.fps or self.scene.fps
+        if not math.isclose(simulated, asked):
+            sentence = (
+                f"{simulator.name} runs at {simulated:g} frames per second; the result is resampled to {asked:g}."
+            )
+            warnings.warn(sentence, InputWarning, stacklevel=2)
+        return assemble(self.scene.at_rate(simulated))
+
+    def simulate(self, path: str | Path | None = None) -> Trajectory:
+        """Simulate the whole run.
+
+        Args:
+            path: trajectory file to write as frames come; None keeps the frames in memory.
+
+        Returns:
+            The frames at the scene's own rate; fewer than asked for where the state stopped being finite.
+
+        Raises:
+            InputError: something of the run cannot be used.
+        """
+        simulator = self.simulator()
+        return self.roll_out(simulator, self.assemble(simulator), path)
+
+    def roll_out(
+        self,
+        simulator: Simulator,
+        scene: Scene,
+        path: str | Path | None = None,
+        record: RunRecord | None = None,
+        progress: Progress = unheard,
+    ) -> Trajectory:
+        """Simulate what was made of this description.
+
+        Args:
+            simulator: as `simulator` gives it.
+            scene: as `assemble` gives it.
+            path: trajectory file to write; as frames come, where they need no resampling. None keeps them in memory.
+            record: where the run notes its cost and how it ended.
+            progress: called with (frames done, frames in all), lead-in included.
+
+        Returns:
+            The frames at the scene's own rate.
+        """
+        from pb4u.export.selection import resampled
+        from pb4u.scene.trajectory import Trajectory
+
+        is_resampled = not math.isclose(scene.fps, self.scene.fps)
+        if path is not None and not is_resampled:
+            return simulator.simulate_to(scene, path, record, progress)
+        frames = simulator.written_frames(scene, record, progress)
+        trajectory = Trajectory.collect(simulator.header(scene), frames)
+        if is_resampled:
+            trajectory = resampled(trajectory, self.scene.fps, self.scene.written_frames)
+        if path is not None:
+            trajectory.save(path)
+        return trajectory
 
     @classmethod
     def open(cls, path: str | Path) -> RunSpecification:
