@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import FORMATS, FrameRange, check_json_target, progress_bar, write_json, wrote
+from pb4u.cli.console import FORMATS, FrameRange, JsonFlag, check_json_target, progress_bar, write_json, wrote
 
 
 class Surface(str, Enum):
@@ -16,11 +16,6 @@ class Surface(str, Enum):
 
     simulated = "simulated"
     source = "source"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.command("convert")(convert)
 
 
 def convert(
@@ -39,9 +34,7 @@ def convert(
     on: Annotated[
         Surface, typer.Option(help="The simulated mesh, or the author's own with its vertex order, polygons and UVs.")
     ] = Surface.simulated,
-    json: Annotated[
-        str | None, typer.Option(help="Write a summary as JSON to a file, or to standard output for '-'.")
-    ] = None,
+    json: JsonFlag = None,
 ) -> None:
     """Write a trajectory in another format."""
     from pb4u.export.registry import check_target, export

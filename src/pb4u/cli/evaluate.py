@@ -10,18 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pb4u.cli.console import check_json_target, progress_bar, write_json
+from pb4u.cli.console import Switch, check_json_target, progress_bar, write_json
 from pb4u.errors import InputError, Pb4uError
 
 if TYPE_CHECKING:
     from pb4u.evaluation.crew import Crew
-
-
-class Switch(str, Enum):
-    """On or off."""
-
-    on = "on"
-    off = "off"
 
 
 class Floors(str, Enum):
@@ -29,11 +22,6 @@ class Floors(str, Enum):
 
     run = "run"
     stored = "stored"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.command("evaluate")(evaluate)
 
 
 def evaluate(

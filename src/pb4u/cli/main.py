@@ -22,8 +22,17 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for verb in (simulate, view, check, convert, train, evaluate, assets, info):
-    verb.register(app)
+for verb in (
+    simulate.simulate,
+    view.view,
+    check.check,
+    convert.convert,
+    train.train,
+    evaluate.evaluate,
+    info.info,
+):
+    app.command()(verb)
+app.add_typer(assets.group, name="assets")
 
 
 def _tell_version(asked: bool) -> None:

@@ -10,11 +10,6 @@ from typing import Annotated
 import typer
 
 
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.command("view")(view)
-
-
 def view(
     trajectory: Annotated[
         Path | None, typer.Argument(help="Trajectory .npz written by `pb4u simulate`.", show_default=False)
