@@ -16,14 +16,13 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from pb4u.evaluation.metrics import measure
+from pb4u.evaluation.metrics import ENERGIES, measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.simulator import RunRecord
 
-ENERGIES = ("stretch", "bending", "collision", "gravity", "friction", "inertia", "total")
 WARM_UP = 3
 
 

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 from tests.garment.cloth_shapes import quad_tube, saved
 
-from pb4u.cli.divergence import diverged_at
-from pb4u.evaluation.metrics import measure
-from pb4u.evaluation.skinned_centres import skinned_centres
+from pb4u.evaluation.metrics import first_diverged, measure, skinned_centres
 from pb4u.garment.obj_file import read_obj
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
@@ -220,7 +218,7 @@ def test_divergence_is_judged_as_the_report_does() -> None:
     found = []
     for positions in (plain.positions, wide, lost, fallen):
         run = replace(plain, positions=positions)
-        found.append(diverged_at(scene, run))
+        found.append(first_diverged(run, centres))
         assert found[-1] == measure(run, centres)["diverged_at"]
     assert found == [None, 2, 4, 3]
 

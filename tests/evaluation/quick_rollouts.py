@@ -8,8 +8,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from pb4u.evaluation.rollout import Refused, Rolled
-from pb4u.evaluation.rollout_job import ModelRecord, RolloutJob, SceneRecord, Settings
+from pb4u.evaluation.rollout import ModelRecord, Refused, Rolled, RolloutJob, SceneRecord, Settings
 
 
 def job(motion: str, log: Path | str = "log", model: str = "skinning", **scene: object) -> RolloutJob:

@@ -20,7 +20,6 @@ from pb4u.cli.console import (
     write_json,
     wrote,
 )
-from pb4u.cli.divergence import diverged_at
 from pb4u.errors import InputError, InputWarning, Pb4uError
 
 if TYPE_CHECKING:
@@ -179,7 +178,9 @@ def simulate(
         write_json(report, json)
         diverged = report["diverged_at"]
     elif record.failed_at is None:
-        diverged = diverged_at(scene, trajectory)
+        from pb4u.evaluation.metrics import first_diverged, skinned_centres
+
+        diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
     if record.failed_at is not None:
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
@@ -239,8 +240,7 @@ def _export(trajectory: Trajectory, targets: list[Path]) -> None:
 
 def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
     """The --json payload of the contract."""
-    from pb4u.evaluation.metrics import measure
-    from pb4u.evaluation.skinned_centres import skinned_centres
+    from pb4u.evaluation.metrics import measure, skinned_centres
 
     with progress_bar("measuring") as progress:
         measured = measure(trajectory, skinned=skinned_centres(scene, trajectory), progress=progress)

@@ -18,10 +18,9 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from pb4u import __version__
-from pb4u.atomic_file import replace_file
+from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError, Pb4uError
-from pb4u.evaluation.rollout import Refused, Rolled
-from pb4u.evaluation.rollout_job import PROTOCOL_VERSION, RolloutJob
+from pb4u.evaluation.rollout import PROTOCOL_VERSION, Refused, Rolled, RolloutJob
 
 MANIFEST, JOBS, LOCK = "manifest.json", "jobs", ".lock"
 
@@ -41,7 +40,8 @@ class ResultFolder:
         path: the folder, made where it is not there.
         protocol: name of the protocol that is run in it.
 
-    Raises InputError where it holds something else, another protocol, or a run of another version, or is in use.
+    Raises:
+        InputError: it holds something else, another protocol or a run of another version, or is in use.
     """
 
     def __init__(self, path: Path, protocol: str) -> None:
@@ -81,7 +81,13 @@ class ResultFolder:
             raise InputError(f"{self.path} holds a run of the protocol {held}, not {protocol}; {again}")
 
     def write_manifest(self, protocol: str, request: dict[str, Any], jobs: tuple[RolloutJob, ...]) -> None:
-        """Record what the run consists of."""
+        """Record what the run consists of.
+
+        Args:
+            protocol: its name.
+            request: what was asked for, as JSON.
+            jobs: every rollout of it.
+        """
         manifest = {
             "protocol_version": PROTOCOL_VERSION,
             "pb4u": __version__,
@@ -92,7 +98,11 @@ class ResultFolder:
         self.write(MANIFEST, (json.dumps(manifest, indent=1, default=str) + "\n").encode())
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file of the run, beside and moved into place. Raises Pb4uError where the disk refuses."""
+        """Write a file of the run, beside and moved into place.
+
+        Raises:
+            Pb4uError: the disk refuses.
+        """
         try:
             replace_file(self.path / name, content)
         except OSError as error:
@@ -105,7 +115,8 @@ class ResultFolder:
         """Keep a result; its picture's frame first, so that a result is whole once it is there."""
         if rolled.still is not None:
             self.write(f"{JOBS}/{job.key}.npz", rolled.still)
-        envelope = {"key": job.key, "checksum": _checksum(rolled.result), "result": rolled.result}
+        result = json.loads(json_text(rolled.result))
+        envelope = {"key": job.key, "checksum": _checksum(result), "result": result}
         self.write(f"{JOBS}/{job.key}.json", (json.dumps(envelope) + "\n").encode())
         self._failed(job).unlink(missing_ok=True)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from pb4u.evaluation.divergence import DIVERGED_DISTANCE, DIVERGED_STRAIN
+from pb4u.evaluation.metrics import DIVERGED_DISTANCE, DIVERGED_STRAIN
 from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.scene.packed import PackedGarments
 
