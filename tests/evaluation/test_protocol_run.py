@@ -157,7 +157,7 @@ def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path: Path, monke
 
 
 def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
-    def interrupted(job: RolloutJob) -> rollout.Rolled | rollout.Refused:
+    def interrupted(job: RolloutJob) -> rollout.Rollout | rollout.Failure:
         if job.scene.motion == "jump":
             raise KeyboardInterrupt
         return attempt(job)
@@ -204,7 +204,7 @@ def test_a_run_that_broke_off_is_counted_and_has_no_ratio(tmp_path: Path, monkey
 def test_weights_that_changed_after_planning_are_not_taken_for_the_old_ones(tmp_path: Path) -> None:
     file = weights(tmp_path / "net.safetensors")
 
-    def changed(job: RolloutJob) -> rollout.Rolled | rollout.Refused:
+    def changed(job: RolloutJob) -> rollout.Rollout | rollout.Failure:
         weights(tmp_path / "net.safetensors", seed=1)
         return attempt(job)
 

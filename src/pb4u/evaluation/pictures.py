@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pb4u.errors import InputError, Pb4uError
@@ -86,7 +85,6 @@ def _draw(still: Path) -> np.ndarray | None:
 
 def _compose(grid: dict[str, dict[str, _Cell]], models: list[str]) -> bytes:
     figure = Figure(figsize=(2.0 * len(models), 2.85 * len(grid) + 0.3), layout="constrained")
-    FigureCanvasAgg(figure)
     panels = figure.subplots(len(grid), len(models), squeeze=False)
     for (garment, cells), row in zip(grid.items(), panels, strict=True):
         for model, axis in zip(models, row, strict=True):

@@ -121,12 +121,13 @@ def plan(request: Request) -> Plan:
         raise unknown_name("protocol", request.protocol, PROTOCOLS)
     protocol = PROTOCOLS[request.protocol]
     _check_numbers(request)
+    levels = dict(_level(name) for name in request.levels or protocol.levels)
     protocol = replace(
         protocol,
         garments=tuple(_garment(name) for name in request.garments or protocol.garments),
         bodies=tuple(_body(name) for name in request.bodies or protocol.bodies),
         motions=request.motions or (protocol.recordings if request.recordings else protocol.motions),
-        levels=tuple(dict.fromkeys(_level(name)[0] for name in request.levels or protocol.levels)),
+        levels=tuple(levels),
         frames=request.frames or protocol.frames,
         steps=request.steps or protocol.steps,
     )
@@ -140,7 +141,7 @@ def plan(request: Request) -> Plan:
     solver_runs = not request.contact and any(model.name == "solver" for model in models)
     cases = []
     for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, motions):
-        scene = _scene(garment, body, motion, _level(level)[1], protocol.frames, request.lead_in)
+        scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
         floor = _solver_on(scene) if solver_runs else _floor(scene, motion, level, request)
         for model in models:
             for steps in protocol.steps if model.adapts else (None,):

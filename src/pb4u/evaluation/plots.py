@@ -6,7 +6,6 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from pb4u.evaluation.page import Block, Plot
@@ -117,7 +116,6 @@ def _figure(panels: int, columns: int) -> tuple[Figure, list[Any]]:
     rows = -(-panels // columns)
     # Narrow figures would push the legend below them out of the picture.
     figure = Figure(figsize=(max(3.6 * columns, 8.0), 2.9 * rows + 0.3), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)

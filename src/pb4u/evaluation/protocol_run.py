@@ -12,7 +12,7 @@ from pb4u.errors import Pb4uError
 from pb4u.evaluation.planning import Plan, Request, plan
 from pb4u.evaluation.report import write_report
 from pb4u.evaluation.result_folder import ResultFolder
-from pb4u.evaluation.rollout import Refused, RolloutJob
+from pb4u.evaluation.rollout import Failure, RolloutJob
 from pb4u.evaluation.worker_pool import WorkerPool
 from pb4u.progress import Progress, unheard
 
@@ -105,8 +105,8 @@ def work_through(jobs: Iterable[RolloutJob], pool: WorkerPool, folder: ResultFol
             continue
         if outcome is None:
             sentence = f"Its worker died {MOST_TRIES} times, for want of memory perhaps; try fewer --workers."
-            outcome = Refused(sentence, "")
-        if isinstance(outcome, Refused):
+            outcome = Failure(sentence, "")
+        if isinstance(outcome, Failure):
             folder.note_failure(job, outcome)
         else:
             folder.keep(job, outcome)

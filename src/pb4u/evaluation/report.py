@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -76,7 +75,7 @@ def write_report(planned: Plan, folder: ResultFolder, request: Request) -> dict[
             "reproduces": protocol.reproduces,
             "request": request.as_json(),
             "absent": planned.absent,
-            "failures": [asdict(failure) for failure in summary.failures],
+            "failures": [{"job": job, "sentence": sentence} for job, sentence in summary.failures],
             **summary.as_json(),
             "paper": PAPER.get(protocol.name, {}),
         },
@@ -102,7 +101,7 @@ def _about(summary: Summary) -> Block:
 def _remarks(summary: Summary) -> list[Block]:
     blocks: list[Block] = []
     if summary.failures:
-        lines = [f"{failure.job}: {failure.sentence}" for failure in summary.failures]
+        lines = [f"{job}: {sentence}" for job, sentence in summary.failures]
         blocks.append(Remark("Rollouts that could not be made", lines))
     results = [row.result for row in summary.rows if row.result]
     if notes := told_once(dict.fromkeys(note for result in results for note in result["notes"])):

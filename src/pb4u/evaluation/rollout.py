@@ -116,7 +116,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class RolloutJob:
-    """A scene, a model and its settings."""
+    """One rollout to make.
+
+    Args:
+        scene: what is simulated.
+        model: by what.
+        settings: and how.
+    """
 
     scene: SceneRecord
     model: ModelRecord
@@ -142,7 +148,7 @@ class RolloutJob:
 
 
 @dataclass(frozen=True)
-class Rolled:
+class Rollout:
     """A rollout that was made.
 
     Args:
@@ -155,7 +161,7 @@ class Rolled:
 
 
 @dataclass(frozen=True)
-class Refused:
+class Failure:
     """A rollout that could not be made.
 
     Args:
@@ -167,20 +173,20 @@ class Refused:
     trace: str
 
 
-def attempt(job: RolloutJob) -> Rolled | Refused:
+def attempt(job: RolloutJob) -> Rollout | Failure:
     """Run a job; whatever goes wrong comes back as a sentence."""
     try:
         return run(job)
     except Pb4uError as error:
-        return Refused(" ".join(str(error).split()), traceback.format_exc())
+        return Failure(" ".join(str(error).split()), traceback.format_exc())
     except MemoryError:
-        return Refused("There was not enough memory for it.", traceback.format_exc())
+        return Failure("There was not enough memory for it.", traceback.format_exc())
     except Exception as error:
         sentence = f"It broke off unexpectedly: {type(error).__name__}: {error}"
-        return Refused(" ".join(sentence.split()), traceback.format_exc())
+        return Failure(" ".join(sentence.split()), traceback.format_exc())
 
 
-def run(job: RolloutJob) -> Rolled:
+def run(job: RolloutJob) -> Rollout:
     """Simulate and measure.
 
     Raises:
@@ -197,13 +203,7 @@ def run(job: RolloutJob) -> Rolled:
         warnings.simplefilter("always", InputWarning)
         scene = _scene(job.scene)
         _check_weights(job)
-        simulator = load_simulator(
-            job.model.name,
-            contact=job.settings.contact,
-            refine=job.settings.refine,
-            propagation_steps=job.settings.propagation_steps,
-            device=job.settings.device,
-        )
+        simulator = load_simulator(job.model.name, **asdict(job.settings))
         record = RunRecord()
         frames = list(simulator.written_frames(scene, record))
         header, steps = simulator.header(scene), simulator.propagation_steps(scene)
@@ -235,7 +235,7 @@ def run(job: RolloutJob) -> Rolled:
         result["pictured_frame"] = min(round(PICTURED * (job.scene.frames - 1)), len(frames) - 1)
         still = _still(trajectory, result["pictured_frame"])
     result["seconds"] = time.perf_counter() - began
-    return Rolled(result, still)
+    return Rollout(result, still)
 
 
 # Jobs come sorted by scene: the garment is cut and meshed once for all the models.

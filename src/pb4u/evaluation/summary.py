@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 from pb4u.evaluation.floors import ratio
 from pb4u.evaluation.paper_figures import TERMS
 from pb4u.evaluation.planning import Case, Plan
-from pb4u.evaluation.result_folder import Failure, ResultFolder
-from pb4u.evaluation.rollout import RolloutJob
+from pb4u.evaluation.result_folder import ResultFolder
+from pb4u.evaluation.rollout import Failure, RolloutJob
 
 
 class Quantity(NamedTuple):
@@ -160,13 +160,13 @@ class Summary:
     Args:
         plan: what the run consists of.
         rows: every case with what came of it.
-        failures: rollouts that could not be made, those of floors among them.
+        failures: (job, sentence) of the rollouts that could not be made, those of floors among them.
         still: where the kept frame of a job is.
     """
 
     plan: Plan
     rows: tuple[Row, ...]
-    failures: tuple[Failure, ...]
+    failures: tuple[tuple[str, str], ...]
     still: Callable[[RolloutJob], Path] = field(repr=False)
 
     @cached_property
@@ -226,7 +226,8 @@ def summarise(plan: Plan, folder: ResultFolder) -> Summary:
         above = ratio(_energies(result), reached) if result and complete and reached else None
         finite = above is not None and math.isfinite(above)
         rows.append(Row(case, result, failures.get(case.job.key), above if finite else None, source))
-    return Summary(plan, tuple(rows), tuple(each for each in failures.values() if each), folder.still)
+    told = tuple((str(job), failure.sentence) for job in plan.jobs if (failure := failures.get(job.key)))
+    return Summary(plan, tuple(rows), told, folder.still)
 
 
 def _floor_energies(case: Case, results: dict[str, dict[str, Any] | None]) -> tuple[dict[str, float] | None, str]:

@@ -13,15 +13,15 @@ from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from pb4u.errors import InputError, MissingExtraError
-from pb4u.evaluation.rollout import Refused, Rolled, RolloutJob, attempt
+from pb4u.evaluation.rollout import Failure, Rollout, RolloutJob, attempt
 
 _ANSWER_TIME = 5.0
 """Seconds in which a cluster has to answer; Ray itself takes minutes to find that nobody is there."""
 
-Attempt = Callable[[RolloutJob], Rolled | Refused]
+Attempt = Callable[[RolloutJob], Rollout | Failure]
 """Does a job; what went wrong with it is a value, not an exception."""
 
-Outcome = tuple[RolloutJob, Rolled | Refused | None]
+Outcome = tuple[RolloutJob, Rollout | Failure | None]
 """A job and how an attempt at it ended; None where its worker died, and nothing is known of the job."""
 
 
@@ -185,7 +185,7 @@ class RayPool(WorkerPool):
             return job, self._ray.get(ready[0])
         except self._ray.exceptions.RayTaskError as error:
             reason = " ".join(str(error.cause or error).split())
-            return job, Refused(f"A worker of the cluster cannot do it: {reason}", str(error))
+            return job, Failure(f"A worker of the cluster cannot do it: {reason}", str(error))
         except self._ray.exceptions.RayError:
             return job, None
 
