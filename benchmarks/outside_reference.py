@@ -79,9 +79,8 @@ def main() -> None:
 
             arguments.still.mkdir(parents=True, exist_ok=True)
             write_still(trajectory, arguments.still / f"{model}.png")
-    garment = scene.garments[0].garment
     print(
-        f"{arguments.garment} of {garment.triangle_count} triangles on {arguments.body}, {arguments.motion}, "
+        f"{arguments.garment} of {len(trajectory.faces)} triangles on {arguments.body}, {arguments.motion}, "
         f"{arguments.frames} frames after {scene.lead_in} of lead-in; {platform.processor() or platform.machine()}.\n"
     )
     print(table(columns))

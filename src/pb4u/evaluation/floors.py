@@ -11,7 +11,7 @@ from typing import Any
 FLOORS_FILE = Path(__file__).with_name("floors.json")
 
 FLOOR_LEAD_IN = 30
-"""Frames simulated before those that stored floors are means of."""
+"""Frames simulated before those that stored floors are means of, as `tools/floors.py` ran them."""
 
 
 @lru_cache(maxsize=1)
@@ -20,7 +20,13 @@ def _floors() -> dict[str, dict[str, Any]]:
 
 
 def stored_floor(scene: str, level: str, frames: int) -> dict[str, float] | None:
-    """Mean energies [J] that are stored for a test scene of just so many frames; None where there are none."""
+    """Mean energies [J] by term that the solver reached; None where none are stored.
+
+    Args:
+        scene: name in the catalogue.
+        level: name of the resolution.
+        frames: how many frames the mean is over.
+    """
     found = _floors().get(f"{scene}@{level}", {}).get(str(frames))
     return found["energies"] if found else None
 

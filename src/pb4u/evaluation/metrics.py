@@ -65,14 +65,13 @@ def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress:
     for t in range(trajectory.frame_count):
         frames.append(ruler.frame(t))
         progress(t + 1, trajectory.frame_count)
-    garments = []
     by_garment = [frame.garments for frame in frames]
     diverged_at = _diverged_at(trajectory, ruler.garments, by_garment, skinned)
-    for garment, first, rows in zip(ruler.garments.garments, diverged_at, zip(*by_garment, strict=True), strict=True):
+    garments = []
+    for garment, rows, at in zip(ruler.garments.garments, zip(*by_garment, strict=True), diverged_at, strict=True):
         measured = _series(rows, (*ENERGIES, *STRAINS))
-        diverged = {"diverged": first is not None, "diverged_at": first}
-        garments.append({"name": garment.name, "metrics": measured, **diverged})
-    first = min((t for t in diverged_at if t is not None), default=None)
+        garments.append({"name": garment.name, "metrics": measured, "diverged": at is not None, "diverged_at": at})
+    first = _earliest(diverged_at)
     return {
         "metrics": _series([frame.metrics for frame in frames], (*ENERGIES, *GEOMETRY)),
         "metrics_paper": _series([frame.paper for frame in frames], ENERGIES),
@@ -80,6 +79,10 @@ def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress:
         "diverged_at": first,
         "garments": garments,
     }
+
+
+def _earliest(frames: Iterable[int | None]) -> int | None:
+    return min((t for t in frames if t is not None), default=None)
 
 
 def _series(rows: Sequence[dict[str, float]], names: Iterable[str]) -> dict[str, dict[str, Any]]:
@@ -112,8 +115,11 @@ def _strains(garments: PackedGarments, x: Tensor) -> tuple[dict[str, float], lis
         percentile = weighted_percentile(strains[faces], garments.face_areas[faces], 95.0)
         return {"strain_p95": float(percentile), "strain_max": float(strains[faces].max())}
 
+    whole = over(slice(None), slice(None))
+    if garments.garment_count == 1:
+        return whole, [whole]
     each = [over(garments.vertex_garment == g, garments.face_garment == g) for g in range(garments.garment_count)]
-    return over(slice(None), slice(None)), each
+    return whole, each
 
 
 def first_diverged(trajectory: Trajectory, skinned: np.ndarray | None = None) -> int | None:
@@ -125,8 +131,7 @@ def first_diverged(trajectory: Trajectory, skinned: np.ndarray | None = None) ->
     """
     garments = pack(garments_of(trajectory))
     strains = [_strains(garments, _tensor(positions))[1] for positions in trajectory.positions]
-    frames = _diverged_at(trajectory, garments, strains, skinned)
-    return min((t for t in frames if t is not None), default=None)
+    return _earliest(_diverged_at(trajectory, garments, strains, skinned))
 
 
 def _diverged_at(
@@ -229,7 +234,7 @@ class Ruler:
         self.dt = 1.0 / trajectory.fps
         gravity = header.metadata.get("gravity", [0.0, -STANDARD_GRAVITY, 0.0])
         self.gravity = torch.tensor(gravity, dtype=torch.float64)
-        self.garments: PackedGarments = pack(garments_of(trajectory))
+        self.garments = pack(garments_of(trajectory))
         # A collider of a pack is touched by one garment alone: each has a copy of the body to itself.
         count, worn = len(header.body_contact), self.garments.garment_count
         body_faces, body_contact = np.array(header.body_faces), np.array(header.body_contact)
@@ -272,7 +277,7 @@ class Ruler:
     def _before(self, t: int, x: Tensor) -> State:
         """The state that the step to frame t started from; frame 0 is judged standing still."""
         if t == 0:
-            return State(torch.nan_to_num(x), torch.zeros_like(x), -1)
+            return State(x, torch.zeros_like(x), -1)
         before, velocity = (_tensor(each[t - 1]) for each in (self.trajectory.positions, self.trajectory.velocities))
         return State(torch.nan_to_num(before), torch.nan_to_num(velocity), t - 1)
 

@@ -190,7 +190,7 @@ def _body(name: str) -> str:
 
 
 def _level(name: str) -> tuple[str, int]:
-    """What a level is called, and its number of triangles. Raises InputError where it is none."""
+    """What a level is called, and its number of triangles."""
     named = {key.lower(): (key, count) for key, count in LEVELS.items()}
     if name.lower() in named:
         return named[name.lower()]
@@ -283,6 +283,7 @@ def _model(name: str, label: str, device: str) -> ModelRecord:
         raise InputError(f"{name} runs at {simulator.fps:g} frames per second; the protocols run at {FPS:g}.")
     if not isinstance(simulator, NetworkSimulator):
         return ModelRecord(name, label)
+    # Whether there are steps at all does not depend on the length of the edges [m].
     adapts = simulator.checkpoint.model.network.propagation_steps(0.015) > 0
     with weights_file(name) as path:
         return ModelRecord(name, label, digest(path), adapts)
