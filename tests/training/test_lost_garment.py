@@ -7,7 +7,7 @@ import torch
 from pb4u.training.lost_garment import SUNK, drift_from, is_lost, strain_percentile
 from tests.training.ball_data import sheet
 
-from pb4u.evaluation.divergence import DIVERGED_DISTANCE
+from pb4u.evaluation.metrics import DIVERGED_DISTANCE
 from pb4u.scene.packed import pack
 
 

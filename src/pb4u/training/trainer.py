@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
+from pb4u.evaluation.metrics import strain_percentile
 from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.state import State
@@ -33,7 +34,7 @@ from pb4u.training.packed_data import TrainingData
 from pb4u.training.progress import Journal, Reporter
 from pb4u.training.recovery import Recovery
 from pb4u.training.run_folder import RunFolder
-from pb4u.training.validation import Score, Validation, drift_from, is_lost, strain_percentile
+from pb4u.training.validation import Score, Validation, drift_from, is_lost
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Course, Sampler, WindowLoader
 

@@ -11,8 +11,9 @@ from tests.evaluation.test_planning import SMALL
 
 from pb4u.evaluation.page import Plot, Remark, Table, as_html, as_markdown
 from pb4u.evaluation.planning import plan
+from pb4u.evaluation.plots import across_levels
 from pb4u.evaluation.summary import Row, Spread, Summary, spread
-from pb4u.evaluation.views import AcrossLevels, LevelTable, TermsTable, with_spread
+from pb4u.evaluation.tables import level_table, terms_tables, with_spread
 
 
 def result(total: float | None, ms: float = 5.0, diverged: bool = False) -> dict[str, Any]:
@@ -48,7 +49,7 @@ def test_a_cell_without_spread_and_one_with() -> None:
 def test_levels_and_the_papers_rows_stand_together() -> None:
     at = {("12K", "walk"): result(1.0, 5.0), ("12K", "jump"): result(3.0, 7.0, diverged=True)}
     summary = summary_of(at, protocol="efficiency", levels=("12K",), motions=("walk", "jump", "turn"))
-    (table,) = LevelTable(("total", "ms")).draw(summary)
+    (table,) = level_table(summary, ("total", "ms"))
     assert isinstance(table, Table)
     assert table.head == [
         "level", "model", "total loss [J]", "time a step [ms]", "energy / floor", "frames before divergence [%]",
@@ -63,7 +64,7 @@ def test_levels_and_the_papers_rows_stand_together() -> None:
 
 def test_terms_stand_in_rows_and_the_papers_models_in_columns_set_apart() -> None:
     summary = summary_of({("11K", "walk"): result(None)}, levels=("11K", "400"))
-    known, unknown = TermsTable().draw(summary)
+    known, unknown = terms_tables(summary)
     assert isinstance(known, Table)
     assert isinstance(unknown, Table)
     assert list(known.head[:3]) == ["", "skinning", "MGN (paper, other data)"]
@@ -76,7 +77,7 @@ def test_terms_stand_in_rows_and_the_papers_models_in_columns_set_apart() -> Non
 
 
 def test_one_level_has_no_course_over_levels() -> None:
-    assert AcrossLevels().draw(summary_of({("11K", "walk"): result(1.0)}, levels=("11K",))) == []
+    assert across_levels(summary_of({("11K", "walk"): result(1.0)}, levels=("11K",))) == []
 
 
 @pytest.mark.parametrize("write", [as_html, as_markdown])

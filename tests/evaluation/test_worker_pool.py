@@ -12,36 +12,35 @@ import pytest
 from tests.evaluation.quick_rollouts import attempt, job, note, noted
 
 from pb4u.errors import InputError, MissingExtraError
-from pb4u.evaluation.crew import Crew, LocalCrew
-from pb4u.evaluation.ray_crew import RayCrew
+from pb4u.evaluation.protocol_run import MOST_TRIES, work_through
 from pb4u.evaluation.result_folder import ResultFolder
-from pb4u.evaluation.rollout_job import RolloutJob
-from pb4u.evaluation.schedule import MOST_TRIES, work_through
+from pb4u.evaluation.rollout import RolloutJob
+from pb4u.evaluation.worker_pool import LocalPool, RayPool, WorkerPool
 
 
-def local() -> Crew:
-    return LocalCrew(2, attempt)
+def local() -> WorkerPool:
+    return LocalPool(2, attempt)
 
 
-def ray() -> Crew:
+def ray() -> WorkerPool:
     pytest.importorskip("ray", reason='needs the "ray" extra')
-    return RayCrew("local", 2, attempt)
+    return RayPool("local", 2, attempt)
 
 
 @pytest.fixture(params=[local, ray], ids=["processes", "ray"])
-def crew(request: pytest.FixtureRequest) -> Iterator[Crew]:
+def pool(request: pytest.FixtureRequest) -> Iterator[WorkerPool]:
     made = request.param()
     yield made
     made.close()
 
 
-def test_dying_workers_lose_nothing_and_nothing_is_done_twice(crew: Crew, tmp_path: Path) -> None:
+def test_dying_workers_lose_nothing_and_nothing_is_done_twice(pool: WorkerPool, tmp_path: Path) -> None:
     log = tmp_path / "log"
     good = [job(name, log) for name in ("a", "dies-once", "b", "c", "d", "e")]
     refused, poison = job("refused", log), job("dies", log)
     seen: list[tuple[int, int]] = []
     with ResultFolder(tmp_path / "run", "resolution") as folder:
-        work_through([*good, refused, poison], crew, folder, lambda done, total: seen.append((done, total)))
+        work_through([*good, refused, poison], pool, folder, lambda done, total: seen.append((done, total)))
         results = {each.scene.motion: folder.result(each) for each in good}
         refusal, given_up = folder.failure(refused), folder.failure(poison)
 
@@ -61,18 +60,18 @@ def test_dying_workers_lose_nothing_and_nothing_is_done_twice(crew: Crew, tmp_pa
 
 
 def test_an_idle_worker_that_died_is_replaced(tmp_path: Path) -> None:
-    crew = LocalCrew(1, attempt)
+    pool = LocalPool(1, attempt)
     try:
-        crew.give(job("a", tmp_path / "log"))
-        assert crew.collect().job.scene.motion == "a"
-        (worker,) = crew._idle
+        pool.submit(job("a", tmp_path / "log"))
+        assert pool.next_outcome()[0].scene.motion == "a"
+        (worker,) = pool._idle
         worker.process.kill()
         worker.process.join()
         with ResultFolder(tmp_path / "run", "resolution") as folder:
-            work_through([job("b", tmp_path / "log")], crew, folder, lambda done, total: None)
+            work_through([job("b", tmp_path / "log")], pool, folder, lambda done, total: None)
             assert folder.result(job("b", tmp_path / "log")) is not None
     finally:
-        crew.close()
+        pool.close()
 
 
 def never_ends(asked: RolloutJob) -> None:
@@ -89,24 +88,24 @@ def wait_until(met: Callable[[], bool]) -> None:
 
 def test_dismissed_workers_are_gone(tmp_path: Path) -> None:
     log = tmp_path / "log"
-    crew = LocalCrew(1, never_ends)  # type: ignore[arg-type]
-    crew.give(job("a", log))
+    pool = LocalPool(1, never_ends)  # type: ignore[arg-type]
+    pool.submit(job("a", log))
     wait_until(log.exists)
-    crew.close()
+    pool.close()
     with pytest.raises(ProcessLookupError):
         os.kill(int(next(iter(noted(log)))), 0)
 
 
-def test_impossible_crews_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_impossible_pools_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="1 or more, not 0"):
-        LocalCrew(0)
+        LocalPool(0)
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match=r'"ray" extra'):
-        RayCrew("auto")
+        RayPool("auto")
 
 
 def test_an_address_without_a_cluster_is_refused() -> None:
     pytest.importorskip("ray", reason='needs the "ray" extra')
     for address in ("auto", "127.0.0.1:1", "ray://127.0.0.1:1", "127.0.0.1:many"):
         with pytest.raises(InputError, match=f"no Ray cluster to reach at {address}"):
-            RayCrew(address)
+            RayPool(address)

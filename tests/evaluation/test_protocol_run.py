@@ -14,15 +14,15 @@ from tests.evaluation.test_planning import weights
 from tests.simulation.ball_scene import ball_scene
 
 from pb4u.errors import InputError, Pb4uError
-from pb4u.evaluation import rollout
-from pb4u.evaluation.crew import Attempt, Crew, Outcome
-from pb4u.evaluation.floors import ABOVE_GROUND
+from pb4u.evaluation import report, rollout
+from pb4u.evaluation.metrics import ENERGIES
 from pb4u.evaluation.planning import Request
+from pb4u.evaluation.protocol_run import evaluate
 from pb4u.evaluation.protocols import PROTOCOLS
-from pb4u.evaluation.rollout import attempt
-from pb4u.evaluation.rollout_job import RolloutJob, SceneRecord
-from pb4u.evaluation.session import evaluate, told_once
-from pb4u.evaluation.views import TermsTable
+from pb4u.evaluation.report import told_once
+from pb4u.evaluation.rollout import RolloutJob, SceneRecord, attempt
+from pb4u.evaluation.tables import terms_tables
+from pb4u.evaluation.worker_pool import Attempt, Outcome, WorkerPool
 from pb4u.scene.scene import Scene
 
 FRAMES = 3
@@ -32,23 +32,23 @@ REQUEST = Request(
 )  # fmt: skip
 
 
-class Here(Crew):
+class Here(WorkerPool):
     """Does every job at once, in this process."""
 
-    seats = 1
+    size = 1
 
     def __init__(self, attempt: Attempt) -> None:
         self._attempt = attempt
         self.did: list[str] = []
         self._waiting: deque[RolloutJob] = deque()
 
-    def give(self, job: RolloutJob) -> None:
+    def submit(self, job: RolloutJob) -> None:
         self._waiting.append(job)
 
-    def collect(self) -> Outcome:
+    def next_outcome(self) -> Outcome:
         job = self._waiting.popleft()
         self.did.append(str(job))
-        return Outcome(job, self._attempt(job))
+        return job, self._attempt(job)
 
     def close(self) -> None:
         self._waiting.clear()
@@ -66,17 +66,17 @@ def balls(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> No
 
     monkeypatch.setattr(rollout, "_scene", made)
     if "plots" not in request.node.name:
-        tables_alone = replace(PROTOCOLS["resolution"], views=(TermsTable(),))
-        monkeypatch.setitem(PROTOCOLS, "resolution", tables_alone)
+        monkeypatch.setitem(PROTOCOLS, "resolution", replace(PROTOCOLS["resolution"], pictured=False))
+        monkeypatch.setitem(report.VIEWS, "resolution", (terms_tables,))
 
 
 def run(
     request: Request, out: Path, attempt: Attempt = attempt, retry: bool = False
 ) -> tuple[dict, list[str], list[str]]:
     said: list[str] = []
-    crew = Here(attempt)
-    results = evaluate(request, out, lambda: crew, retry, said.append)
-    return results, crew.did, said
+    pool = Here(attempt)
+    results = evaluate(request, out, lambda: pool, retry, said.append)
+    return results, pool.did, said
 
 
 def cell(results: dict, **wanted: object) -> dict:
@@ -91,9 +91,10 @@ def test_a_run_is_summed_up_by_scene(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "run" / "results.json").read_text()) == results
     rows = [row for row in results["rollouts"] if row["level"] == "11K"]
     by = {(row["model"], row["motion"]): row for row in rows}
+    above_ground = set(ENERGIES) - {"gravity", "total"}
     for motion in ("walk", "jump"):
         skinning, solver = by["skinning", motion], by["solver", motion]
-        above = [sum(row["result"]["metrics"][term]["mean"] for term in ABOVE_GROUND) for row in (skinning, solver)]
+        above = [sum(row["result"]["metrics"][term]["mean"] for term in above_ground) for row in (skinning, solver)]
         assert skinning["ratio_to_floor"] == pytest.approx(above[0] / above[1])
         assert solver["ratio_to_floor"] == 1.0
         assert skinning["floor"] == "solver run"
@@ -156,7 +157,7 @@ def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path: Path, monke
 
 
 def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
-    def interrupted(job: RolloutJob) -> rollout.Rolled | rollout.Refused:
+    def interrupted(job: RolloutJob) -> rollout.Rollout | rollout.Failure:
         if job.scene.motion == "jump":
             raise KeyboardInterrupt
         return attempt(job)
@@ -203,7 +204,7 @@ def test_a_run_that_broke_off_is_counted_and_has_no_ratio(tmp_path: Path, monkey
 def test_weights_that_changed_after_planning_are_not_taken_for_the_old_ones(tmp_path: Path) -> None:
     file = weights(tmp_path / "net.safetensors")
 
-    def changed(job: RolloutJob) -> rollout.Rolled | rollout.Refused:
+    def changed(job: RolloutJob) -> rollout.Rollout | rollout.Failure:
         weights(tmp_path / "net.safetensors", seed=1)
         return attempt(job)
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pb4u.evaluation import rollout_job
-from pb4u.evaluation.rollout_job import ModelRecord, RolloutJob, SceneRecord, Settings, digest
+from pb4u.evaluation import rollout
+from pb4u.evaluation.rollout import ModelRecord, RolloutJob, SceneRecord, Settings, digest
 
 SCENE = SceneRecord("tshirt", "woman", "walk", 2000, 400, 3)
 JOB = RolloutJob(SCENE, ModelRecord("solver", "solver"), Settings())
@@ -38,9 +38,9 @@ def test_other_work_has_another_address(other: RolloutJob) -> None:
 
 def test_versions_change_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
     before = JOB.key
-    monkeypatch.setattr(rollout_job, "PROTOCOL_VERSION", 99)
+    monkeypatch.setattr(rollout, "PROTOCOL_VERSION", 99)
     raised = JOB.key
-    monkeypatch.setattr(rollout_job, "__version__", "99.0")
+    monkeypatch.setattr(rollout, "__version__", "99.0")
     assert len({before, raised, JOB.key}) == 3
 
 
