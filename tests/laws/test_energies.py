@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tests.network_scenes import placed
 from tests.physics.shapes import (
     DT,
     EVALUATION,
@@ -24,7 +25,6 @@ from pb4u.physics.contact.collision import REFERENCE_AREA
 from pb4u.physics.contact.friction import Friction
 from pb4u.physics.energy_term import EnergyTerm, NullTerm, corner_pairs
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.scene.packed import ColliderFrame
 from pb4u.scene.state import State
 
 DTYPES = [(torch.float64, 1e-10), (torch.float32, 1e-5)]
@@ -159,12 +159,6 @@ def test_friction_carries_the_load_of_the_step_before() -> None:
     assert value(light, moved, "friction") == pytest.approx(value(usual, moved, "friction"), rel=1e-9)
 
 
-def without_ground(frame: ColliderFrame | None) -> ColliderFrame:
-    assert frame is not None
-    bodies = replace(frame.colliders, ground_height=None)
-    return ColliderFrame(*(bodies.pose(at.positions) for at in (frame.previous, frame.now, frame.following)))
-
-
 def crumpled(seed: int = 0) -> tuple[StepPotential, torch.Tensor]:
     garments = packed(tube(12, 6, 0.155, 0.5))
     body = capsule()
@@ -225,7 +219,8 @@ def test_curvature_is_the_derivative_of_the_gradient(name: str, monkeypatch: pyt
         planes = contacts.next
         assert planes is not None
         x += (1.8e-3 - planes.signed_distance(x))[:, None] * planes.normals
-        at = replace(at, collider=without_ground(at.collider))
+        assert at.collider is not None
+        at = replace(at, collider=placed(at.collider, bodies=replace(at.collider.colliders, ground_height=None)))
     direction = torch.randn(x.shape, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     h = 1e-7 if name != "friction" else 1e-9
     plus, minus = (term.energies_and_gradient(at, contacts, x + s * h * direction)[1] for s in (1, -1))
