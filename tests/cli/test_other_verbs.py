@@ -17,7 +17,7 @@ from pb4u.garment.garment import SourceMesh
 from pb4u.garment.obj_file import read_obj
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.skinning_simulator import SkinningSimulator
+from pb4u.simulation.simulator import SkinningSimulator
 
 CUBE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 

@@ -19,8 +19,7 @@ from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.skinning_simulator import SkinningSimulator
+from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 
 SMALL = ("--triangles", 1000, "--lead-in", 0, "--model", "skinning")
 
