@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tests.network_scenes import COTTON, DT, moment, sheet
+from tests.network_scenes import COTTON, DT, moment, placed, sheet
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
@@ -79,7 +79,7 @@ def test_node_features_are_what_they_say():
     for name in ("areal_density", "vertex_mass", "material"):
         assert bool((body[name] == -1).all())
     assert set(graph.nodes["body"].types.tolist()) == {NodeType.BODY}
-    moves = at.collider.now - at.collider.previous
+    moves = at.collider.now.positions - at.collider.previous.positions
     assert all((moves - row).abs().sum(dim=1).min() == 0 for row in body["velocity"])
 
 
@@ -141,16 +141,16 @@ def test_world_edges_join_the_nearest_body_vertices_in_reach_and_run_both_ways(n
     at = moment([sheet(6, 8), sheet(5, 5, edge=0.02)])
     layout = FeatureLayout()
     graph = built(at, rule=WorldEdgeRule(0.03, neighbours))
-    body = at.collider
-    distance = torch.cdist(at.state.positions, body.now)
-    distance[at.garments.vertex_garment[:, None] != body.vertex_garment[None]] = torch.inf
+    before, now, following = (pose.positions for pose in (at.collider.previous, at.collider.now, at.collider.following))
+    distance = torch.cdist(at.state.positions, now)
+    distance[at.garments.vertex_world[:, None] != at.collider.colliders.vertex_world[None]] = torch.inf
     expected = set()
     for vertex, row in enumerate(distance):
         for target in row.argsort()[:neighbours].tolist():
             if row[target] <= 0.03:
                 expected.add((vertex, target))
     assert expected
-    body_vertex = {tuple(row): i for i, row in enumerate((body.now - body.previous).tolist())}
+    body_vertex = {tuple(row): i for i, row in enumerate((now - before).tolist())}
     of_node = [body_vertex[tuple(row)] for row in graph.nodes["body"].features[:, :3].tolist()]
     into, back = graph.edges["body_to_garment"], graph.edges["garment_to_body"]
     assert {
@@ -165,15 +165,16 @@ def test_world_edges_join_the_nearest_body_vertices_in_reach_and_run_both_ways(n
         nodes = edges.senders.index if edges is into else edges.receivers.index
         vertex = torch.tensor(of_node)[nodes]
         made = columns(edges.features, layout.world_edge_columns)
-        torch.testing.assert_close(made["relative_now"], sign * (at.state.positions[garment] - body.now[vertex]))
-        torch.testing.assert_close(made["relative_next"], sign * (at.state.positions[garment] - body.following[vertex]))
+        torch.testing.assert_close(made["relative_now"], sign * (at.state.positions[garment] - now[vertex]))
+        torch.testing.assert_close(made["relative_next"], sign * (at.state.positions[garment] - following[vertex]))
         torch.testing.assert_close(made["distance_now"], made["relative_now"].norm(dim=1, keepdim=True))
 
 
 def test_body_vertices_out_of_contact_have_no_edges():
     at = moment([sheet(6, 8)])
     near = built(at).edges["body_to_garment"].edge_count
-    none = replace(at.collider, contact=torch.zeros_like(at.collider.contact))
+    bodies = at.collider.colliders
+    none = placed(at.collider, bodies=replace(bodies, contact=torch.zeros_like(bodies.contact)))
     assert near > 0
     assert set(built(replace(at, collider=none)).edges) == {"mesh"}
 

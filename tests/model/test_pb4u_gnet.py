@@ -173,6 +173,7 @@ def test_every_preset_runs_and_uses_all_its_weights():
 def test_without_a_body_near_it_runs_on_the_garment_alone():
     model = model_of(TINY)
     with_far_body = moment([sheet(6, 7)])
-    far = replace(with_far_body.collider, now=with_far_body.collider.now + 5.0)
+    body = with_far_body.collider
+    far = replace(body, now=body.colliders.pose(body.now.positions + 5.0))
     alone = accelerations(model, replace(with_far_body, collider=None))
     assert torch.equal(accelerations(model, replace(with_far_body, collider=far)), alone)

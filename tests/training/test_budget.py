@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from pb4u.training.explosion_guard import ExplosionGuard
+
+from pb4u.training.budget import ExplosionGuard
 
 
 def watched(energies: list[float]) -> ExplosionGuard:
