@@ -1,4 +1,4 @@
-"""One clip in the scene of one page: a garment on a body, at its place beside the others."""
+"""One clip in the scene of one page: garments on a body, at its place beside the others."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ import numpy as np
 
 from pb4u.export.shading import CLOTH, SKIN
 from pb4u.viewer.clip import Clip
-from pb4u.viewer.coloured_mesh import ColouredMesh
 from pb4u.viewer.overlay import Overlay, Shaded
-from pb4u.viewer.surface import PaintedSurface, PlainSurface, Surface
+from pb4u.viewer.surface import PaintedSurface, PlainSurface, Surface, coloured_glb
 
 if TYPE_CHECKING:
     from viser import SceneApi
 
+_FOOT_HEIGHT, _FOOT_LENGTH = 0.12, 0.25
+"""Of an adult's foot, ankle included [m]: what lies that low shades the ground, at least as far as one foot does."""
+
+_PATCH_SPREAD = 1.9
+"""Size of the patch over that of the feet: it fades to nothing at its rim, so half of it lies beyond them."""
+
 
 class Figure:
-    """A garment and a body.
+    """The cloth and the body of a clip.
 
     Args:
         scene: of one page.
@@ -49,7 +54,7 @@ class Figure:
         self._versions += 1
         name, header = f"{self._name}/garment{self._versions}", self.clip.header
         if self._overlay.painted:
-            return PaintedSurface(self._scene, name, header.faces, len(header.rest_positions))
+            return PaintedSurface(self._scene, name, header.faces)
         return PlainSurface(self._scene, name, header.faces, CLOTH, self._overlay.wireframe)
 
     @property
@@ -58,7 +63,13 @@ class Figure:
         return self._waiting is not None
 
     def show(self, t: int, body: bool, follow: bool) -> None:
-        """Send frame t, and reveal the one before where that waits."""
+        """Send a frame, and reveal the one before where that waits.
+
+        Args:
+            t: the frame.
+            body: whether the body is shown.
+            follow: whether the body stays in the middle, and the ground moves.
+        """
         self.reveal()
         positions, body_now = self.clip.garment(t), self.clip.body(t)
         colours = self._overlay.colours(t) if self._overlay.painted else None
@@ -85,8 +96,8 @@ class Figure:
 
     def _darken_ground(self, body: np.ndarray) -> None:
         """A soft patch under the feet, without which they seem to float."""
-        low = body[body[:, 1] < body[:, 1].min() + 0.12]
-        size = np.maximum(np.ptp(low[:, [0, 2]], axis=0), 0.25) * 1.9
+        low = body[body[:, 1] < body[:, 1].min() + _FOOT_HEIGHT]
+        size = np.maximum(np.ptp(low[:, [0, 2]], axis=0), _FOOT_LENGTH) * _PATCH_SPREAD
         middle = (low.max(axis=0) + low.min(axis=0)) / 2
         self._patch.scale = (float(size[0]), 1.0, float(size[1]))
         self._patch.position = (float(middle[0]), 2e-3, float(middle[2]))
@@ -107,7 +118,7 @@ def _contact_patch() -> bytes:
     faces = np.concatenate([np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, d), (a, d, c))])
     shade = np.zeros((rings.size, 4), dtype=np.uint8)
     shade[:, 3] = (75 * (1.0 - rings) ** 1.5).ravel()
-    return ColouredMesh(faces, rings.size, transparent=True).glb(points.reshape(-1, 3), shade)
+    return coloured_glb(points.reshape(-1, 3), shade, faces, transparent=True)
 
 
 def ground_position(body: np.ndarray) -> np.ndarray:

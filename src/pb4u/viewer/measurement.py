@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
-
 import numpy as np
 
 from pb4u.evaluation.metrics import ENERGIES, Ruler
 from pb4u.viewer.clip import Clip
-from pb4u.viewer.plain_sentence import plain_sentence
+from pb4u.viewer.worker import Worker, plain_sentence
 
 QUANTITIES: dict[str, str] = {
     **{name: f"{name} energy [J]" for name in ENERGIES},
@@ -19,32 +16,23 @@ QUANTITIES: dict[str, str] = {
 """What can be plotted, and how it is written."""
 
 
-class Measurement:
-    """Measures every frame of a clip in a thread of its own.
+class Measurement(Worker):
+    """Measures every frame of a clip.
 
     Args:
         clip: with all of its frames.
-        advanced: called after each frame, in that thread.
+
+    Attributes:
+        failure: why it could not be measured, in one sentence; None while nothing is wrong.
     """
 
-    def __init__(self, clip: Clip, advanced: Callable[[], None]) -> None:
+    def __init__(self, clip: Clip) -> None:
+        super().__init__("measurement")
         self.clip = clip
         self.failure: str | None = None
-        self._advanced = advanced
-        self._rows: list[dict[str, float]] = []
         self._frames = clip.frame_count
-        self._cancelled = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="pb4u measurement", daemon=True)
-        self._thread.start()
-
-    def cancel(self) -> None:
-        """End before the next frame."""
-        self._cancelled.set()
-
-    def join(self, timeout: float) -> bool:
-        """Wait; true when it has ended."""
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
+        # Written by the worker alone, one whole row at a time; readers take a copy.
+        self._rows: list[dict[str, float]] = []
 
     @property
     def done(self) -> int:
@@ -52,20 +40,16 @@ class Measurement:
         return len(self._rows)
 
     def series(self, quantity: str) -> np.ndarray:
-        """(frames,) of one quantity; NaN where it is not measured yet, or not finite."""
-        values = np.full(self._frames, np.nan)
-        for t, row in enumerate(list(self._rows)):
-            values[t] = row.get(quantity, np.nan)
-        return values
+        """(frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite."""
+        values = [row.get(quantity, np.nan) for row in list(self._rows)]
+        return np.pad(np.array(values, dtype=float), (0, self._frames - len(values)), constant_values=np.nan)
 
-    def _run(self) -> None:
+    def _work(self) -> None:
         try:
             ruler = Ruler(self.clip.trajectory())
             for t in range(self._frames):
                 if self._cancelled.is_set():
                     return
                 self._rows.append(ruler.frame(t)[0])
-                self._advanced()
         except Exception as error:
             self.failure = plain_sentence(error)
-            self._advanced()

@@ -1,21 +1,38 @@
-"""Where figures stand: light, ground, their places and the camera of one page."""
+"""The scene of one page: light, ground, figures side by side and the camera; and whether the browser keeps up."""
 
 from __future__ import annotations
 
+import contextlib
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.figure import Figure, ground_position
+from pb4u.viewer.overlay import Overlay
+from pb4u.viewer.view_state import ViewState
 
 if TYPE_CHECKING:
     from viser import ClientHandle, SceneApi
 
 _CELL = 0.5
+"""Of the grid on the ground [m]: about half a step of a walk, so that speed can be read from it."""
+
 _FIELD_OF_VIEW = np.deg2rad(30.0)
+"""Of a portrait lens: a wider one would draw near limbs too large."""
+
 _AZIMUTH, _ELEVATION = np.deg2rad(25.0), np.deg2rad(8.0)
+"""From where one clip is seen: front and side at once, from the height of the chest."""
+
 _GAP = 0.25
+"""Between bodies that stand side by side [m]: room for a skirt that swings out."""
+
+_IN_FLIGHT = 2
+"""Frames that may be under way: one is drawn while the next one travels."""
+
+_PATIENCE = 5.0
+"""Seconds after which a frame counts as lost, so that a browser that never answers is sent another."""
 
 
 def light(scene: SceneApi) -> None:
@@ -29,8 +46,12 @@ def light(scene: SceneApi) -> None:
         scene.add_light_directional(f"/light/{name}", intensity=intensity, position=direction)
 
 
-class Stage:
-    """The scene of one page."""
+class Display:
+    """What one page draws, sent no faster than its browser takes it in. One thread alone works with it.
+
+    Args:
+        client: the window.
+    """
 
     def __init__(self, client: ClientHandle) -> None:
         self._client = client
@@ -43,9 +64,16 @@ class Stage:
             section_thickness=0.9, cell_color=(214, 216, 220), section_color=(196, 199, 204), fade_distance=14.0,
             fade_strength=1.5, shadow_opacity=0.25, plane_color=(240, 241, 243), plane_opacity=1.0,
         )  # fmt: skip
+        self._questions = ThreadPoolExecutor(_IN_FLIGHT, thread_name_prefix="pb4u browser")
+        self._asked: list[Future[None]] = []
+
+    @property
+    def clips(self) -> tuple[Clip, ...]:
+        """What stands there."""
+        return tuple(figure.clip for figure in self.figures)
 
     def set_up(self, clips: tuple[Clip, ...]) -> None:
-        """Replace all figures."""
+        """Replace all figures; their garments are shaded until they are painted."""
         for figure in self.figures:
             figure.remove()
         self._set += 1
@@ -54,16 +82,36 @@ class Stage:
             for n, (clip, place) in enumerate(zip(clips, places(clips), strict=True))
         )
 
-    def show(self, frames: list[int], body: bool, follow: bool) -> None:
-        """Send a frame of every figure; the ground slides below them where the view follows."""
-        for figure, t in zip(self.figures, frames, strict=True):
-            figure.show(t, body, follow)
-        away = ground_position(self.figures[0].clip.body(frames[0])) if follow and self.figures else np.zeros(3)
-        self._ground.position = tuple(-np.mod(away, 2 * _CELL))
+    def paint(self, looks: tuple[Overlay, ...]) -> None:
+        """Paint the garments another way from the next frame on; one overlay for each clip."""
+        for figure, look in zip(self.figures, looks, strict=True):
+            figure.look(look)
 
-    def cast_shadows(self, cast: bool) -> None:
-        """Let the key light cast shadows; it draws everything four times, which a software renderer feels."""
-        self._key.cast_shadow = cast
+    def show(self, state: ViewState) -> None:
+        """Send a frame of every figure; the ground slides below them where the view follows."""
+        frames = [state.frame_of(clip, state.clock.frame) for clip in self.clips]
+        with self._client.atomic():
+            for figure, t in zip(self.figures, frames, strict=True):
+                figure.show(t, state.body, state.follow)
+            away = ground_position(self.clips[0].body(frames[0])) if state.follow else np.zeros(3)
+            self._ground.position = tuple(-np.mod(away, 2 * _CELL))
+        self._asked.append(self._questions.submit(self._wait_for_browser))
+
+    @property
+    def ready(self) -> bool:
+        """Whether the browser has kept up, so that another frame may be sent."""
+        self._asked = [future for future in self._asked if not future.done()]
+        return len(self._asked) < _IN_FLIGHT
+
+    def _wait_for_browser(self) -> None:
+        """Ask after a frame; messages are handled in the order sent, so an answer says that it was taken in.
+
+        What is asked for is an entry of the browser's local storage that nobody wrote; it is the library's one
+        question that costs nothing.
+        """
+        # No answer: the window is gone, has no storage, or is out of sight and does not draw.
+        with contextlib.suppress(RuntimeError, TimeoutError):
+            self._client.local_storage.get_item("pb4u", timeout=_PATIENCE)
 
     @property
     def waits(self) -> bool:
@@ -72,16 +120,25 @@ class Stage:
 
     def reveal(self) -> None:
         """Bring it into sight."""
-        for figure in self.figures:
-            figure.reveal()
+        with self._client.atomic():
+            for figure in self.figures:
+                figure.reveal()
+
+    def cast_shadows(self, cast: bool) -> None:
+        """Let the key light cast shadows; it draws everything four times, which a software renderer feels."""
+        self._key.cast_shadow = cast
+
+    def close(self) -> None:
+        """Ask the browser no more."""
+        self._questions.shutdown(wait=False, cancel_futures=True)
 
     def frame_camera(self, follow: bool) -> None:
         """Look at all garments from the front, a little to the side."""
-        shown = [figure.clip for figure in self.figures if figure.clip.frame_count]
+        shown = tuple(clip for clip in self.clips if clip.frame_count)
         if not shown:
             return
         corners = []
-        for clip, place in zip(shown, places(tuple(shown)), strict=True):
+        for clip, place in zip(shown, places(shown), strict=True):
             away = ground_position(clip.body(0)) if follow else np.zeros(3)
             points = np.concatenate([clip.garment(0), clip.body(0)]) - away + place
             corners += [points.min(axis=0), points.max(axis=0)]
