@@ -104,16 +104,19 @@ def test_a_thread_that_reads_does_not_undo_what_another_sets() -> None:
     """The page reads the clock while a user seeks: the read begins before the seek and ends after it."""
     reading, sought = threading.Event(), threading.Event()
 
-    def now() -> float:
-        if threading.current_thread() is reader and not sought.is_set():
-            reading.set()
-            sought.wait(10.0)
-        return 1.0
+    class Rate(float):
+        """Frames per second that the reader stops at, in the middle of its calculation."""
 
-    reader = threading.Thread(target=lambda: clock.frame)
-    clock = PlaybackClock(now)
-    clock.load(fps=30.0, frame_count=60)
+        def __rmul__(self, seconds: float) -> float:
+            if threading.current_thread() is reader:
+                reading.set()
+                sought.wait(10.0)
+            return seconds * float(self)
+
+    clock = PlaybackClock(lambda: 1.0)
+    clock.load(fps=Rate(30.0), frame_count=60)
     clock.play()
+    reader = threading.Thread(target=lambda: clock.frame)
     reader.start()
     assert reading.wait(10.0)
     clock.pause_at(40)
