@@ -24,19 +24,19 @@ class Hearer:
         self.sentence, self.ending = "", Ending.failed
         self.clip: GrowingClip | None = None
 
-    def simulation_advanced(self, clip: GrowingClip, done: int, total: int) -> None:
+    def advanced(self, clip: GrowingClip, done: int, total: int) -> None:
         self.clip = clip
         self.steps.append((done, total))
         self.frames.append(clip.frame_count)
 
-    def simulation_ended(self, clip: GrowingClip | None, sentence: str, ending: Ending) -> None:
+    def ended(self, clip: GrowingClip | None, sentence: str, ending: Ending) -> None:
         assert clip is self.clip
         self.sentence, self.ending = sentence, ending
 
 
 def test_frames_arrive_one_by_one() -> None:
     hearer = Hearer()
-    simulation = LiveSimulation(TINY, hearer)
+    simulation = LiveSimulation(TINY, hearer.advanced, hearer.ended)
     simulation.start()
     assert simulation.join(60.0)
     assert hearer.ending is Ending.finished
@@ -55,13 +55,13 @@ def test_cancelling_ends_it_before_the_next_step(after: int) -> None:
     """In the lead-in, where no frame comes out, as well as later."""
 
     class Impatient(Hearer):
-        def simulation_advanced(self, clip: GrowingClip, done: int, total: int) -> None:
-            super().simulation_advanced(clip, done, total)
+        def advanced(self, clip: GrowingClip, done: int, total: int) -> None:
+            super().advanced(clip, done, total)
             if done == after:
                 simulation.cancel()
 
     hearer = Impatient()
-    simulation = LiveSimulation(TINY, hearer)
+    simulation = LiveSimulation(TINY, hearer.advanced, hearer.ended)
     simulation.start()
     assert simulation.join(60.0)
     assert hearer.ending is Ending.cancelled
@@ -75,7 +75,7 @@ def test_what_fails_becomes_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys
 
     monkeypatch.setattr("pb4u.viewer.live_simulation.assemble", fail)
     hearer = Hearer()
-    simulation = LiveSimulation(TINY, hearer)
+    simulation = LiveSimulation(TINY, hearer.advanced, hearer.ended)
     simulation.start()
     assert simulation.join(60.0)
     assert hearer.ending is Ending.failed

@@ -19,8 +19,7 @@ from pb4u.evaluation.metrics import Ruler, measure
 from pb4u.scene.trajectory import Trajectory
 from pb4u.viewer.clip import GrowingClip, RecordedClip
 from pb4u.viewer.export_panel import deliver
-from pb4u.viewer.measurement import Measurement
-from pb4u.viewer.plot_panel import chart_data
+from pb4u.viewer.plot_panel import Measurement, chart_data
 
 
 def test_measurements_are_those_of_the_command_line() -> None:
@@ -44,7 +43,7 @@ def test_measuring_can_be_ended(monkeypatch: pytest.MonkeyPatch) -> None:
             go_on.wait(10.0)
             return measured
 
-    monkeypatch.setattr("pb4u.viewer.measurement.Ruler", Slow)
+    monkeypatch.setattr("pb4u.viewer.plot_panel.Ruler", Slow)
     measurement = Measurement(RecordedClip(trajectory(8), "a"))
     measurement.start()
     assert one.wait(10.0)

@@ -115,7 +115,7 @@ def session(studio: Any, window: Window) -> Any:
 def test_it_opens_and_plays(window: Window, session: Any) -> None:
     wait_for(lambda: window.says("frame 0 of 19"), "the trajectory is shown")
     window.button("Play")
-    wait_for(lambda: session.state.clock.playing and session.frames_sent > 3, "frames are sent")
+    wait_for(lambda: session.state.clock.playing and not window.says("frame 0 of 19"), "it goes on")
     window.button("Pause")
     wait_for(lambda: not session.state.clock.playing, "it stands still")
     window.button("last")
@@ -198,7 +198,7 @@ def test_an_impossible_wish_is_answered_on_the_page(window: Window, session: Any
     window.choose("Model", "newton")
     before = session.simulation
     coarse = SceneSpecification((GarmentSpecification(triangles=7),))
-    session.panels.simulation.run = lambda: RunSpecification(coarse)
+    session.simulation_panel.run = lambda: RunSpecification(coarse)
     window.button("Simulate")
     wait_for(lambda: window.says("triangles must lie between 400 and 40,000"), "it says what is wrong")
     assert session.simulation is before

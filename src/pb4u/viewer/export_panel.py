@@ -8,31 +8,22 @@ import tempfile
 import threading
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, unknown_name
 from pb4u.export.registry import WRITERS, export
 from pb4u.viewer.clip import Clip
-from pb4u.viewer.panel import Panel, Requests, Tone, notice
-
-if TYPE_CHECKING:
-    from viser import GuiApi
+from pb4u.viewer.panel import Panel, Tone, notice
 
 # Pictures are drawn with OpenGL, whose contexts do not share threads well, and two windows may keep the same name.
 _ONE_AT_A_TIME = threading.Lock()
 
 
 class ExportPanel(Panel):
-    """Format, and which clip where there are two.
+    """Format, and which clip where there are two."""
 
-    Args:
-        gui: controls of one page.
-        requests: where the user's requests go.
-    """
-
-    def __init__(self, gui: GuiApi, requests: Requests) -> None:
-        super().__init__(requests)
+    def _add_controls(self) -> None:
+        gui = self._gui
         self._format = gui.add_dropdown("Format", list(WRITERS), initial_value=".npz")
         self._which = gui.add_dropdown("Trajectory", ("left", "right"), visible=False)
         self._go = gui.add_button("Export")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from enum import Enum
-from typing import Protocol
 
 from pb4u.body.library import body_names
 from pb4u.errors import InputError, unknown_name
@@ -25,7 +25,7 @@ MOST_FRAMES = 600
 """20 s at 30 frames per second; at the most triangles about half a gigabyte, all of which is held in memory."""
 
 MOST_REFINING = 100
-"""Iterations a step; the solver alone needs fewer in nearly every step."""
+"""Iterations a step: twenty times what a network is given unless told otherwise."""
 
 
 def require_offered(run: RunSpecification) -> None:
@@ -67,28 +67,6 @@ class Ending(Enum):
     failed = "failed"
 
 
-class Listener(Protocol):
-    """Hears from a simulation, in the thread that computes it."""
-
-    def simulation_advanced(self, clip: GrowingClip, done: int, total: int) -> None:
-        """Another step is done, or another frame is in the clip.
-
-        Args:
-            clip: the frames so far, none during the lead-in.
-            done: steps done, lead-in included.
-            total: steps in all, lead-in included.
-        """
-
-    def simulation_ended(self, clip: GrowingClip | None, sentence: str, ending: Ending) -> None:
-        """It is over.
-
-        Args:
-            clip: the frames there are; None where it could not begin.
-            sentence: how it ended, in words.
-            ending: how it ended.
-        """
-
-
 class _Cancelled(Exception):
     pass
 
@@ -98,12 +76,19 @@ class LiveSimulation(Worker):
 
     Args:
         run: what is simulated, and how.
-        listener: hears how far it is.
+        advanced: called with the clip so far, the steps done and the steps in all, both with the lead-in, after every
+            step and every frame, in the thread that computes.
+        ended: called at the end with the clip, or None where it could not begin, how it ended in words, and how.
     """
 
-    def __init__(self, run: RunSpecification, listener: Listener) -> None:
+    def __init__(
+        self,
+        run: RunSpecification,
+        advanced: Callable[[GrowingClip, int, int], None],
+        ended: Callable[[GrowingClip | None, str, Ending], None],
+    ) -> None:
         super().__init__("live simulation")
-        self._specification, self._listener = run, listener
+        self._specification, self._advanced, self._ended = run, advanced, ended
         self._clip: GrowingClip | None = None
         self._frames = run.scene.frames or 0
 
@@ -115,7 +100,7 @@ class LiveSimulation(Worker):
             sentence, ending = f"Cancelled; {there} of {self._frames} frames are there.", Ending.cancelled
         except Exception as error:
             sentence, ending = plain_sentence(error), Ending.failed
-        self._listener.simulation_ended(self._clip, sentence, ending)
+        self._ended(self._clip, sentence, ending)
 
     def _simulate(self) -> tuple[str, Ending]:
         run = self._specification
@@ -131,12 +116,12 @@ class LiveSimulation(Worker):
         def stepped(done: int, total: int) -> None:
             # Called between two steps, lead-in included: the place to stop without leaving a half-made frame.
             self._end_if_cancelled()
-            self._listener.simulation_advanced(clip, done, total)
+            self._advanced(clip, done, total)
 
         record = RunRecord()
         for frame in simulator.written_frames(scene, record, stepped):
             clip.append(frame)
-            self._listener.simulation_advanced(clip, scene.lead_in + clip.frame_count, scene.total_frames)
+            self._advanced(clip, scene.lead_in + clip.frame_count, scene.total_frames)
         if record.failed_at is not None:
             return (
                 f"The state stopped being finite at frame {record.failed_at}; {clip.frame_count} frames are there. "

@@ -19,6 +19,7 @@ from pb4u.graph.garment_graph import garment_graph
 from pb4u.model.propagation_control import ConstantDistance
 from pb4u.model.update_scaling import PerVertexScaling
 from pb4u.viewer.clip import Clip
+from pb4u.viewer.view_state import SHADED
 
 _KEPT = 512
 """Painted frames that are kept for the next time round: more than most clips have, 40 MB at 20,000 vertices."""
@@ -81,36 +82,30 @@ def _linear_colours(name: str) -> np.ndarray:
 
 
 class Overlay:
-    """One way to look at one clip.
+    """One way to look at one clip: here plain cloth in the light.
 
     Args:
         clip: what is looked at.
 
     Attributes:
         wireframe: whether edges are drawn in place of faces.
-        painted: whether `colours` are drawn.
         scale: what the colours mean; None where nothing is painted.
     """
 
     wireframe = False
-    painted = False
     scale: ColourScale | None = None
 
     def __init__(self, clip: Clip) -> None:
         self.clip = clip
 
-    def colours(self, t: int) -> np.ndarray:
-        """(vertices, 4) uint8 linear RGBA of frame t. Only where `painted`."""
-        raise NotImplementedError
+    def colours(self, t: int) -> np.ndarray | None:
+        """(vertices, 4) uint8 linear RGBA of frame t; None where nothing is painted."""
+        return None
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences for the legend."""
         return ()
-
-
-class Shaded(Overlay):
-    """Plain cloth in the light."""
 
 
 class Wireframe(Overlay):
@@ -122,7 +117,6 @@ class Wireframe(Overlay):
 class PaintedOverlay(Overlay, ABC):
     """A number at every vertex, as a colour."""
 
-    painted = True
     scale: ColourScale
 
     def __init__(self, clip: Clip) -> None:
@@ -169,7 +163,11 @@ class Strain(PaintedOverlay):
 class Penetration(PaintedOverlay):
     """Signed distance of each vertex to the body's surface, negative inside.
 
-    Raises InputError when the body's surface is open, so that it has no inside.
+    Args:
+        clip: what is looked at.
+
+    Raises:
+        InputError: the body's surface is open, so that it has no inside.
     """
 
     scale = ColourScale("Distance to the body", -0.01, 0.01, "10 mm inside", "10 mm outside", "RdBu")
@@ -217,7 +215,7 @@ class UpdateScale(PaintedOverlay):
 
 
 OVERLAYS: dict[str, type[Overlay]] = {
-    "shaded": Shaded,
+    SHADED: Overlay,
     "wireframe": Wireframe,
     "strain": Strain,
     "penetration": Penetration,

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
 from html import escape
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pb4u.simulation.run_specification import RunSpecification
 from pb4u.viewer.view_state import ViewState
 from pb4u.viewer.worker import plain_sentence
+
+if TYPE_CHECKING:
+    from viser import GuiApi
 
 
 class Requests(Protocol):
@@ -41,15 +45,21 @@ class Requests(Protocol):
         """
 
 
-class Panel:
+class Panel(ABC):
     """Some controls of one window, which turn what a user does into requests.
 
     Args:
-        requests: where they go.
+        gui: controls of one page.
+        requests: where the requests go.
     """
 
-    def __init__(self, requests: Requests) -> None:
-        self._requests = requests
+    def __init__(self, gui: GuiApi, requests: Requests) -> None:
+        self._gui, self._requests = gui, requests
+        self._add_controls()
+
+    @abstractmethod
+    def _add_controls(self) -> None:
+        """Put the controls where the page is being filled."""
 
     def _answer(self, action: Callable[[], None]) -> Callable[[Any], None]:
         """`action` for an event of the page; what it raises is said there, and what the program set is not heard."""

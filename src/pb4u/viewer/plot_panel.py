@@ -1,36 +1,76 @@
-"""Energies and strains over the frames, with a line at the frame that is shown; measured in the background."""
+"""Energies and strains over the frames: measured beside everything else the page does, and drawn as curves."""
 
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from pb4u.viewer.measurement import QUANTITIES, Measurement
-from pb4u.viewer.panel import Panel, Requests, notice
+from pb4u.evaluation.metrics import ENERGIES, Ruler
+from pb4u.viewer.clip import Clip
+from pb4u.viewer.panel import Panel, notice
+from pb4u.viewer.worker import Worker, plain_sentence
 
-if TYPE_CHECKING:
-    from viser import GuiApi
+QUANTITIES: dict[str, str] = {
+    **{name: f"{name} energy [J]" for name in ENERGIES},
+    "strain_p95": "strain, 95th percentile",
+    "penetration_percent": "vertices inside the body [%]",
+}
+"""What can be plotted, and how it is written."""
 
 _COLOURS = ("#2a5c9e", "#d9730d")
 _CURSOR = "#d33"
 
 
-class PlotPanel(Panel):
-    """One quantity of every clip over the frames.
+class Measurement(Worker):
+    """Measures every frame of a clip.
 
     Args:
-        gui: controls of one page.
-        requests: where the user's requests go.
+        clip: with all of its frames.
+
+    Attributes:
+        failure: why it could not be measured, in one sentence; None while nothing is wrong.
     """
+
+    def __init__(self, clip: Clip) -> None:
+        super().__init__("measurement")
+        self.clip = clip
+        self.failure: str | None = None
+        self._frames = clip.frame_count
+        # Written by the worker alone, one whole row at a time; readers take a copy.
+        self._rows: list[dict[str, float]] = []
+
+    @property
+    def done(self) -> int:
+        """Frames measured so far."""
+        return len(self._rows)
+
+    def series(self, quantity: str) -> np.ndarray:
+        """(frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite."""
+        values = [row.get(quantity, np.nan) for row in list(self._rows)]
+        return np.pad(np.array(values, dtype=float), (0, self._frames - len(values)), constant_values=np.nan)
+
+    def _work(self) -> None:
+        try:
+            ruler = Ruler(self.clip.trajectory())
+            for t in range(self._frames):
+                if self._cancelled.is_set():
+                    return
+                self._rows.append(ruler.frame(t)[0])
+        except Exception as error:
+            self.failure = plain_sentence(error)
+
+
+class PlotPanel(Panel):
+    """One quantity of every clip over the frames."""
 
     _EVERY = 0.2
     """Seconds between redraws: each sends all curves anew."""
 
-    def __init__(self, gui: GuiApi, requests: Requests) -> None:
-        super().__init__(requests)
-        self._gui, self._last = gui, 0.0
+    def _add_controls(self) -> None:
+        gui = self._gui
+        self._last = 0.0
         self._drawn: object = None
         self._names = {line: name for name, line in QUANTITIES.items()}
         self._quantity = gui.add_dropdown("Quantity", list(self._names), initial_value=QUANTITIES["stretch"])
@@ -52,7 +92,7 @@ class PlotPanel(Panel):
         if not measurements or now - self._last < self._EVERY or wanted == self._drawn:
             return
         self._last, self._drawn = now, wanted
-        curves = [measurement.series(self._names[title]) for measurement in measurements]
+        curves = [measurement.series(self._names.get(title, "stretch")) for measurement in measurements]
         length = max(len(curve) for curve in curves)
         curves = [np.pad(curve, (0, length - len(curve)), constant_values=np.nan) for curve in curves]
         self._draw(title, tuple(measurement.clip.label for measurement in measurements), curves, float(frame))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pb4u.body.library import body_names
 from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import material_names
@@ -13,23 +11,15 @@ from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 from pb4u.simulation.models import default_model, model_descriptions
 from pb4u.simulation.run_specification import RunSpecification
 from pb4u.viewer.live_simulation import LEAST_TRIANGLES, MOST_FRAMES, MOST_REFINING, MOST_TRIANGLES, Ending
-from pb4u.viewer.panel import Panel, Requests, Tone, notice
+from pb4u.viewer.panel import Panel, Tone, notice
 from pb4u.viewer.worker import plain_sentence
-
-if TYPE_CHECKING:
-    from viser import GuiApi
 
 
 class SimulationPanel(Panel):
-    """Garment, body, motion, material, triangle count and model; frames arrive as they are computed.
+    """Garment, body, motion, material, triangle count and model; frames arrive as they are computed."""
 
-    Args:
-        gui: controls of one page.
-        requests: where the user's requests go.
-    """
-
-    def __init__(self, gui: GuiApi, requests: Requests) -> None:
-        super().__init__(requests)
+    def _add_controls(self) -> None:
+        gui = self._gui
         usual, models = RunSpecification(), model_descriptions()
         scene, worn = usual.scene, usual.scene.garments[0]
         self._garment = gui.add_dropdown("Garment", garment_names(), initial_value=str(worn.garment))
@@ -55,7 +45,7 @@ class SimulationPanel(Panel):
         self._bar = gui.add_progress_bar(0.0, visible=False)
         self._status = gui.add_html("")
         self._start.on_click(self._answer(self._simulate))
-        self._stop.on_click(self._answer(requests.cancel))
+        self._stop.on_click(self._answer(self._requests.cancel))
 
     def run(self) -> RunSpecification:
         """What is filled in. Raises InputError where that cannot be a run."""

@@ -4,29 +4,20 @@ from __future__ import annotations
 
 import time
 from html import escape
-from typing import TYPE_CHECKING
 
 from pb4u.viewer.overlay import OVERLAYS, Overlay
-from pb4u.viewer.panel import Panel, Requests, Tone, notice
+from pb4u.viewer.panel import Panel, Tone, notice
 from pb4u.viewer.view_state import SHADED, SPEEDS, ViewState
-
-if TYPE_CHECKING:
-    from viser import GuiApi
 
 
 class TimelinePanel(Panel):
-    """Frame, time, play and pause, speed, loop and single steps.
-
-    Args:
-        gui: controls of one page.
-        requests: where the user's requests go.
-    """
+    """Frame, time, play and pause, speed, loop and single steps."""
 
     _EVERY = 0.08
     """Seconds between updates while playing: nobody can read a number that changes more often."""
 
-    def __init__(self, gui: GuiApi, requests: Requests) -> None:
-        super().__init__(requests)
+    def _add_controls(self) -> None:
+        gui = self._gui
         self._last, self._count = 0.0, -1
         self._caption = gui.add_html(_caption("No trajectory yet: choose one under Simulate.", "", ()))
         self._slider = gui.add_slider("Frame", 0, 1, 1, 0, disabled=True)
@@ -37,7 +28,7 @@ class TimelinePanel(Panel):
         self._sets(self._slider, lambda state, frame: state.clock.pause_at(int(frame)))
         self._sets(speed, lambda state, text: setattr(state.clock, "speed", float(text.split()[0])))
         self._sets(loop, lambda state, wanted: setattr(state.clock, "loop", bool(wanted)))
-        self._play.on_click(self._answer(lambda: requests.change(lambda state: state.clock.toggle())))
+        self._play.on_click(self._answer(lambda: self._requests.change(lambda state: state.clock.toggle())))
         self._step.on_click(self._answer(self._go))
 
     def _go(self) -> None:
@@ -80,16 +71,12 @@ def _caption(what: str, when: str, held: tuple[str, ...]) -> str:
 
 
 class LookPanel(Panel):
-    """What is painted on the cloth, and what stands in the scene.
+    """What is painted on the cloth, and what stands in the scene."""
 
-    Args:
-        gui: controls of one page.
-        requests: where the user's requests go.
-    """
-
-    def __init__(self, gui: GuiApi, requests: Requests) -> None:
-        super().__init__(requests)
+    def _add_controls(self) -> None:
+        gui = self._gui
         usual = ViewState()
+        self._explained: tuple[Overlay, ...] = ()
         overlay = gui.add_dropdown("Overlay", list(OVERLAYS), initial_value=usual.overlay)
         self._legend = gui.add_html("", visible=False)
         body = gui.add_checkbox("Body", usual.body)
@@ -99,9 +86,11 @@ class LookPanel(Panel):
         self._sets(overlay, lambda state, name: setattr(state, "overlay", name if name in OVERLAYS else SHADED))
         self._sets(body, lambda state, shown: setattr(state, "body", bool(shown)))
         # The camera has to be moved as well, since the scene is elsewhere when the view follows.
-        self._sets(follow, lambda state, wanted: setattr(state, "follow", bool(wanted)), then=requests.reset_camera)
+        self._sets(
+            follow, lambda state, wanted: setattr(state, "follow", bool(wanted)), then=self._requests.reset_camera
+        )
         self._sets(shadows, lambda state, cast: setattr(state, "shadows", bool(cast)))
-        camera.on_click(self._answer(requests.reset_camera))
+        camera.on_click(self._answer(self._requests.reset_camera))
 
     def explain(self, looks: tuple[Overlay, ...]) -> None:
         """Write the legend of what is painted.
@@ -109,6 +98,9 @@ class LookPanel(Panel):
         Args:
             looks: the overlay of each clip, all of one kind.
         """
+        if looks is self._explained:
+            return
+        self._explained = looks
         scale = looks[0].scale if looks else None
         self._legend.visible = scale is not None
         if scale is not None:

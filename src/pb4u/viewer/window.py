@@ -14,17 +14,15 @@ from pb4u.viewer.clip import Clip, GrowingClip
 from pb4u.viewer.display import Display
 from pb4u.viewer.export_panel import ExportPanel, deliver
 from pb4u.viewer.live_simulation import Ending, LiveSimulation, require_offered
-from pb4u.viewer.measurement import Measurement
-from pb4u.viewer.overlay import OVERLAYS
 from pb4u.viewer.panel import Requests, Tone, notice
-from pb4u.viewer.plot_panel import PlotPanel
+from pb4u.viewer.plot_panel import Measurement, PlotPanel
 from pb4u.viewer.simulation_panel import SimulationPanel
 from pb4u.viewer.view_panels import LookPanel, TimelinePanel
-from pb4u.viewer.view_state import SHADED, ViewState
+from pb4u.viewer.view_state import ViewState
 from pb4u.viewer.worker import plain_sentence
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, GuiApi
+    from viser import ClientHandle
 
 _REVEAL_AFTER = 0.1
 """Seconds that a browser is given to read a painted frame when no other follows."""
@@ -34,37 +32,6 @@ _ASK_AGAIN = 0.004
 
 _AFTER_FAILURE = 0.5
 """Seconds until a page that could not be drawn is tried again, so that its user can read why."""
-
-
-class Panels:
-    """All panels of one window.
-
-    Args:
-        gui: controls of one page.
-        requests: where the user's requests go.
-        showing: whether there is something to look at; whoever has nothing yet begins with simulating.
-    """
-
-    def __init__(self, gui: GuiApi, requests: Requests, showing: bool) -> None:
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(360)
-        self._notice = gui.add_html("", visible=False)
-        self.timeline = TimelinePanel(gui, requests)
-        tabs = gui.add_tab_group()
-        first, second = (tabs.add_tab(name) for name in (("Look", "Simulate") if showing else ("Simulate", "Look")))
-        with first if showing else second:
-            self.look = LookPanel(gui, requests)
-        with second if showing else first:
-            self.simulation = SimulationPanel(gui, requests)
-        with tabs.add_tab("Plots"):
-            self.plot = PlotPanel(gui, requests)
-        with tabs.add_tab("Export"):
-            self.export = ExportPanel(gui, requests)
-
-    def say(self, sentence: str) -> None:
-        """Keep what went wrong in sight."""
-        self._notice.content = notice(sentence, Tone.bad)
-        self._notice.visible = True
 
 
 class Window(Requests):
@@ -81,20 +48,35 @@ class Window(Requests):
         self.state = ViewState()
         self.simulation: LiveSimulation | None = None
         self.measurements: tuple[Measurement, ...] = ()
-        self.frames_sent = 0
         # Guards the state, the simulation, the measurements and the two flags below, which several threads change.
         self._lock = threading.RLock()
         self._watching_live = self._camera_due = False
         self._wake, self._closed = threading.Event(), threading.Event()
         # Of the thread of the page alone.
         self._display = Display(client)
-        self._drawn: object = None
-        self._painted = SHADED
-        self.panels = Panels(client.gui, self, bool(clips))
+        self._add_panels(bool(clips))
         if clips:
             self._load(clips)
         self._thread = threading.Thread(target=self._run, name="pb4u page", daemon=True)
         self._thread.start()
+
+    def _add_panels(self, showing: bool) -> None:
+        gui = self._client.gui
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(360)
+        self._notice = gui.add_html("", visible=False)
+        self.timeline_panel = TimelinePanel(gui, self)
+        tabs = gui.add_tab_group()
+        # Whoever has nothing to look at yet begins with simulating.
+        first, second = (tabs.add_tab(name) for name in (("Look", "Simulate") if showing else ("Simulate", "Look")))
+        with first if showing else second:
+            self.look_panel = LookPanel(gui, self)
+        with second if showing else first:
+            self.simulation_panel = SimulationPanel(gui, self)
+        with tabs.add_tab("Plots"):
+            self.plot_panel = PlotPanel(gui, self)
+        with tabs.add_tab("Export"):
+            self.export_panel = ExportPanel(gui, self)
 
     # What its panels ask for (`Requests`), from threads of the server.
 
@@ -107,7 +89,8 @@ class Window(Requests):
             self._client.add_notification(
                 "pb4u", sentence, color="red", auto_close_seconds=12.0, with_close_button=True
             )
-            self.panels.say(sentence)
+            # The notification goes by itself; what is written above the panels stays in sight.
+            self._notice.content, self._notice.visible = notice(sentence, Tone.bad), True
 
     def change(self, action: Callable[[ViewState], None]) -> None:
         with self._lock:
@@ -125,14 +108,14 @@ class Window(Requests):
         with self._lock:
             if self.simulation is not None and self.simulation.running:
                 raise InputError("A simulation is running in this window; cancel it first.")
-            self.simulation = LiveSimulation(run, self)
-            self.panels.simulation.began()
+            self.simulation = LiveSimulation(run, self._advanced, self._ended)
+            self.simulation_panel.began()
             self.simulation.start()
 
     def cancel(self) -> None:
         with self._lock:
             if self.simulation is not None and self.simulation.running:
-                self.panels.simulation.stopping()
+                self.simulation_panel.stopping()
                 self.simulation.cancel()
 
     def export(self, suffix: str, which: int) -> str:
@@ -147,7 +130,7 @@ class Window(Requests):
 
     # What the simulation tells, from its own thread.
 
-    def simulation_advanced(self, clip: GrowingClip, done: int, total: int) -> None:
+    def _advanced(self, clip: GrowingClip, done: int, total: int) -> None:
         """Show the newest frame while nobody has looked elsewhere."""
         if self.closed:
             return
@@ -160,9 +143,9 @@ class Window(Requests):
                 if self._watching_live:
                     self.state.clock.seek(clip.frame_count - 1)
             self._wake.set()
-        self.panels.simulation.progress(done, total)
+        self.simulation_panel.progress(done, total)
 
-    def simulation_ended(self, clip: GrowingClip | None, sentence: str, ending: Ending) -> None:
+    def _ended(self, clip: GrowingClip | None, sentence: str, ending: Ending) -> None:
         """Play what there is from the start, and measure it."""
         if self.closed:
             return
@@ -176,7 +159,7 @@ class Window(Requests):
                         self.state.clock.play()
                     self._measure((clip,))
             self._wake.set()
-        self.panels.simulation.ended(sentence, ending)
+        self.simulation_panel.ended(sentence, ending)
         if ending is Ending.failed:
             self.say(sentence)
 
@@ -186,7 +169,7 @@ class Window(Requests):
             self.state.load(clips)
             self._camera_due = True
             self._measure(() if any(isinstance(clip, GrowingClip) for clip in clips) else clips)
-            self.panels.export.offer(len(clips))
+            self.export_panel.offer(len(clips))
         self._wake.set()
 
     def _measure(self, clips: tuple[Clip, ...]) -> None:
@@ -232,36 +215,10 @@ class Window(Requests):
         with self._lock:
             state, measurements = self.state.frozen(), self.measurements
             camera, self._camera_due = self._camera_due, False
-        if state.picture != self._drawn and state.clips and all(clip.frame_count for clip in state.clips):
-            self._drawn = state.picture
-            self._draw(state)
-        elif self._display.waits:
-            self._display.reveal()
-        self._display.cast_shadows(state.shadows)
+        self._display.update(state)
+        self.look_panel.explain(self._display.looks)
         if camera and state.clips:
             self._display.frame_camera(state.follow)
-        self.panels.timeline.refresh(state)
-        self.panels.plot.refresh(measurements, state.clock.frame)
+        self.timeline_panel.refresh(state)
+        self.plot_panel.refresh(measurements, state.clock.frame)
         return min(state.clock.wait, _REVEAL_AFTER) if self._display.waits else state.clock.wait
-
-    def _draw(self, state: ViewState) -> None:
-        """Send the frames; what cannot be painted is said, and shown shaded."""
-        if self._display.clips != state.clips:
-            self._display.set_up(state.clips)
-            self._painted = SHADED
-        looks = None
-        if state.overlay != self._painted:
-            self._painted = state.overlay
-            try:
-                looks = tuple(OVERLAYS[state.overlay](clip) for clip in state.clips)
-                for look in looks:
-                    if look.painted:
-                        look.colours(0)
-            except Exception as error:
-                self.say(plain_sentence(error))
-                looks = tuple(OVERLAYS[SHADED](clip) for clip in state.clips)
-            self._display.paint(looks)
-        self._display.show(state)
-        self.frames_sent += 1
-        if looks is not None:
-            self.panels.look.explain(looks)
