@@ -142,6 +142,20 @@ def test_energies_are_plotted(window: Window, session: Any) -> None:
     wait_for(lambda: session.measurements[0].done == 20, "every frame is measured")
 
 
+def test_the_curves_stay_at_every_frame(window: Window, session: Any) -> None:
+    blue = """const canvas = document.querySelector(".uplot canvas");
+              const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+              let count = 0;
+              for (let i = 0; i < pixels.length; i += 4)
+                  if (pixels[i] < 90 && pixels[i + 2] > 120 && pixels[i + 3] > 100) count++;
+              return count;"""
+    for button, frame in (("first", 0), ("+ 1", 1), ("last", 19), ("first", 0), ("+ 1", 1)):
+        window.button(button)
+        wait_for(lambda frame=frame: window.says(f"frame {frame} of 19"), f"it is at frame {frame}")
+        time.sleep(1.0)  # a plot that loses its curves does so with the next data that come
+        assert window.driver.execute_script(blue) > 50
+
+
 def test_another_window_has_its_own_state_and_its_work_ends_with_it(studio: Any, window: Window, session: Any) -> None:
     first = window.driver.current_window_handle
     window.driver.switch_to.new_window("window")

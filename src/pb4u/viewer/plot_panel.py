@@ -103,25 +103,26 @@ class PlotPanel(Panel):
 
     def _draw(self, title: str, labels: tuple[str, ...], curves: list[np.ndarray], frame: float) -> None:
         """Send the curves; the plot itself is made anew where its labels change, which it cannot be told later."""
-        data, heading = chart_data(curves, frame), (title, *labels)
-        if self._plot is not None and heading == self._heading:
+        data = chart_data(curves, frame)
+        # A range has to be given: the page finds none itself where a row begins with NaN, and then draws nothing.
+        low, high = float(np.nanmin(data[-1])), float(np.nanmax(data[-1]))
+        room = 0.05 * (high - low)
+        scales: dict[str, Any] = {"x": {"time": False}, "y": {"range": (low - room, high + room)}}
+        if self._plot is not None and self._heading == (title, *labels):
             self._plot.data = data
+            if self._plot.scales != scales:
+                self._plot.scales = scales
             return
         series: list[dict[str, Any]] = [{"label": "frame"}]
         for label, colour in zip(labels, _COLOURS, strict=False):
             series.append({"label": label, "stroke": colour, "width": 2, "spanGaps": False, "points": {"show": False}})
         series.append({"label": "now", "stroke": _CURSOR, "width": 1.5, "points": {"show": False}})
-        options: dict[str, Any] = {
-            "title": title,
-            "scales": {"x": {"time": False}},
-            "axes": ({"label": "frame"}, {"size": 64}),
-            "height": 240,
-        }
-        self._heading = heading
+        options: dict[str, Any] = {"scales": scales, "axes": ({"label": "frame"}, {"size": 64}), "height": 240}
+        self._heading = (title, *labels)
         if self._plot is not None:
             self._plot.remove()
         with self._place:
-            self._plot = self._gui.add_uplot(data, tuple(series), **options)  # type: ignore[arg-type]
+            self._plot = self._gui.add_uplot(data, tuple(series), title=title, **options)  # type: ignore[arg-type]
 
 
 def chart_data(curves: list[np.ndarray], frame: float) -> tuple[np.ndarray, ...]:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pb4u.errors import InputError, MissingExtraError
+from pb4u.viewer.browser_window import BrowserWindow
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.display import light
-from pb4u.viewer.window import Window
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -46,7 +46,7 @@ class Studio:
         check_port(host, port)
         self._clips, self._out = clips, out
         self._lock = threading.Lock()
-        self._windows: dict[int, Window] = {}
+        self._windows: dict[int, BrowserWindow] = {}
         # The library announces itself on standard output, where the caller has something of its own to say.
         with redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(host, port, label="pb4u studio", verbose=False)
@@ -57,13 +57,13 @@ class Studio:
         self.url = f"http://{'localhost' if host in ('', '0.0.0.0', '127.0.0.1') else host}:{self._server.get_port()}"
 
     @property
-    def windows(self) -> tuple[Window, ...]:
+    def windows(self) -> tuple[BrowserWindow, ...]:
         """Those that are open."""
         with self._lock:
             return tuple(self._windows.values())
 
     def _connected(self, client: ClientHandle) -> None:
-        window = Window(client, self._clips, self._out)
+        window = BrowserWindow(client, self._clips, self._out)
         with self._lock:
             self._windows[client.client_id] = window
         # It may be gone before it was ready.

@@ -34,7 +34,7 @@ _AFTER_FAILURE = 0.5
 """Seconds until a page that could not be drawn is tried again, so that its user can read why."""
 
 
-class Window(Requests):
+class BrowserWindow(Requests):
     """Everything of one window: it answers the requests of its panels, hears its simulation, and draws its page.
 
     Args:
