@@ -53,7 +53,7 @@ class BrowserWindow(Requests):
         self._watching_live = self._camera_due = False
         self._wake, self._closed = threading.Event(), threading.Event()
         # Of the thread of the page alone.
-        self._display = Display(client)
+        self.display = Display(client)
         self._add_panels(bool(clips))
         if clips:
             self._load(clips)
@@ -186,7 +186,7 @@ class BrowserWindow(Requests):
         """End all work for this window; true when every thread has ended within `timeout` seconds."""
         self._closed.set()
         self._wake.set()
-        self._display.close()
+        self.display.close()
         with self._lock:
             workers = [worker for worker in (self.simulation, *self.measurements) if worker is not None]
         for worker in workers:
@@ -210,15 +210,15 @@ class BrowserWindow(Requests):
 
     def _update(self) -> float:
         """Bring the page up to date; returns seconds until it has to be looked after again."""
-        if not self._display.ready:
+        if not self.display.ready:
             return _ASK_AGAIN
         with self._lock:
             state, measurements = self.state.frozen(), self.measurements
             camera, self._camera_due = self._camera_due, False
-        self._display.update(state)
-        self.look_panel.explain(self._display.looks)
+        self.display.update(state)
+        self.look_panel.explain(self.display.looks)
         if camera and state.clips:
-            self._display.frame_camera(state.follow)
+            self.display.frame_camera(state.follow)
         self.timeline_panel.refresh(state)
         self.plot_panel.refresh(measurements, state.clock.frame)
-        return min(state.clock.wait, _REVEAL_AFTER) if self._display.waits else state.clock.wait
+        return min(state.clock.wait, _REVEAL_AFTER) if self.display.waits else state.clock.wait

@@ -41,9 +41,8 @@ class PlaybackClock:
 
     def load(self, fps: float, frame_count: int) -> None:
         """Begin anew at frame 0 of `frame_count`, paused, at `fps` frames per second [1/s]."""
-        self._playing = False
         self._fps, self.frame_count = fps, frame_count
-        self._move(0.0)
+        self.pause_at(0)
 
     def grow(self, frame_count: int) -> None:
         """More frames are there now."""
@@ -74,8 +73,9 @@ class PlaybackClock:
 
     def play(self) -> None:
         """Go on, from the start where the end was reached."""
-        self._move(0.0 if self.frame >= self.frame_count - 1 and not self._loop else None)
-        self._playing = True
+        ended = self.frame >= self.frame_count - 1 and not self._loop
+        self._settle()
+        self._position, self._playing = 0.0 if ended else self._position, True
 
     def toggle(self) -> None:
         """Pause where it plays, play where it stands."""
@@ -86,7 +86,8 @@ class PlaybackClock:
 
     def seek(self, frame: int) -> None:
         """Go to a frame, the nearest there is; playing goes on from it."""
-        self._move(float(min(max(frame, 0), max(self.frame_count - 1, 0))))
+        self._settle()
+        self._position = float(min(max(frame, 0), max(self.frame_count - 1, 0)))
 
     def step(self, frames: int) -> None:
         """Pause and go that many frames on, around the ends where it loops."""
@@ -118,13 +119,8 @@ class PlaybackClock:
         self._settle()
         self._loop = loop
 
-    def _move(self, position: float | None) -> None:
-        """Bring what is kept up to now, and go to `position` [frames] where one is given."""
-        self._settle()
-        if position is not None:
-            self._position = position
-
     def _settle(self) -> None:
+        """Bring what is kept up to now, before it is changed."""
         now = self._now()
         (self._position, self._playing), self._since = self._reading(now), now
 
