@@ -41,6 +41,14 @@ class Device(str, Enum):
     cuda = "cuda"
 
 
+class FirstFrame(str, Enum):
+    """How frame 0 is made."""
+
+    auto = "auto"
+    settled = "settled"
+    long_step = "long_step"
+
+
 class GarmentValue(NamedTuple):
     """A value for one garment by name, or for whichever its place says."""
 
@@ -174,6 +182,13 @@ def simulate(
         Device | None,
         typer.Option(help="Where a network or newton computes; the solver always runs on the CPU. Default: auto."),
     ] = None,
+    first_frame: Annotated[
+        FirstFrame | None,
+        typer.Option(
+            help="How frame 0 is made: settled by the solver, or in one long step of the method itself, as in the "
+            "paper. Default: auto, which is settled wherever the solver takes part."
+        ),
+    ] = None,
     seed: Annotated[
         int | None, typer.Option(help=f"Seed of everything random. Default: {SceneSpecification.seed}.")
     ] = None,
@@ -209,7 +224,8 @@ def simulate(
         ),
         **_given(
             model=model, propagation_steps=propagation_steps, passes=passes, refine=refine,
-            contact=None if contact is None else contact is Switch.on, device=None if device is None else device.value,
+            contact=None if contact is None else contact is Switch.on, device=device and device.value,
+            first_frame=first_frame and first_frame.value,
         ),
     )  # fmt: skip
     _simulate(run, list(out) if out else _default_targets(run.scene), save_scene, json)
