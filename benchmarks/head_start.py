@@ -18,18 +18,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pb4u.physics.integrator import integrate
+from pb4u.simulation.network_simulator import NetworkSimulator
+from pb4u.simulation.solver_simulator import SolverSimulator
+from pb4u.simulation.stage import Stage
 from torch import Tensor
 
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.physics.integrator import integrate
 from pb4u.physics.solver import Progress, Solver
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import from_pretrained
-from pb4u.simulation.network_simulator import NetworkSimulator
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.solver_simulator import SolverSimulator
-from pb4u.simulation.stage import Stage
 from pb4u.simulation.step import BallisticPredictor, Predictor, Situation, StepParts
 from pb4u.simulation.step_start import StepStart, start_of
 

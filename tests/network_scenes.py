@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import Tensor
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
-from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
+from pb4u.scene.packed import ColliderFrame, PackedColliders, PackedGarments, pack, pack_colliders
 from pb4u.scene.state import State
 
 COTTON = Material(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)
@@ -45,10 +46,7 @@ class Moment:
     collider: ColliderFrame | None
 
     def shifted(self, shift: Tensor) -> Moment:
-        collider = self.collider
-        if collider is not None:
-            moved = {name: getattr(collider, name) + shift for name in ("previous", "now", "following")}
-            collider = replace(collider, **moved)
+        collider = None if self.collider is None else placed(self.collider, lambda positions: positions + shift)
         return replace(self, state=replace(self.state, positions=self.state.positions + shift), collider=collider)
 
     def alone(self, garment: int) -> Moment:
@@ -59,18 +57,22 @@ class Moment:
         )
         collider = self.collider
         if collider is not None:
-            kept = collider.vertex_garment == garment
-            collider = replace(
-                collider,
-                previous=collider.previous[kept],
-                now=collider.now[kept],
-                following=collider.following[kept],
-                contact=collider.contact[kept],
-                vertex_garment=torch.zeros(int(kept.sum()), dtype=torch.int64),
-                faces=collider.faces[kept[collider.faces[:, 0]]] - int(kept.nonzero()[0]),
-            )
+            bodies, rows = collider.colliders, collider.colliders.world_vertices[garment]
+            faces = bodies.faces[bodies.world_faces[garment]] - rows.start
+            own = pack_colliders([faces], [bodies.contact[rows]], [0], bodies.ground_height)
+            collider = placed(collider, lambda positions: positions[rows], own)
         packed = pack([self.garments.garments[garment]], dtype=self.garments.dtype)
         return Moment(packed, state, collider)
+
+
+def placed(
+    collider: ColliderFrame, change: Callable[[Tensor], Tensor] = torch.clone, bodies: PackedColliders | None = None
+) -> ColliderFrame:
+    """Positions of all three poses changed, and their bodies replaced where given."""
+    made = bodies or collider.colliders
+    return ColliderFrame(
+        *(made.pose(change(at.positions)) for at in (collider.previous, collider.now, collider.following))
+    )
 
 
 def moment(garments: list[Garment], body: bool = True, seed: int = 0, dtype: torch.dtype = torch.float64) -> Moment:
@@ -85,24 +87,17 @@ def moment(garments: list[Garment], body: bool = True, seed: int = 0, dtype: tor
     velocities = noise(positions, 0.1)
     collider = None
     if body:
-        frames, faces, owner, base = [], [], [], 0
+        frames, faces = [], []
         for index, garment in enumerate(garments):
             extent = np.ptp(garment.vertices, axis=0)
             under = sheet(9, 9, edge=float(max(extent[0], extent[2])) / 12, seed=seed + index + 1)
             vertices = torch.as_tensor(under.vertices, dtype=dtype) - torch.tensor([0.0, 0.015, 0.0], dtype=dtype)
             frames.append(vertices)
-            faces.append(torch.as_tensor(under.faces) + base)
-            owner += [index] * len(vertices)
-            base += len(vertices)
-        now = torch.cat(frames)
-        collider = ColliderFrame(
-            previous=now + noise(now, 2e-3),
-            now=now,
-            following=now + noise(now, 2e-3),
-            faces=torch.cat(faces),
-            contact=torch.ones(base, dtype=torch.bool),
-            vertex_garment=torch.tensor(owner),
-        )
+            faces.append(torch.as_tensor(under.faces))
+        now, contact = torch.cat(frames), [torch.ones(len(part), dtype=torch.bool) for part in frames]
+        bodies = pack_colliders(faces, contact, range(len(garments)))
+        previous, following = now + noise(now, 2e-3), now + noise(now, 2e-3)
+        collider = ColliderFrame(bodies.pose(previous), bodies.pose(now), bodies.pose(following))
     return Moment(packed, State(positions, velocities, 0), collider)
 
 
@@ -112,9 +107,8 @@ def accelerations(
     steps: int | tuple[int, ...] | None = None,
     dtype: torch.dtype = torch.float64,
     origin: Tensor | None = None,
-    fixed_shapes: bool = False,
 ) -> Tensor:
-    prepared = prepared_for(model, at, steps, dtype, fixed_shapes)
+    prepared = prepared_for(model, at, steps, dtype)
     extra = {
         feature.name: torch.zeros(at.garments.vertex_count, feature.width, dtype=dtype)
         for feature in model.network.layout.extra
@@ -127,7 +121,6 @@ def prepared_for(
     at: Moment,
     steps: int | tuple[int, ...] | None = None,
     dtype: torch.dtype = torch.float64,
-    fixed_shapes: bool = False,
 ) -> PreparedGarments:
-    prepared = model.prepare(at.garments, dtype=dtype, fixed_shapes=fixed_shapes)
+    prepared = model.prepare(at.garments, dtype=dtype)
     return prepared if steps is None else prepared.with_steps(steps)

@@ -11,16 +11,13 @@ import numpy as np
 import pytest
 from tests.garment.cloth_shapes import quad_tube, saved
 
-from pb4u.cli.simulate import diverged_at
-from pb4u.evaluation.metrics import measure
-from pb4u.evaluation.skinned_centres import skinned_centres
-from pb4u.garment.obj_file import read_obj
+from pb4u.evaluation.metrics import first_diverged, measure, skinned_centres
+from pb4u.geometry.obj_file import read_obj
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.skinning_simulator import SkinningSimulator
+from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 
 SMALL = ("--triangles", 1000, "--lead-in", 0, "--model", "skinning")
 
@@ -219,7 +216,7 @@ def test_divergence_is_judged_as_the_report_does() -> None:
     found = []
     for positions in (plain.positions, wide, lost, fallen):
         run = replace(plain, positions=positions)
-        found.append(diverged_at(scene, run))
+        found.append(first_diverged(run, centres))
         assert found[-1] == measure(run, centres)["diverged_at"]
     assert found == [None, 2, 4, 3]
 

@@ -14,7 +14,7 @@ import pytest
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
-from pb4u.garment.obj_file import read_obj
+from pb4u.geometry.obj_file import read_obj
 from pb4u.scene.trajectory import Trajectory
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

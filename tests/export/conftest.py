@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pb4u.scene.trajectory import Frame, SourceTrack, Trajectory, TrajectoryHeader
+from pb4u.scene.author_mesh import SourceTrack
+from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
 AROUND, UP, FRAMES = 14, 6, 12
 

@@ -9,7 +9,8 @@ import pytest
 
 from pb4u.errors import InputError, InputWarning
 from pb4u.export.selection import on_source, select_frames
-from pb4u.scene.trajectory import Frame, SourceTrack, Trajectory, TrajectoryHeader
+from pb4u.scene.author_mesh import SourceTrack
+from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from pb4u.garment.material import Material
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.presets.networks import NETWORKS
-from pb4u.scene.packed import ColliderFrame, pack
+from pb4u.scene.packed import ColliderFrame, pack, pack_colliders
 from pb4u.scene.state import State
 
 GOLDEN = Path(__file__).with_name("golden_network.json")
@@ -49,14 +49,10 @@ def results(configuration: Pb4uConfiguration) -> dict[str, Any]:
     state = State(packed.rest_positions + 1e-3 * wave(32, 3), 0.1 * wave(32, 3, pitch=0.7), 0)
     under, faces = grid(4, 4, 0.03, height=0.985)
     now = torch.as_tensor(np.concatenate([under, under]))
-    body = ColliderFrame(
-        previous=now - 1e-3 * wave(32, 3, pitch=0.3),
-        now=now,
-        following=now + 2e-3 * wave(32, 3, pitch=0.2),
-        faces=torch.as_tensor(np.concatenate([faces, faces + 16])),
-        contact=torch.arange(32) % 7 != 0,
-        vertex_garment=torch.arange(32) // 16,
-    )
+    contact = torch.arange(32) % 7 != 0
+    bodies = pack_colliders([torch.as_tensor(faces)] * 2, [contact[:16], contact[16:]], [0, 1])
+    before, after = now - 1e-3 * wave(32, 3, pitch=0.3), now + 2e-3 * wave(32, 3, pitch=0.2)
+    body = ColliderFrame(bodies.pose(before), bodies.pose(now), bodies.pose(after))
     model = AccelerationModel(configuration.network()).double()
     for index, parameter in enumerate(model.parameters()):
         spread = parameter.shape[-1] ** -0.5 if parameter.dim() > 1 else 0.3

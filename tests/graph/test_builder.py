@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tests.network_scenes import COTTON, DT, moment, sheet
+from tests.network_scenes import COTTON, DT, moment, placed, sheet
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.triangle_mesh import vertex_normals
-from pb4u.graph.builder import graph_builder
+from pb4u.graph.builder import GraphBuilder
 from pb4u.graph.features import (
     MESH_EDGE_FEATURES,
     NODE_FEATURES,
@@ -20,6 +20,7 @@ from pb4u.graph.features import (
     FeatureLayout,
     total_width,
 )
+from pb4u.graph.garment_graph import garment_graph
 from pb4u.graph.graph import NodeType
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.scene.packed import pack
@@ -29,8 +30,12 @@ def built(at, layout=None, rule=None, **options):
     build_options = {key: options.pop(key) for key in ("origin", "extra") if key in options}
     dt = options.pop("dt", DT)
     layout = layout or FeatureLayout()
-    builder = graph_builder(at.garments, layout, rule or WorldEdgeRule(), torch.float64, **options)
+    builder = builder_of(at.garments, layout, rule or WorldEdgeRule(), **options)
     return builder.build(at.state, at.collider, dt, **build_options)
+
+
+def builder_of(packed, layout, rule, further_edges=None):
+    return GraphBuilder(garment_graph(packed, layout.material_range, torch.float64, further_edges), layout, rule)
 
 
 def columns(features, layout_columns):
@@ -74,7 +79,7 @@ def test_node_features_are_what_they_say():
     for name in ("areal_density", "vertex_mass", "material"):
         assert bool((body[name] == -1).all())
     assert set(graph.nodes["body"].types.tolist()) == {NodeType.BODY}
-    moves = at.collider.now - at.collider.previous
+    moves = at.collider.now.positions - at.collider.previous.positions
     assert all((moves - row).abs().sum(dim=1).min() == 0 for row in body["velocity"])
 
 
@@ -102,7 +107,7 @@ def test_an_isolated_vertex_gets_finite_features_and_the_mean_scale():
     garment = sheet(5, 5)
     vertices = torch.cat([torch.as_tensor(garment.vertices), torch.tensor([[5.0, 5.0, 5.0]])]).numpy()
     packed = pack([Garment("sheet", vertices, garment.faces, garment.material)])
-    builder = graph_builder(packed, FeatureLayout(node=tuple(NODE_FEATURES)), WorldEdgeRule(), torch.float64)
+    builder = builder_of(packed, FeatureLayout(node=tuple(NODE_FEATURES)), WorldEdgeRule())
     for part in ("areal_density", "vertex_mass", "node_material", "incident_length"):
         assert bool(torch.isfinite(getattr(builder.static, part)).all()), part
     torch.testing.assert_close(builder.static.incident_length[-1], builder.static.incident_length[:-1].mean())
@@ -136,16 +141,16 @@ def test_world_edges_join_the_nearest_body_vertices_in_reach_and_run_both_ways(n
     at = moment([sheet(6, 8), sheet(5, 5, edge=0.02)])
     layout = FeatureLayout()
     graph = built(at, rule=WorldEdgeRule(0.03, neighbours))
-    body = at.collider
-    distance = torch.cdist(at.state.positions, body.now)
-    distance[at.garments.vertex_garment[:, None] != body.vertex_garment[None]] = torch.inf
+    before, now, following = (pose.positions for pose in (at.collider.previous, at.collider.now, at.collider.following))
+    distance = torch.cdist(at.state.positions, now)
+    distance[at.garments.vertex_world[:, None] != at.collider.colliders.vertex_world[None]] = torch.inf
     expected = set()
     for vertex, row in enumerate(distance):
         for target in row.argsort()[:neighbours].tolist():
             if row[target] <= 0.03:
                 expected.add((vertex, target))
     assert expected
-    body_vertex = {tuple(row): i for i, row in enumerate((body.now - body.previous).tolist())}
+    body_vertex = {tuple(row): i for i, row in enumerate((now - before).tolist())}
     of_node = [body_vertex[tuple(row)] for row in graph.nodes["body"].features[:, :3].tolist()]
     into, back = graph.edges["body_to_garment"], graph.edges["garment_to_body"]
     assert {
@@ -160,32 +165,18 @@ def test_world_edges_join_the_nearest_body_vertices_in_reach_and_run_both_ways(n
         nodes = edges.senders.index if edges is into else edges.receivers.index
         vertex = torch.tensor(of_node)[nodes]
         made = columns(edges.features, layout.world_edge_columns)
-        torch.testing.assert_close(made["relative_now"], sign * (at.state.positions[garment] - body.now[vertex]))
-        torch.testing.assert_close(made["relative_next"], sign * (at.state.positions[garment] - body.following[vertex]))
+        torch.testing.assert_close(made["relative_now"], sign * (at.state.positions[garment] - now[vertex]))
+        torch.testing.assert_close(made["relative_next"], sign * (at.state.positions[garment] - following[vertex]))
         torch.testing.assert_close(made["distance_now"], made["relative_now"].norm(dim=1, keepdim=True))
 
 
 def test_body_vertices_out_of_contact_have_no_edges():
     at = moment([sheet(6, 8)])
     near = built(at).edges["body_to_garment"].edge_count
-    none = replace(at.collider, contact=torch.zeros_like(at.collider.contact))
+    bodies = at.collider.colliders
+    none = placed(at.collider, bodies=replace(bodies, contact=torch.zeros_like(bodies.contact)))
     assert near > 0
     assert set(built(replace(at, collider=none)).edges) == {"mesh"}
-    masked = built(replace(at, collider=none), fixed_shapes=True).edges["body_to_garment"]
-    assert masked.edge_count == at.garments.vertex_count
-    assert float(masked.mask.sum()) == 0
-
-
-def test_fixed_shapes_keep_their_shapes_wherever_the_body_is():
-    at = moment([sheet(6, 8)])
-    away = replace(at, collider=replace(at.collider, now=at.collider.now + 1.0))
-    shapes = []
-    for place in (at, away):
-        graph = built(place, rule=WorldEdgeRule(neighbours=2), fixed_shapes=True)
-        shapes.append({name: (s.features.shape, s.receivers.order.shape) for name, s in graph.edges.items()})
-        active = graph.nodes["body"].active
-        assert bool(active.any()) == (place is at)
-    assert shapes[0] == shapes[1]
 
 
 def test_an_extra_feature_arrives_by_name():
@@ -211,9 +202,7 @@ def test_an_unknown_feature_and_a_senseless_world_edge_rule_are_refused():
 def test_edges_that_a_network_adds_carry_the_columns_of_mesh_edges():
     at = moment([sheet(5, 6)])
     pairs = torch.tensor([[0, 12], [3, 29]])
-    builder = graph_builder(
-        at.garments, FeatureLayout(), WorldEdgeRule(), torch.float64, further_edges={"coarse": pairs}
-    )
+    builder = builder_of(at.garments, FeatureLayout(), WorldEdgeRule(), further_edges={"coarse": pairs})
     graph = builder.build(at.state, at.collider, DT)
     coarse = graph.edges["coarse"]
     assert (coarse.kind, coarse.senders.index.tolist(), coarse.receivers.index.tolist()) == (

@@ -13,7 +13,7 @@ import pytest
 import torch
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
-from tests.network_scenes import DT, Moment, accelerations, moment, prepared_for, sheet, sheet_of
+from tests.network_scenes import DT, Moment, accelerations, moment, placed, prepared_for, sheet, sheet_of
 
 from pb4u.garment.garment import Garment
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
@@ -73,8 +73,7 @@ def _on_grid(at: Moment) -> Moment:
         return (values - values.remainder(2.0**-20)).float()
 
     state = replace(at.state, positions=rounded(at.state.positions), velocities=at.state.velocities.float())
-    frames = {name: rounded(getattr(at.collider, name)) for name in ("previous", "now", "following")}
-    return replace(at, state=state, collider=replace(at.collider, **frames))
+    return replace(at, state=state, collider=placed(at.collider, rounded))
 
 
 @both_forms

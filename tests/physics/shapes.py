@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 import trimesh
 
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
+from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import ColliderFrame, PackedGarments, pack, pack_colliders
+from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
+
+DT = 1.0 / 30.0
 
 EVALUATION = Material(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)
 
@@ -55,20 +62,30 @@ def collider(
     motion: np.ndarray | float = 0.0,
     ground_height: float | None = None,
     contact: np.ndarray | None = None,
-    owner: np.ndarray | None = None,
 ) -> ColliderFrame:
     """A body that moves by `motion` [m] over the step."""
-    now = torch.as_tensor(np.asarray(vertices), dtype=torch.float64)
+    return colliders([(vertices, faces)], [0], motion, ground_height, contact)
+
+
+def colliders(
+    bodies: Sequence[tuple[np.ndarray, np.ndarray]],
+    worlds: Sequence[int],
+    motion: np.ndarray | float = 0.0,
+    ground_height: float | None = None,
+    contact: np.ndarray | None = None,
+) -> ColliderFrame:
+    """Bodies (vertices, faces), each in its world, that move by `motion` [m] over the step."""
+    now = torch.as_tensor(np.concatenate([np.asarray(vertices) for vertices, _ in bodies]), dtype=torch.float64)
     move = torch.as_tensor(np.asarray(motion), dtype=torch.float64)
-    return ColliderFrame(
-        previous=now - move,
-        now=now,
-        following=now + move,
-        faces=torch.as_tensor(np.asarray(faces), dtype=torch.int64),
-        contact=torch.ones(len(now), dtype=torch.bool) if contact is None else torch.as_tensor(contact),
-        vertex_garment=torch.zeros(len(now), dtype=torch.int64) if owner is None else torch.as_tensor(owner),
-        ground_height=ground_height,
+    touched = np.ones(len(now), dtype=bool) if contact is None else np.asarray(contact)
+    cuts = np.cumsum([len(vertices) for vertices, _ in bodies])[:-1]
+    packed = pack_colliders(
+        [torch.as_tensor(np.asarray(faces), dtype=torch.int64) for _, faces in bodies],
+        [torch.as_tensor(part) for part in np.split(touched, cuts)],
+        worlds,
+        ground_height,
     )
+    return ColliderFrame(packed.pose(now - move), packed.pose(now), packed.pose(now + move))
 
 
 def at_rest(garments: PackedGarments, positions: torch.Tensor | None = None, frame: int = 0) -> State:
@@ -76,5 +93,29 @@ def at_rest(garments: PackedGarments, positions: torch.Tensor | None = None, fra
     return State(positions=x, velocities=torch.zeros_like(x), frame=frame)
 
 
-def packed(*garments: Garment, dtype: torch.dtype = torch.float64) -> PackedGarments:
-    return pack(garments, dtype=dtype)
+def time_step(
+    garments: PackedGarments,
+    state: State | None = None,
+    collider: ColliderFrame | None = None,
+    dt: float = DT,
+    gravity: torch.Tensor | None = None,
+) -> TimeStep:
+    """A step under standard gravity, from rest by default."""
+    down = garments.rest_positions.new_tensor((0.0, -STANDARD_GRAVITY, 0.0)) if gravity is None else gravity
+    return TimeStep(garments, state or at_rest(garments), collider, dt, down)
+
+
+def potential_of(
+    garments: PackedGarments,
+    state: State | None = None,
+    collider: ColliderFrame | None = None,
+    potential: IncrementalPotential | None = None,
+) -> StepPotential:
+    """The potential of a `time_step`, the usual one by default."""
+    return (potential or IncrementalPotential()).of(time_step(garments, state, collider))
+
+
+def packed(
+    *garments: Garment, dtype: torch.dtype = torch.float64, worlds: Sequence[int] | None = None
+) -> PackedGarments:
+    return pack(garments, dtype=dtype, worlds=worlds)

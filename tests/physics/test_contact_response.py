@@ -7,22 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.physics.shapes import at_rest, capsule, collider, packed, sheet
+from tests.physics.shapes import DT, at_rest, capsule, collider, packed, sheet, time_step
 
-from pb4u.physics.contact_response import ContactResponse
+from pb4u.physics.contact.response import ContactReport, ContactResponse
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
 
-DT = 1.0 / 30.0
 
-
-def slab(thickness: float = 0.5, motion: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> ColliderFrame:
-    """A wide box whose top is at y = 0, moving by `motion` [m] to where it is at the end of the step."""
+def slab(
+    thickness: float = 0.5,
+    motion: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    top: float = 0.0,
+    ground_height: float | None = None,
+) -> ColliderFrame:
+    """A wide box whose top is at y = `top`, moving by `motion` [m] to where it is at the end of the step."""
     import trimesh
 
     box = trimesh.creation.box(extents=(4.0, thickness, 4.0))
-    box.apply_translation([0.0, -thickness / 2, 0.0])
-    return collider(box.vertices - np.array(motion), box.faces, np.array(motion))
+    box.apply_translation([0.0, top - thickness / 2, 0.0])
+    return collider(box.vertices - np.array(motion), box.faces, np.array(motion), ground_height)
 
 
 def lying(height: float, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[PackedGarments, State]:
@@ -32,9 +35,18 @@ def lying(height: float, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0))
     return garments, State(x, torch.tensor(velocity, dtype=torch.float64).expand_as(x).clone(), 1)
 
 
+def answered(
+    garments: PackedGarments, state: State, body: ColliderFrame, before: State | None = None
+) -> tuple[State, ContactReport]:
+    """The response to `state` at the end of a step from `before`, by default the same positions, and its report."""
+    reports: list[ContactReport] = []
+    after = ContactResponse(watch=reports.append).respond(time_step(garments, before or state, body), state)
+    return after, reports[0]
+
+
 def test_out_to_the_clearance_without_gaining_speed() -> None:
     garments, state = lying(-3e-3, (0.4, -0.6, 0.1))
-    after, report = ContactResponse().respond(garments, state, slab(), DT)
+    after, report = answered(garments, state, slab())
     torch.testing.assert_close(after.positions[:, 1], torch.full((16,), 5e-4, dtype=torch.float64))
     torch.testing.assert_close(after.velocities, torch.tensor([0.4, 0.0, 0.1], dtype=torch.float64).expand(16, 3))
     assert (report.pushed, report.left, report.deepest) == (16, 0, 0.0)
@@ -44,16 +56,16 @@ def test_out_to_the_clearance_without_gaining_speed() -> None:
 def test_only_the_inward_part_relative_to_the_body_is_removed() -> None:
     rising = slab(motion=(0.0, 0.02, 0.0))
     garments, state = lying(-1e-3, (0.3, 0.2, 0.0))
-    after, _ = ContactResponse().respond(garments, state, rising, DT)
+    after, _ = answered(garments, state, rising)
     assert after.velocities[0].tolist() == pytest.approx([0.3, 0.02 / DT, 0.0])
     leaving = replace(state, velocities=torch.full_like(state.velocities, 2.0))
-    after, _ = ContactResponse().respond(garments, leaving, rising, DT)
+    after, _ = answered(garments, leaving, rising)
     torch.testing.assert_close(after.velocities, leaving.velocities)
 
 
 def test_a_push_is_at_most_two_centimetres_and_the_rest_is_reported() -> None:
     garments, state = lying(-0.05)
-    after, report = ContactResponse().respond(garments, state, slab(), DT)
+    after, report = answered(garments, state, slab())
     assert report.largest_push == pytest.approx(0.02)
     assert report.left == 16
     assert report.deepest == pytest.approx(0.03)
@@ -62,12 +74,12 @@ def test_a_push_is_at_most_two_centimetres_and_the_rest_is_reported() -> None:
 
 def test_clear_vertices_and_pins_are_left_alone() -> None:
     garments, state = lying(2e-3, (0.0, -1.0, 0.0))
-    after, report = ContactResponse().respond(garments, state, slab(), DT)
+    after, report = answered(garments, state, slab())
     assert torch.equal(after.positions, state.positions)
     assert torch.equal(after.velocities, state.velocities)
     assert report.pushed == 0
     mesh = sheet(3, 3, 0.3, 0.3).with_pins(np.arange(16) == 5)
-    after, _ = ContactResponse().respond(packed(mesh), lying(-2e-3)[1], slab(), DT)
+    after, _ = answered(packed(mesh), lying(-2e-3)[1], slab())
     assert float(after.positions[5, 1]) == -2e-3
 
 
@@ -76,17 +88,15 @@ def test_back_to_the_side_it_came_from() -> None:
     plate = slab(thickness=0.02)
     garments, before = lying(1e-3)
     _, state = lying(-0.015)
-    after, _ = ContactResponse().respond(garments, state, plate, DT, before)
+    after, _ = answered(garments, state, plate, before)
     torch.testing.assert_close(after.positions[:, 1], torch.full((16,), 5e-4, dtype=torch.float64))
-    through, _ = ContactResponse().respond(garments, state, plate, DT)
+    through, _ = answered(garments, state, plate)
     assert float(through.positions[0, 1]) < -0.02
 
 
 def test_the_ground_too() -> None:
     garments, state = lying(-4e-3, (0.2, -0.5, 0.0))
-    frame = replace(slab(), ground_height=0.0)
-    away = replace(frame, **{n: getattr(frame, n) - torch.tensor([0.0, 3.0, 0.0]) for n in ("now", "following")})
-    after, report = ContactResponse().respond(garments, state, away, DT)
+    after, report = answered(garments, state, slab(top=-3.0, ground_height=0.0))
     assert float(after.positions[:, 1].min()) == pytest.approx(5e-4)
     assert after.velocities[0].tolist() == pytest.approx([0.2, 0.0, 0.0])
     assert report.pushed == 16
@@ -97,7 +107,7 @@ def test_regions_left_out_of_contact_do_not_push() -> None:
     body = capsule(count=16)
     frame = collider(body.vertices, body.faces, contact=np.asarray(body.vertices[:, 1] < -0.3))
     state = at_rest(garments)
-    after, report = ContactResponse().respond(garments, state, frame, DT)
+    after, report = answered(garments, state, frame)
     assert torch.equal(after.positions, state.positions)
     assert (report.pushed, report.left) == (0, 0)
 
@@ -105,6 +115,6 @@ def test_regions_left_out_of_contact_do_not_push() -> None:
 def test_single_precision_stays_single() -> None:
     _, state = lying(-3e-3)
     single = State(state.positions.float(), state.velocities.float(), 1)
-    after, _ = ContactResponse().respond(packed(sheet(3, 3, 0.3, 0.3), dtype=torch.float32), single, slab(), DT)
+    after, _ = answered(packed(sheet(3, 3, 0.3, 0.3), dtype=torch.float32), single, slab())
     assert after.positions.dtype == after.velocities.dtype == torch.float32
     assert float(after.positions[:, 1].min()) > 0

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import torch
-from shapes import sheet
+from tests.physics.shapes import DT, potential_of, sheet, time_step
 
+from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.descent import JacobiDescent, membrane_stiffness
-from pb4u.physics.energy_term import TimeStep
-from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.stretch import Stretch
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.state import State
-
-DT = 1.0 / 30.0
 
 
 def crumpled(garments: PackedGarments) -> State:
@@ -24,7 +21,7 @@ def crumpled(garments: PackedGarments) -> State:
 def test_a_part_of_the_descent_lowers_the_potential() -> None:
     garments = pack([sheet(12, 12)])
     state = crumpled(garments)
-    potential = IncrementalPotential().prepare(garments, state, None, DT)
+    potential = potential_of(garments, state)
     x = state.positions + DT * state.velocities
     step = JacobiDescent(garments, DT).at(potential, x)
     before, after = (float(potential.energies(at).total) for at in (x, x + 0.2 * step))
@@ -37,7 +34,7 @@ def test_pinned_vertices_are_not_pushed() -> None:
     garment = sheet(12, 12)
     garments = pack([type(garment)(garment.name, garment.vertices, garment.faces, garment.material, pins.numpy())])
     state = crumpled(garments)
-    step = JacobiDescent(garments, DT).at(IncrementalPotential().prepare(garments, state, None, DT), state.positions)
+    step = JacobiDescent(garments, DT).at(potential_of(garments, state), state.positions)
     assert torch.equal(step[pins], torch.zeros_like(step[pins]))
     assert (step[~pins].norm(dim=1) > 0).all()
 
@@ -45,10 +42,8 @@ def test_pinned_vertices_are_not_pushed() -> None:
 def test_membrane_stiffness_is_half_the_trace_of_the_second_derivative() -> None:
     garments = pack([sheet(5, 4)])
     rest = garments.rest_positions
-    still = TimeStep(
-        garments, State(rest, torch.zeros_like(rest), 0), None, DT, rest.new_zeros(3), rest.new_zeros(1, 3)
-    )
-    second = torch.autograd.functional.hessian(lambda x: Stretch().energies(still, x).sum(), rest)
+    still = time_step(garments, gravity=rest.new_zeros(3))
+    second = torch.autograd.functional.hessian(lambda x: Stretch().energies(still, ContactSet(), x).sum(), rest)
     vertex = torch.arange(garments.vertex_count)
     expected = 0.5 * second[vertex, :, vertex].diagonal(dim1=1, dim2=2).sum(-1)
     assert torch.allclose(membrane_stiffness(garments), expected, rtol=1e-10)

@@ -8,21 +8,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from tests.physics.shapes import at_rest, capsule, collider, packed, sheet, tube
+from tests.physics.shapes import DT, at_rest, capsule, collider, packed, potential_of, sheet, time_step, tube
 
 from pb4u.errors import InputError
-from pb4u.physics.conjugate_gradient import conjugate_gradient
-from pb4u.physics.divergence import DivergedError, require_finite
 from pb4u.physics.energy_term import corner_pairs
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.physics.integrator import integrate
-from pb4u.physics.solver import Progress, Solver
+from pb4u.physics.incremental_potential import TERMS, IncrementalPotential, StepPotential
+from pb4u.physics.linear_solver import conjugate_gradient
+from pb4u.physics.solver import Iteration, Solver, implicit_steps, substep_count
 from pb4u.physics.stiffness_matrix import StiffnessPattern
-from pb4u.physics.substeps import advance, substep_count
+from pb4u.physics.time_step import DivergedError, TimeStep, integrate, require_finite
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
-
-DT = 1.0 / 30.0
 
 
 def hanging_sheet(n: int) -> tuple[PackedGarments, StepPotential, torch.Tensor]:
@@ -34,7 +30,7 @@ def hanging_sheet(n: int) -> tuple[PackedGarments, StepPotential, torch.Tensor]:
     x = garments.rest_positions
     v = torch.zeros_like(x)
     v[:, 2] = torch.sin(7 * x[:, 0]) + x[:, 1]
-    step = IncrementalPotential().prepare(garments, State(x, v, 0), None, DT)
+    step = potential_of(garments, State(x, v, 0))
     return garments, step, torch.where(garments.pinned[:, None], x, x + DT * v)
 
 
@@ -43,7 +39,7 @@ def dressed_capsule(around: int, along: int) -> tuple[PackedGarments, StepPotent
     garments = packed(tube(around, along, 0.155, 0.5))
     body = capsule(count=40)
     frame = collider(body.vertices + [0, 0.25, 0], body.faces, np.array([0.02, 0.0, 0.01]))
-    step = IncrementalPotential().prepare(garments, at_rest(garments), frame, DT)
+    step = potential_of(garments, at_rest(garments), frame)
     return garments, step, garments.rest_positions
 
 
@@ -62,7 +58,7 @@ def test_iterations_do_not_depend_on_resolution(scene: str) -> None:
 
 def test_the_energy_falls_and_pins_stay() -> None:
     garments, step, start = hanging_sheet(16)
-    seen: list[Progress] = []
+    seen: list[Iteration] = []
     solution = Solver().minimise(step, start, watch=seen.append)
     totals = [p.total for p in seen]
     assert all(b <= a + 1e-12 for a, b in pairwise(totals))
@@ -84,14 +80,14 @@ def test_refine_makes_the_iterations_asked_for() -> None:
     _, step, start = dressed_capsule(24, 12)
     noise = 0.003 * torch.randn(start.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     before = float(step.energies(start + noise).total)
-    refined = Solver().refine(step, start + noise, 3)
+    refined = Solver().minimise(step, start + noise, 3)
     assert refined.iterations == 3
     assert float(refined.energies.total) < 0.05 * before
 
 
 def test_free_fall_is_found() -> None:
     garments = packed(sheet(6, 6))
-    step = IncrementalPotential().prepare(garments, at_rest(garments), None, DT)
+    step = potential_of(garments)
     solution = Solver().minimise(step, garments.rest_positions)
     fall = torch.tensor([0.0, -9.81 * DT**2, 0.0], dtype=torch.float64)
     torch.testing.assert_close(solution.positions, garments.rest_positions + fall, rtol=0, atol=1e-5)
@@ -107,7 +103,7 @@ def test_cloth_between_two_surfaces_comes_to_rest() -> None:
     x = garments.rest_positions.clone()
     x[:, 2] += 4e-4 * torch.sin(100 * x[:, 0])
     frame = collider(vertices, faces)
-    step = IncrementalPotential().prepare(garments, at_rest(garments, x), frame, DT)
+    step = potential_of(garments, at_rest(garments, x), frame)
     solution = Solver().minimise(step, x)
     assert solution.converged
     assert float(solution.positions[:, 2].abs().max()) < 5e-4
@@ -118,11 +114,12 @@ def test_a_body_that_moves_a_metre_in_a_frame_is_followed() -> None:
     body = capsule(count=24)
     frame = collider(body.vertices + [0, 0.2, 0], body.faces, np.array([1.0, 0.0, 0.0]))
     state = at_rest(garments)
-    assert substep_count(IncrementalPotential().prepare(garments, state, frame, DT).step) >= 6
-    after, _ = advance(IncrementalPotential(), Solver(), garments, state, frame, DT)
+    step = time_step(garments, state, frame)
+    assert substep_count(step) >= 6
+    after, _ = implicit_steps(IncrementalPotential(), Solver(), step)
     assert after.frame == 1
     assert torch.isfinite(after.positions).all()
-    inside = IncrementalPotential().prepare(garments, state, frame, DT).contact_at(after.positions)
+    inside = IncrementalPotential().of(step).contact_at(after.positions)
     assert inside is not None
     assert float((inside.distance < -5e-3).double().mean()) < 0.02
 
@@ -130,14 +127,7 @@ def test_a_body_that_moves_a_metre_in_a_frame_is_followed() -> None:
 def test_one_step_is_enough_for_a_slow_body() -> None:
     garments, step, _ = dressed_capsule(20, 10)
     assert substep_count(step.step) == 1
-    after, solution = advance(
-        IncrementalPotential(),
-        Solver(),
-        garments,
-        step.step.state,
-        step.step.collider,
-        DT,  # type: ignore[arg-type]
-    )
+    after, solution = implicit_steps(IncrementalPotential(), Solver(), step.step)
     torch.testing.assert_close(after.velocities, (solution.positions - garments.rest_positions) / DT)
 
 
@@ -148,7 +138,7 @@ def test_a_state_that_is_not_finite_is_named_with_its_frame() -> None:
     with pytest.raises(DivergedError, match=r"frame 7.*first vertex 5.*kept") as caught:
         require_finite(State(x, torch.zeros_like(x), 7))
     assert caught.value.frame == 7
-    step = IncrementalPotential().prepare(garments, at_rest(garments, frame=6), None, DT)
+    step = potential_of(garments, at_rest(garments, frame=6))
     with pytest.raises(DivergedError, match="frame 7"):
         Solver().minimise(step, x)
 
@@ -158,25 +148,27 @@ def test_a_time_step_must_be_positive(dt: float) -> None:
     garments = packed(sheet(2, 2))
     state = at_rest(garments)
     with pytest.raises(InputError, match="time step"):
-        IncrementalPotential().prepare(garments, state, None, dt)
-    with pytest.raises(InputError, match="time step"):
-        integrate(state, torch.zeros_like(state.positions), dt)
+        time_step(garments, state, dt=dt)
 
 
 def test_isolated_vertices_stay_where_they_are() -> None:
     mesh = sheet(3, 3)
     garments = packed(replace(mesh, vertices=np.vstack([mesh.vertices, [[5.0, 5.0, 5.0]]]), pinned=np.zeros(17, bool)))
-    step = IncrementalPotential().prepare(garments, at_rest(garments), None, DT)
+    step = potential_of(garments)
     solution = Solver().minimise(step, garments.rest_positions)
     assert solution.converged
     assert solution.positions[16].tolist() == [5.0, 5.0, 5.0]
 
 
 def test_integrator() -> None:
-    state = State(torch.zeros(2, 3), torch.tensor([[3.0, 0, 0], [0, 0, 0]]), 4)
-    acceleration = torch.tensor([[0.0, -0.01, 0], [0, -0.01, 0]], requires_grad=True)
-    pins = torch.tensor([[9.0, 9, 9], [0.1, 0.2, 0.3]])
-    after = integrate(state, acceleration, 0.1, torch.tensor([False, True]), pins)
+    garments = packed(sheet(1, 1).with_pins(np.arange(4) == 1), dtype=torch.float32)
+    velocities = torch.zeros(4, 3)
+    velocities[0, 0] = 3.0
+    acceleration = torch.tensor([[0.0, -0.01, 0]] * 4, requires_grad=True)
+    pins = torch.full((4, 3), 9.0)
+    pins[1] = torch.tensor([0.1, 0.2, 0.3])
+    state = State(torch.zeros(4, 3), velocities, 4)
+    after = integrate(TimeStep(garments, state, None, 0.1, torch.zeros(3), pins), acceleration)
     torch.testing.assert_close(after.positions[0], torch.tensor([0.3, -0.01, 0.0]))
     torch.testing.assert_close(after.velocities[0], torch.tensor([3.0, -0.1, 0.0]))
     torch.testing.assert_close(after.positions[1], pins[1])
@@ -184,7 +176,7 @@ def test_integrator() -> None:
     assert after.frame == 5
     after.positions.sum().backward()
     assert acceleration.grad is not None
-    assert acceleration.grad.tolist() == [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
+    assert acceleration.grad[:2].tolist() == [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
 
 
 @pytest.mark.parametrize("mkl", [True, False])
@@ -195,14 +187,16 @@ def test_the_stiffness_matrix_is_the_sum_of_element_blocks(mkl: bool, monkeypatc
     monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: mkl)
     garments, step, start = hanging_sheet(5)
     x = start + 0.01 * torch.randn(start.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    pattern = StiffnessPattern(garments)
+    pattern = StiffnessPattern(garments, TERMS)
     blocks = step.curvature(x)
     size = garments.vertex_count
     expected = np.zeros((size, 3, size, 3))
-    for part in blocks:
-        for pair, (i, j) in enumerate(corner_pairs(part.vertices.shape[1])):
-            for element, corners in enumerate(part.vertices.tolist()):
-                block = part.blocks[:, :, pair, element].numpy()
+    for name, values in blocks.items():
+        elements = IncrementalPotential().term(name).elements(garments)
+        assert elements is not None
+        for pair, (i, j) in enumerate(corner_pairs(elements.shape[1])):
+            for element, corners in enumerate(elements.tolist()):
+                block = values[:, :, pair, element].numpy()
                 expected[corners[i], :, corners[j]] += block
                 if i != j:
                     expected[corners[j], :, corners[i]] += block.T

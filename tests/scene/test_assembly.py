@@ -14,10 +14,11 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_garment
 from pb4u.garment.library import build_garment
 from pb4u.garment.material import MATERIALS
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.motion.library import load_motion
 from pb4u.scene.assembly import assemble, make_scene
@@ -33,7 +34,7 @@ def woman() -> ShapedBody:
 def exported(name: str, body: ShapedBody, folder: Path) -> Path:
     """A built-in garment as a file, which has no pins."""
     garment = build_garment(name, body, 600)
-    return saved(folder, SourceMesh(garment.vertices, tuple(garment.faces)), f"{name}.obj")
+    return saved(folder, PolygonMesh(garment.vertices, tuple(garment.faces)), f"{name}.obj")
 
 
 @pytest.mark.parametrize("name", ["skirt", "trousers"])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pb4u.errors import InputError
-from pb4u.scene.polygons import Polygons
-from pb4u.scene.trajectory import FORMAT_VERSION, Frame, SourceTrack, Trajectory, TrajectoryHeader, TrajectoryWriter
+from pb4u.scene.author_mesh import Polygons, SourceTrack
+from pb4u.scene.trajectory import FORMAT_VERSION, Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
 
 
 def make_trajectory(frames: int = 5, vertices: int = 700, with_source: bool = False) -> Trajectory:

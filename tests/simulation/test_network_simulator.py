@@ -16,13 +16,14 @@ from pb4u.evaluation.metrics import measure
 from pb4u.graph.graph import Graph
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
-from pb4u.simulation.contact import SurfaceContact
+from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.network_simulator import NetworkSimulator, local_origin
+from pb4u.simulation.network_pass import local_origin
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.stage import Stage
-from pb4u.simulation.step import Contact, NoContact
+from pb4u.simulation.stepwise_simulator import NetworkSimulator
+from pb4u.simulation.timeline import Timeline
 
 TINY = Pb4uConfiguration(width=16, blocks=2)
 
@@ -38,7 +39,7 @@ def weights(tmp_path: Path) -> Path:
 
 
 def test_untrained_network_with_solver_and_contact_does_not_diverge(weights: Path) -> None:
-    simulator = NetworkSimulator(load_checkpoint(weights), refine=5, contact=SurfaceContact())
+    simulator = NetworkSimulator(load_checkpoint(weights), refine=5, contact=ContactResponse(), first_frame=Settled())
     trajectory = simulator.simulate(ball_scene(frames=12))
     measured = measure(trajectory)
     assert not measured["diverged"]
@@ -69,7 +70,7 @@ def test_resolution_outside_the_range_seen_is_warned_of(weights: Path) -> None:
         NetworkSimulator(narrow).simulate(ball_scene(frames=2))
     with warnings.catch_warnings():
         warnings.simplefilter("error", InputWarning)
-        NetworkSimulator(narrow, refine=1).simulate(ball_scene(frames=2))
+        NetworkSimulator(narrow, refine=1, first_frame=Settled()).simulate(ball_scene(frames=2))
 
 
 def test_rollout_is_the_same_wherever_the_scene_stands(weights: Path) -> None:
@@ -85,18 +86,18 @@ def test_rollout_is_the_same_wherever_the_scene_stands(weights: Path) -> None:
     worn = replace(worn, placement=AttachedPlacement(worn.garment, body))
     moved = simulator.simulate(replace(there, garments=(worn,)))
     np.testing.assert_allclose(moved.positions - shift, here.positions, atol=2e-5)
-    origin = local_origin(Stage(there).collider(0))
+    origin = local_origin(Timeline.of(there).step_from(Timeline.of(there).skinned_state(0)).collider)
     assert torch.equal(origin * 16, (origin * 16).round())
 
 
 def test_velocity_after_refinement_is_the_displacement(weights: Path) -> None:
-    simulator = NetworkSimulator(load_checkpoint(weights), refine=3)
+    simulator = NetworkSimulator(load_checkpoint(weights), refine=3, first_frame=Settled())
     trajectory = simulator.simulate(ball_scene(frames=4, lead_in=0))
     displacement = (trajectory.positions[3] - trajectory.positions[2]) * 30.0
     np.testing.assert_allclose(trajectory.velocities[3], displacement, atol=1e-3)
 
 
-@pytest.mark.parametrize("contact", [NoContact(), SurfaceContact()])
+@pytest.mark.parametrize("contact", [NoContact(), ContactResponse()])
 @pytest.mark.parametrize("refine", [0, 2])
 def test_frames_before_a_network_ran_away_are_kept(
     weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, contact: Contact, refine: int
@@ -110,7 +111,8 @@ def test_frames_before_a_network_ran_away_are_kept(
 
     monkeypatch.setattr(checkpoint.model, "forward", late)
     record = RunRecord()
-    simulator = NetworkSimulator(checkpoint, refine=refine, contact=contact)
+    start: FirstFrame = Settled() if refine else OneLongStep()
+    simulator = NetworkSimulator(checkpoint, refine=refine, contact=contact, first_frame=start)
     trajectory = simulator.simulate_to(ball_scene(frames=6, lead_in=0), tmp_path / "kept.npz", record)
     assert record.failed_at == trajectory.frame_count == 3
     assert all(np.isfinite(trajectory.positions[t]).all() for t in range(3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -14,7 +15,9 @@ from pb4u.errors import InputError
 from pb4u.garment.material import Material
 from pb4u.motion.library import load_motion
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+from pb4u.simulation.first_frame import OneLongStep, Settled
 from pb4u.simulation.run_specification import RunSpecification
+from pb4u.simulation.stepwise_simulator import StepwiseSimulator
 
 numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 garments = st.builds(
@@ -145,13 +148,26 @@ def test_loaded_objects_cannot_be_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_left_open_is_decided_in_one_place() -> None:
-    alone, refined = RunSpecification(refine=0), RunSpecification(refine=5)
-    assert (alone.resolved_passes, alone.resolved_first_frame) == (None, "long_step")
-    assert (refined.resolved_passes, refined.resolved_first_frame) == (1, "settled")
-    assert RunSpecification(refine=5, passes=3).resolved_passes == 3
-    assert RunSpecification(refine=0, first_frame="settled").resolved_first_frame == "settled"
-    assert RunSpecification(model="solver", refine=0).resolved_first_frame == "settled"
+@pytest.mark.parametrize(
+    ("asked", "first"),
+    [
+        ({"refine": 0}, OneLongStep),
+        ({"refine": 5}, Settled),
+        ({"refine": 0, "first_frame": "settled"}, Settled),
+        ({"refine": 5, "first_frame": "long_step"}, OneLongStep),
+        ({"model": "solver", "refine": 0}, Settled),
+        ({"model": "solver", "first_frame": "long_step"}, OneLongStep),
+    ],
+)
+def test_the_first_frame_left_open_is_settled_where_the_solver_runs(asked: dict[str, Any], first: type) -> None:
+    simulator = RunSpecification(**{"model": "pb4u-small", "device": "cpu", **asked}).simulator()
+    assert isinstance(simulator, StepwiseSimulator)
+    assert isinstance(simulator.first_frame, first)
+
+
+def test_a_model_with_a_start_of_its_own_takes_no_other() -> None:
+    with pytest.raises(InputError, match="skinning starts in a way of its own"):
+        RunSpecification(model="skinning", first_frame="settled").simulator()
 
 
 @pytest.mark.parametrize(("refine", "passes"), [(0, None), (5, None), (5, 2)])

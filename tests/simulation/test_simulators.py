@@ -12,38 +12,44 @@ from ball_scene import ball_scene
 
 from pb4u.errors import InputError
 from pb4u.evaluation.metrics import measure
+from pb4u.physics.contact.response import ContactResponse
+from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
-from pb4u.simulation.contact import SurfaceContact
-from pb4u.simulation.first_frame import AsSkinned, FirstFrame, OneLongStep, Relaxed
+from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.skinning_simulator import SkinningSimulator
-from pb4u.simulation.solver_simulator import SolverSimulator
-from pb4u.simulation.stage import Stage
-from pb4u.simulation.step import BallisticPredictor, Predictor, Situation, StepParts, step
-from pb4u.simulation.stepwise_simulator import StepwiseSimulator, situation_at
+from pb4u.simulation.network_pass import Network
+from pb4u.simulation.simulator import RunRecord, SkinningSimulator
+from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.stepwise_simulator import SolverSimulator, StepwiseSimulator
+from pb4u.simulation.timeline import Timeline
+
+
+class AsSkinned(FirstFrame):
+    """The garments where skinning puts them."""
+
+    def start(self, timeline: Timeline, method: StepMethod) -> State:
+        return timeline.skinned_state(0)
 
 
 class FreeFall(StepwiseSimulator):
     """Flight without any physics, turning to NaN at a frame."""
 
     name = "free fall"
+    first_frame = AsSkinned()
 
     def __init__(self, fails_at: int | None = None) -> None:
         self.fails_at = fails_at
 
-    def parts(self, stage: Stage, record: RunRecord) -> StepParts:
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         fails_at = self.fails_at
 
-        class Flight(Predictor):
-            def predict(self, situation: Situation) -> State:
-                after = BallisticPredictor().predict(situation)
-                return replace(after, positions=after.positions * np.nan) if after.frame == fails_at else after
+        class Failing(Network):
+            passes = 1
 
-        return StepParts(Flight())
+            def correction(self, step: TimeStep, accelerations: torch.Tensor) -> torch.Tensor:
+                return torch.full_like(accelerations, torch.nan if step.state.frame + 1 == fails_at else 0.0)
 
-    def first_frame(self, parts: StepParts) -> FirstFrame:
-        return AsSkinned()
+        return StepMethod(network=Failing())
 
 
 def test_lead_in_is_simulated_but_not_written() -> None:
@@ -63,7 +69,7 @@ def test_skinning_carries_the_garment_with_the_body_at_its_speed() -> None:
 
 
 def test_solver_drapes_the_sheet_without_stretch_or_penetration() -> None:
-    trajectory = SolverSimulator(contact=SurfaceContact()).simulate(ball_scene(frames=10))
+    trajectory = SolverSimulator(contact=ContactResponse()).simulate(ball_scene(frames=10))
     measured = measure(trajectory)
     assert not measured["diverged"]
     assert measured["metrics"]["strain_p95"]["max"] < 0.1
@@ -91,11 +97,11 @@ def test_what_was_simulated_is_kept_when_the_state_fails(tmp_path: Path) -> None
 
 def test_a_step_changes_nothing_that_it_was_given() -> None:
     scene = ball_scene()
-    stage = Stage(scene)
-    state = AsSkinned().start(stage)
+    timeline = Timeline.of(scene)
+    state = timeline.skinned_state(0)
     before = state.positions.clone(), state.velocities.clone()
-    parts = SolverSimulator(contact=SurfaceContact()).parts(stage, RunRecord())
-    after = step(situation_at(stage, state, 0), parts)
+    method = SolverSimulator(contact=ContactResponse()).method(timeline, RunRecord())
+    after = take(timeline.step_from(state), method)
     assert torch.equal(state.positions, before[0])
     assert torch.equal(state.velocities, before[1])
     assert after.frame == 1
@@ -113,13 +119,13 @@ def test_pins_follow_the_body() -> None:
 
 
 def test_settling_lowers_the_sheet_and_leaves_it_at_rest() -> None:
-    stage = Stage(ball_scene())
-    settled = Relaxed(contact=SurfaceContact()).start(stage)
+    timeline, method = Timeline.of(ball_scene()), StepMethod(contact=ContactResponse())
+    settled = Settled().start(timeline, method)
     assert settled.frame == 0
     assert float(settled.positions[:, 1].min()) < 0.62
     assert float(settled.velocities.abs().max()) == 0.0
-    flown = OneLongStep(StepParts(BallisticPredictor()), SurfaceContact()).start(stage)
-    torch.testing.assert_close(flown.positions, AsSkinned().start(stage).positions)
+    flown = OneLongStep().start(timeline, method)
+    torch.testing.assert_close(flown.positions, timeline.skinned(0))
 
 
 def test_scene_is_repeatable() -> None:

@@ -51,11 +51,12 @@ def test_two_processes_have_the_losses_of_one(tmp_path: Path) -> None:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     root = Path(__file__).resolve().parents[2]
+    path = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
     processes = []
     for rank in range(2):
         environment = {
             **os.environ, "RANK": str(rank), "WORLD_SIZE": "2", "LOCAL_RANK": str(rank), "OMP_NUM_THREADS": "1",
-            "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "PYTHONPATH": str(root),
+            "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "PYTHONPATH": path,
         }  # fmt: skip
         command = [sys.executable, __file__, str(tmp_path / f"{rank}.pt")]
         processes.append(subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,19 +15,21 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout
 from pb4u.physics.incremental_potential import Energies
+from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.presets.networks import pb4u_small
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import load_checkpoint
-from pb4u.simulation.step import Situation
-from pb4u.simulation.step_start import FreeFlight
+from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.step import StepMethod, predictions
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget
-from pb4u.training.course import Course
 from pb4u.training.curriculum import Curriculum
 from pb4u.training.progress import draw_curve
+from pb4u.training.recovery import TrainingFailedError
 from pb4u.training.run_folder import NotSavedError, RunFolder
-from pb4u.training.trainer import RoundEnd, Trainer, TrainingFailedError
+from pb4u.training.trainer import RoundEnd, Trainer
 from pb4u.training.validation import Score
+from pb4u.training.windows import Course
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -61,9 +64,9 @@ def test_an_exploding_training_goes_back_lowers_its_rate_and_says_so(monkeypatch
     trainer = made(TINY, 30, listener=listener)
     original, calls = trainer_module.step_energies, [0]
 
-    def wild(situation: Situation, positions: Tensor, weight: float) -> Energies:
+    def wild(step: TimeStep, positions: Tensor, weight: float) -> Energies:
         calls[0] += 1
-        energies = original(situation, positions, weight)
+        energies = original(step, positions, weight)
         spoilt = torch.nan if calls[0] == 15 else 1.0
         return Energies({name: value * spoilt for name, value in energies.terms.items()})
 
@@ -81,15 +84,15 @@ def test_a_rollback_restores_weights_averages_and_moments() -> None:
     trainer.run()
     kept = trainer.learner.state()
     trainer.budget = Budget(100)
-    trainer._train_round()
+    trainer.train_round()
     assert not all(torch.equal(kept[name], value) for name, value in trainer.learner.state().items())
-    trainer._roll_back()
+    trainer.counters = trainer.recovery.roll_back(trainer.counters)
     assert all(torch.equal(kept[name], value) for name, value in trainer.learner.state().items())
 
 
 def test_a_training_that_keeps_coming_apart_ends_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = made(TINY, 50)
-    monkeypatch.setattr(Trainer, "_train_round", lambda self: RoundEnd.CAME_APART)
+    monkeypatch.setattr(Trainer, "train_round", lambda self: RoundEnd.CAME_APART)
     with pytest.raises(TrainingFailedError, match="start it with a lower"):
         trainer.run()
 
@@ -97,12 +100,12 @@ def test_a_training_that_keeps_coming_apart_ends_with_advice(monkeypatch: pytest
 def test_predictions_that_are_not_finite_are_not_learnt_from() -> None:
     trainer = made(TINY, 4)
     trainer.run()
-    course = trainer._begin(0, 1)
+    course = trainer.begin(0, 1)
     state = course.state
     before = [p.detach().clone() for p in trainer.model.parameters()]
     lost = State(state.positions * torch.nan, state.velocities, state.frame + 1)
     lost.positions.requires_grad_(True)
-    assert not trainer._learn(course.window.moving(state), lost)
+    assert not trainer.learn(course.prepared, course.window.timeline.step_from(state), lost)
     assert all(torch.equal(a, b) for a, b in zip(before, trainer.model.parameters(), strict=True))
 
 
@@ -115,12 +118,11 @@ def test_garments_of_two_sizes_and_propagation_counts_share_a_batch() -> None:
         trainer.model.load_state_dict(alone.model.state_dict())
         window = trainer.loader.load(chosen, 1)
         steps = [1 + 2 * (sample is samples[i]) for sample in chosen]
-        predictor = trainer_module.LearningPredictor(
-            trainer.model, trainer.model.prepare(window.garments).with_steps(steps), FreeFlight()
-        )
-        situation = window.moving(window.start(0.003, 0.002))
-        after = predictor.predict(situation)
-        energies = trainer_module.step_energies(situation, after.positions, 5e3)
+        prepared = trainer.model.prepare(window.timeline.garments).with_steps(steps)
+        step = window.timeline.step_from(window.start(0.003, 0.002))
+        method = StepMethod(network=NetworkPass(trainer.model, prepared, mode=nullcontext))
+        *_, accelerations = predictions(step, method)
+        energies = trainer_module.step_energies(step, integrate(step, accelerations).positions, 5e3)
         losses.append(energies.total.item() / len(chosen))
     assert losses[2] == pytest.approx((losses[0] + losses[1]) / 2, rel=1e-4)
 
@@ -128,27 +130,29 @@ def test_garments_of_two_sizes_and_propagation_counts_share_a_batch() -> None:
 @pytest.mark.parametrize("variant", ["skinned", "zero", "carried"])
 def test_the_velocity_after_settling_is_the_chosen_one(variant: str) -> None:
     trainer = made(replace(TINY, after_settling=variant), 1)
-    course = trainer._begin(0, 2)
+    course = trainer.begin(0, 2)
     window, state = course.window, course.state
     moved = 1e-3 * torch.ones_like(state.positions)
     settled = State(state.positions + moved, moved * 3.0, state.frame + 1)
-    off = trainer._set_off(course, settled)
-    expected = {"skinned": window.skinned_velocity(1), "zero": torch.zeros_like(moved), "carried": moved * 30.0}
+    off = trainer.set_off(course, settled)
+    expected = {
+        "skinned": window.timeline.skinned_velocity(1),
+        "zero": torch.zeros_like(moved),
+        "carried": moved * 30.0,
+    }
     assert off.frame == 1
     assert torch.allclose(off.velocities, expected[variant], atol=1e-6)
 
 
 def test_slowed_garments_set_off_with_half_to_all_of_the_bodys_speed() -> None:
     trainer = made(replace(TINY, after_settling="slowed"), 1)
-    course = trainer._begin(0, 2)
+    course = trainer.begin(0, 2)
     window, state = course.window, course.state
     shares = []
     for number in range(20):
-        off = trainer._set_off(
-            replace(course, number=number), State(state.positions, state.velocities, state.frame + 1)
-        )
-        share = float(off.velocities.norm() / window.skinned_velocity(1).norm())
-        assert torch.allclose(off.velocities, share * window.skinned_velocity(1), atol=1e-6)
+        off = trainer.set_off(replace(course, number=number), State(state.positions, state.velocities, state.frame + 1))
+        share = float(off.velocities.norm() / window.timeline.skinned_velocity(1).norm())
+        assert torch.allclose(off.velocities, share * window.timeline.skinned_velocity(1), atol=1e-6)
         shares.append(share)
     assert 0.5 <= min(shares) < 0.65
     assert 0.85 < max(shares) <= 1.0
@@ -171,15 +175,15 @@ def test_a_curriculum_by_the_clock_ends_by_the_clock() -> None:
 def test_the_end_of_the_minutes_does_not_wait_for_a_round(monkeypatch: pytest.MonkeyPatch) -> None:
     long = replace(TINY, interleaved=2, curriculum=Curriculum(window_steps=((0.0, 1000),), learning_rate=1e-3))
     trainer = Trainer(long, Budget(steps=None, minutes=10.0), ball_data(), ALONE, None, Listener())
-    original, taken = Trainer._advance, [0]
+    original, taken = Trainer.advance, [0]
 
     def late(self: Trainer, course: Course) -> bool:
         taken[0] += 1
         if taken[0] == 6:
-            self._clock -= 700.0
+            self.began -= 700.0
         return original(self, course)
 
-    monkeypatch.setattr(Trainer, "_advance", late)
+    monkeypatch.setattr(Trainer, "advance", late)
     assert trainer.run() == "finished"
     assert taken[0] == 6
 
@@ -200,7 +204,7 @@ def test_interleaved_windows_take_turns_until_each_is_over(monkeypatch: pytest.M
     curriculum = Curriculum(window_steps=((0.0, 3),), learning_rate=1e-3)
     trainer = made(replace(TINY, interleaved=3, curriculum=curriculum), 100)
     seen: list[tuple[int, int]] = []
-    original = Trainer._advance
+    original = Trainer.advance
 
     def noted(self: Trainer, course: Course) -> bool:
         seen.append((course.number, course.left))
@@ -208,8 +212,8 @@ def test_interleaved_windows_take_turns_until_each_is_over(monkeypatch: pytest.M
             course.left = 1
         return original(self, course)
 
-    monkeypatch.setattr(Trainer, "_advance", noted)
-    assert trainer._train_round() is RoundEnd.LEARNT
+    monkeypatch.setattr(Trainer, "advance", noted)
+    assert trainer.train_round() is RoundEnd.LEARNT
     assert seen == [(0, 3), (1, 3), (2, 3), (0, 2), (2, 2), (0, 1), (2, 1)]
     assert trainer.counters.step == 7
 
@@ -218,12 +222,12 @@ def test_a_window_does_not_care_what_it_is_interleaved_with() -> None:
     steps = {}
     for together in (1, 2):
         trainer = made(replace(TINY, interleaved=together, curriculum=Curriculum(learning_rate=1e-12)), 100)
-        course = trainer._begin(1, 2)
-        other = trainer._begin(0, 2)
+        course = trainer.begin(1, 2)
+        other = trainer.begin(0, 2)
         for _ in range(2):
-            assert trainer._advance(course)
+            assert trainer.advance(course)
             if together == 2:
-                assert trainer._advance(other)
+                assert trainer.advance(other)
         steps[together] = course.state.positions
     assert torch.allclose(steps[1], steps[2], atol=1e-6)
 
@@ -231,8 +235,8 @@ def test_a_window_does_not_care_what_it_is_interleaved_with() -> None:
 def test_a_rollback_before_the_first_checkpoint_keeps_the_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = made(replace(TINY, checkpoint_every=1000), 3)
     ends = iter([RoundEnd.CAME_APART])
-    original = Trainer._train_round
-    monkeypatch.setattr(Trainer, "_train_round", lambda self: next(ends, None) or original(self))
+    original = Trainer.train_round
+    monkeypatch.setattr(Trainer, "train_round", lambda self: next(ends, None) or original(self))
     assert trainer.run() == "finished"
     assert trainer.counters.rollbacks == 1
     for name, value in trainer.model.named_buffers():
@@ -264,20 +268,20 @@ CARRIED = replace(
 
 def test_further_passes_in_training_start_where_the_last_one_left_off(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = made(CARRIED, 100)
-    course = trainer._begin(0, 2)
+    course = trainer.begin(0, 2)
     begun: list[Tensor] = []
     reached: list[Tensor] = []
-    original = trainer_module.LearningPredictor.predict
+    original = NetworkPass.correction
 
-    def noted(self: trainer_module.LearningPredictor, situation: Situation) -> State:
-        begun.append(self._start.accelerations(situation))
-        after = original(self, situation)
-        reached.append(self.reached)
-        return after
+    def noted(self: NetworkPass, step: TimeStep, accelerations: Tensor) -> Tensor:
+        begun.append(accelerations)
+        added = original(self, step, accelerations)
+        reached.append((accelerations + added).detach())
+        return added
 
-    monkeypatch.setattr(trainer_module.LearningPredictor, "predict", noted)
-    assert trainer._advance(course)
-    assert trainer._advance(course)
+    monkeypatch.setattr(NetworkPass, "correction", noted)
+    assert trainer.advance(course)
+    assert trainer.advance(course)
     assert len(begun) == 4
     assert torch.equal(begun[1], reached[0])
     assert torch.equal(begun[3], reached[2])

@@ -12,13 +12,27 @@ from torch import Tensor
 
 from pb4u.garment.material import MATERIALS
 from pb4u.geometry.nearest_surface import TriangleSurface
-from pb4u.scene.packed import pack
+from pb4u.scene.packed import PackedGarments, pack
+from pb4u.simulation.timeline import Timeline
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Sample, Sampler, Window, WindowLoader
 
 
 def loaded(*samples: Sample, length: int = 3, dtype: torch.dtype = torch.float64) -> Window:
     return WindowLoader(Wardrobe(ball_data(), "cpu", dtype)).load(samples, length)
+
+
+def frames_of(window: Window, name: str) -> Tensor:
+    """(frames, vertices, 3) [m] of the "body" or "skinned" garments of a window."""
+    return torch.stack([getattr(window.timeline, name)(frame) for frame in range(window.length + 2)])
+
+
+def changed(window: Window, shift: Tensor | float = 0.0, garments: PackedGarments | None = None) -> Window:
+    """The window with its skinned garments shifted [m], or other garments in it."""
+    was = window.timeline
+    skinned = frames_of(window, "skinned") + shift
+    made = Timeline(garments or was.garments, was.colliders, frames_of(window, "body"), skinned, was.dt, was.gravity)
+    return replace(window, timeline=made)
 
 
 def test_a_sample_is_the_same_whenever_it_is_drawn() -> None:
@@ -61,24 +75,25 @@ def test_turning_a_window_turns_bodies_and_garments_alike() -> None:
     straight, turned = (loaded(Sample(0, 0, 4, MATERIALS["default"], yaw)) for yaw in (0.0, np.pi / 2))
     quarter = torch.tensor([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]], dtype=torch.float64)
     for name in ("body", "skinned"):
-        assert torch.allclose(getattr(straight, name) @ quarter.T, getattr(turned, name), atol=1e-6)
+        assert torch.allclose(frames_of(straight, name) @ quarter.T, frames_of(turned, name), atol=1e-6)
 
 
 def test_bodies_stand_at_the_origin_where_windows_start() -> None:
     window = loaded(Sample(0, 1, 12, MATERIALS["default"], 1.0))
-    middle = window.body[1].mean(0)
+    body = frames_of(window, "body")
+    middle = body[1].mean(0)
     assert torch.allclose(middle[[0, 2]], torch.zeros(2, dtype=torch.float64), atol=1e-5)
-    speed = (window.body[2] - window.body[1]).norm(dim=1) * 30.0
+    speed = (body[2] - body[1]).norm(dim=1) * 30.0
     assert torch.allclose(speed, torch.full_like(speed, 0.6), atol=1e-4)
 
 
 def test_noise_is_of_its_size_and_independent_before_and_now() -> None:
     window = loaded(Sample(1, 0, 3, MATERIALS["default"], 0.0, (5,)))
-    lifted = replace(window, skinned=window.skinned + torch.tensor([0.0, 0.2, 0.0]))
+    lifted = changed(window, torch.tensor([0.0, 0.2, 0.0]))
     state = lifted.start(3e-3, 2e-3)
-    shift = state.positions - lifted.skinned[1]
+    shift = state.positions - lifted.timeline.skinned(1)
     assert float(shift.std()) == pytest.approx(3e-3, rel=0.15)
-    before = state.positions - state.velocities * window.dt - lifted.skinned[0]
+    before = state.positions - state.velocities * window.timeline.dt - lifted.timeline.skinned(0)
     assert float(before.std()) == pytest.approx(3e-3, rel=0.15)
     assert abs(float(torch.corrcoef(torch.stack([shift.reshape(-1), before.reshape(-1)]))[0, 1])) < 0.2
     assert torch.equal(lifted.start(3e-3, 2e-3).positions, state.positions)
@@ -86,12 +101,13 @@ def test_noise_is_of_its_size_and_independent_before_and_now() -> None:
 
 def test_vertices_inside_the_body_are_pushed_out_and_pins_stay() -> None:
     window = loaded(Sample(1, 0, 3, MATERIALS["default"]))
-    sunk = replace(window, skinned=window.skinned - torch.tensor([0.0, 0.012, 0.0]))
-    surface = TriangleSurface(window.faces.numpy(), window.body.shape[1]).at(window.body[1])
-    assert float(surface.nearest(sunk.skinned[1]).signed_distance.min()) < -5e-3
+    sunk = changed(window, torch.tensor([0.0, -0.012, 0.0]))
+    body = window.timeline.body(1)
+    surface = TriangleSurface(window.timeline.colliders.faces.numpy(), len(body)).at(body)
+    assert float(surface.nearest(sunk.timeline.skinned(1)).signed_distance.min()) < -5e-3
     pushed = sunk.start(0.0, 2e-3)
     assert float(surface.nearest(pushed.positions).signed_distance.min()) > 1.5e-3
-    assert torch.allclose(pushed.velocities, sunk.skinned_velocity(1), atol=1e-6)
-    pinned = replace(sunk.garments, pinned=torch.ones_like(sunk.garments.pinned))
-    held = replace(sunk, garments=pinned).start(3e-3, 2e-3)
-    assert torch.equal(held.positions, sunk.skinned[1])
+    assert torch.allclose(pushed.velocities, sunk.timeline.skinned_velocity(1), atol=1e-6)
+    garments = sunk.timeline.garments
+    held = changed(sunk, garments=replace(garments, pinned=torch.ones_like(garments.pinned))).start(3e-3, 2e-3)
+    assert torch.equal(held.positions, sunk.timeline.skinned(1))

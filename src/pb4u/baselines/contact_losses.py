@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.baselines.intersection_contours import ContourFinder
-from pb4u.baselines.self_proximity import garments_proximity
+from pb4u.geometry.proximity.intersection_contours import ContourFinder
+from pb4u.geometry.proximity.self_proximity import SelfProximity
 from pb4u.scene.packed import PackedGarments
 
 
@@ -19,7 +21,9 @@ class Ramp:
     """A weight that rises linearly while a training goes on.
 
     Args:
-        start, stop: fractions of the training's budget. most: weight from `stop` on; 0 before `start`.
+        start: fraction of the training's budget up to which the weight is 0.
+        stop: fraction from which on it is `most`.
+        most: the full weight, in the unit of the loss that it weighs.
     """
 
     start: float
@@ -41,7 +45,9 @@ class Repulsion:
     vertex area A_i over `reference_area` makes it the same at every resolution, as our collisions are.
 
     Args:
-        weight: w [J/m^3]. clearance: eps [m]. reach: height before the step up to which a pair counts [m].
+        weight: w [J/m^3].
+        clearance: eps [m].
+        reach: height before the step up to which a pair counts [m].
         reference_area: A_ref [m^2].
     """
 
@@ -51,32 +57,36 @@ class Repulsion:
     reference_area: float = 1.6e-4
     name = "repulsion"
 
-    def energies(self, garments: PackedGarments, before: Tensor, after: Tensor, progress: float) -> Tensor:
-        """(garments,) [J]; see `FurtherLoss`."""
-        weight, total = self.weight.at(progress), _zeros(garments, after)
-        if weight == 0.0:
-            return total
-        points = before.detach().to("cpu", torch.float64).numpy()
-        parts = []
-        for garment, proximity in enumerate(garments_proximity(garments, self.reach)):
-            start, stop = garments.vertex_offsets[garment : garment + 2]
-            facing = proximity.find(points[start:stop])
-            kept = ~facing.attracted
-            vertices, faces, side = (
-                torch.from_numpy(values[kept]).to(after.device)
-                for values in (facing.vertices + start, proximity.faces[facing.faces] + start, np.sign(facing.heights))
+    def energy(
+        self,
+        weight: float,
+        proximity: SelfProximity,
+        garments: PackedGarments,
+        own: slice,
+        before: Tensor,
+        after: Tensor,
+    ) -> Tensor:
+        """The loss of one garment [J]; arguments as in `ContourLength.energy`."""
+        facing = proximity.find(before[own].detach().to("cpu", torch.float64).numpy(), self.reach)
+        kept = ~facing.passed
+        vertices, faces, side = (
+            torch.from_numpy(values[kept]).to(after.device)
+            for values in (
+                facing.vertices + own.start,
+                proximity.faces[facing.faces] + own.start,
+                np.sign(facing.heights),
             )
-            a, b, c = (after[faces[:, corner]] for corner in range(3))
-            normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-12)
-            height = side.to(after) * ((after[vertices] - a) * normal).sum(dim=1)
-            share = garments.vertex_areas[vertices].to(after) / self.reference_area
-            parts.append((weight * share * (self.clearance - height).clamp_min(0.0) ** 3).sum())
-        return total + torch.stack(parts)
+        )
+        a, b, c = (after[faces[:, corner]] for corner in range(3))
+        normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-12)
+        height = side.to(after) * ((after[vertices] - a) * normal).sum(dim=1)
+        share = garments.vertex_areas[vertices].to(after) / self.reference_area
+        return (weight * share * (self.clearance - height).clamp_min(0.0) ** 3).sum()
 
 
 @dataclass(frozen=True)
 class ContourLength:
-    """w times the squared lengths of the segments in which the cloth meets itself after the step [J].
+    """w times the squared lengths of the segments in which the cloth intersects itself after the step [J].
 
     Only the places along the edges where they cross faces are differentiated; the ends of the edges are taken as fixed
     (reference 6.3).
@@ -88,15 +98,54 @@ class ContourLength:
     weight: Ramp = field(default_factory=lambda: Ramp(45 / 56, 50 / 56, 1e7))
     name = "contours"
 
-    def energies(self, garments: PackedGarments, before: Tensor, after: Tensor, progress: float) -> Tensor:
-        """(garments,) [J]; see `FurtherLoss`."""
-        weight, total = self.weight.at(progress), _zeros(garments, after)
+    def energy(
+        self,
+        weight: float,
+        proximity: SelfProximity,
+        garments: PackedGarments,
+        own: slice,
+        before: Tensor,
+        after: Tensor,
+    ) -> Tensor:
+        """The loss of one garment [J], differentiable with respect to `after`.
+
+        Args:
+            weight: w at this point of the training.
+            proximity: finder of the garment's contacts with itself.
+            garments: the pack that it is in.
+            own: its vertices in the pack.
+            before: (vertices, 3) positions of the pack before the step [m].
+            after: (vertices, 3) positions of the pack after it [m].
+        """
+        return weight * squared_contour_length(proximity.contours, after[own])
+
+
+@dataclass(frozen=True, eq=False)
+class SelfContactLoss:
+    """A loss of self-contact, for the garments of one pack; see `FurtherLoss`.
+
+    Args:
+        loss: of one garment.
+        garments: the pack.
+        finders: of each garment's contacts with itself.
+    """
+
+    loss: Repulsion | ContourLength
+    garments: PackedGarments
+    finders: Sequence[SelfProximity]
+
+    @property
+    def name(self) -> str:
+        return self.loss.name
+
+    def energies(self, before: Tensor, after: Tensor, progress: float) -> Tensor:
+        weight, total = self.loss.weight.at(progress), after.new_zeros(len(self.finders))
         if weight == 0.0:
             return total
-        parts = []
-        for garment, proximity in enumerate(garments_proximity(garments, 0.0)):
-            start, stop = garments.vertex_offsets[garment : garment + 2]
-            parts.append(weight * squared_contour_length(proximity.contours, after[start:stop]))
+        parts = [
+            self.loss.energy(weight, finder, self.garments, slice(*span), before, after)
+            for finder, span in zip(self.finders, pairwise(self.garments.vertex_offsets), strict=True)
+        ]
         return total + torch.stack(parts).to(total)
 
 
@@ -118,7 +167,3 @@ def squared_contour_length(finder: ContourFinder, positions: Tensor) -> Tensor:
     points = p.detach() + (above / (above - below))[:, None] * (q - p).detach()
     ends = points[segments]
     return (ends[:, 1] - ends[:, 0]).square().sum()
-
-
-def _zeros(garments: PackedGarments, like: Tensor) -> Tensor:
-    return like.new_zeros(garments.garment_count)

@@ -147,14 +147,14 @@ def write(
         counts = {"vertices": len(figure.vertices), "triangles": len(figure.faces), "frames": frames, "fps": fps}
         _tell(json, name=name, kind="motion", out=str(out), body=figure.name, **counts)
         return
-    from pb4u.garment.garment import SourceMesh
-    from pb4u.garment.obj_file import write_obj
+    from pb4u.geometry.mesh_file import PolygonMesh
+    from pb4u.geometry.obj_file import write_obj
 
-    kind, mesh = "body", SourceMesh(figure.vertices, tuple(figure.faces))
+    kind, mesh = "body", PolygonMesh(figure.vertices, tuple(figure.faces))
     if name in garment_names():
         garment = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
         uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
-        kind, mesh = "garment", SourceMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+        kind, mesh = "garment", PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
     write_obj(out, mesh)
     counts = {"vertices": len(mesh.vertices), "triangles": len(mesh.polygons)}
     _tell(json, name=name, kind=kind, out=str(out), body=figure.name, **counts)

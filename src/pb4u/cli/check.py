@@ -102,8 +102,8 @@ def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | No
     from pb4u.garment.diagnosis import diagnose
     from pb4u.garment.garment_file import read_source
     from pb4u.garment.library import build_garment, garment_names
-    from pb4u.garment.obj_file import write_obj
     from pb4u.garment.repair import repair
+    from pb4u.geometry.obj_file import write_obj
 
     if name in garment_names():
         built = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))

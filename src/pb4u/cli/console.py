@@ -13,15 +13,12 @@ import typer
 
 from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError
+from pb4u.export.registry import formats_help, written_files
 from pb4u.progress import Progress, unheard
 
 Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
-FORMATS = (
-    ".npz .obj .pc2 .mdd .usdc .usda .usdz .glb .png .jpg .gif .mp4. GLB is within 1 mm (else a warning says how far "
-    "off), the other meshes are exact. OBJ is one file a frame, PC2 and MDD come with an .obj; these three hold the "
-    "garment alone. In Blender, set the frame rate to the trajectory's."
-)
+FORMATS = formats_help()
 
 
 @contextmanager
@@ -57,8 +54,6 @@ def write_json(payload: Mapping[str, Any], target: str) -> None:
 
 def wrote(targets: Iterable[Path], frames: int) -> str:
     """One line on the files that the export of `frames` frames to `targets` left; long sequences by their ends."""
-    from pb4u.export.registry import written_files
-
     told: list[str] = []
     for target in targets:
         files = [str(file) for file in written_files(target, frames)]

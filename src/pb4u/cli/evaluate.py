@@ -13,7 +13,7 @@ from pb4u.cli.console import Switch, check_json_target, progress_bar, write_json
 from pb4u.errors import InputError, Pb4uError
 
 if TYPE_CHECKING:
-    from pb4u.evaluation.crew import Crew
+    from pb4u.evaluation.worker_pool import WorkerPool
 
 
 def evaluate(
@@ -76,8 +76,8 @@ def evaluate(
     Killed at any instant, the same command goes on where it was. Other flags with the same --out narrow or extend it.
     """
     from pb4u.evaluation.planning import Request
-    from pb4u.evaluation.session import PAGE, PLOTS
-    from pb4u.evaluation.session import evaluate as run
+    from pb4u.evaluation.protocol_run import evaluate as run
+    from pb4u.evaluation.report import PAGE, PLOTS
 
     check_json_target(json)
     if workers < 1:
@@ -91,18 +91,14 @@ def evaluate(
         floors=floors == "run",
     )  # fmt: skip
 
-    def crew() -> Crew:
-        if ray is not None:
-            from pb4u.evaluation.ray_crew import RayCrew
+    def pool() -> WorkerPool:
+        from pb4u.evaluation.worker_pool import LocalPool, RayPool
 
-            return RayCrew(ray, workers)
-        from pb4u.evaluation.crew import LocalCrew
-
-        return LocalCrew(workers)
+        return LocalPool(workers) if ray is None else RayPool(ray, workers)
 
     folder = out or Path(f"evaluate_{protocol}")
     results = run(
-        request, folder, crew, retry, say=lambda line: print(f"pb4u: {line}", file=sys.stderr), progress=progress_bar
+        request, folder, pool, retry, say=lambda line: print(f"pb4u: {line}", file=sys.stderr), progress=progress_bar
     )
     if plots is not None:
         plots.mkdir(parents=True, exist_ok=True)

@@ -290,7 +290,9 @@ def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | Non
         write_json(report, json)
         diverged = report["diverged_at"]
     elif record.failed_at is None:
-        diverged = diverged_at(scene, trajectory)
+        from pb4u.evaluation.metrics import first_diverged, skinned_centres
+
+        diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
     if record.failed_at is not None:
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
@@ -328,39 +330,9 @@ def _export(trajectory: Trajectory, targets: list[Path]) -> None:
             export(trajectory, target, progress)
 
 
-def diverged_at(scene: Scene, trajectory: Trajectory) -> int | None:
-    """Whether a run diverged, without the energies that `measure` computes with it.
-
-    Args:
-        scene: what was simulated.
-        trajectory: what came of it.
-
-    Returns:
-        The first written frame in which the run had diverged, or None: what `measure` says, in milliseconds a frame.
-    """
-    import numpy as np
-    import torch
-
-    from pb4u.evaluation.divergence import first_diverged
-    from pb4u.evaluation.metrics import garment_of
-    from pb4u.evaluation.skinned_centres import skinned_centres
-    from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
-    from pb4u.scene.packed import pack
-
-    garment = garment_of(trajectory)
-    packed = pack([garment])
-    strains = []
-    for positions in trajectory.positions:
-        x = torch.from_numpy(np.array(positions, dtype=np.float64))
-        strain = face_strains(x, packed.faces, packed.inverse_rest_shape)
-        strains.append(float(weighted_percentile(strain, packed.face_areas, 95.0)))
-    return first_diverged(strains, trajectory.positions, garment.vertex_masses, skinned_centres(scene, trajectory))
-
-
 def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
     """The --json payload of the contract."""
-    from pb4u.evaluation.metrics import measure
-    from pb4u.evaluation.skinned_centres import skinned_centres
+    from pb4u.evaluation.metrics import measure, skinned_centres
 
     with progress_bar("measuring") as progress:
         measured = measure(trajectory, skinned=skinned_centres(scene, trajectory), progress=progress)

@@ -18,9 +18,9 @@ import numpy as np
 
 from pb4u.errors import InputWarning
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
-from pb4u.export.progress import Progress
 from pb4u.export.shading import CLOTH, SKIN
 from pb4u.export.shape_basis import fit_shapes
+from pb4u.progress import Progress
 from pb4u.scene.trajectory import Trajectory
 
 _TOLERANCE = 1e-3

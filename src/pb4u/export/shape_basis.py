@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pb4u.export.progress import Progress
 from pb4u.export.shading import unit_normals
+from pb4u.progress import Progress
 
 _SAMPLED_VERTICES = 3000
 _VERTICES_AT_ONCE = 1024

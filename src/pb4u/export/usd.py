@@ -11,9 +11,9 @@ import numpy as np
 
 from pb4u.errors import InputError, MissingExtraError
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
-from pb4u.export.progress import Progress
 from pb4u.export.shading import CLOTH, SKIN, unit_normals
-from pb4u.scene.polygons import Polygons
+from pb4u.progress import Progress
+from pb4u.scene.author_mesh import Polygons
 from pb4u.scene.trajectory import Trajectory
 
 if TYPE_CHECKING:

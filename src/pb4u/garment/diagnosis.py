@@ -14,12 +14,12 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.fit import UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit
-from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
-from pb4u.garment.layers import double_layered
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.support import is_held_up
-from pb4u.geometry.triangle_mesh import edge_lengths
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
 
 WORST_MISFIT = 0.08
 """Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn."""
@@ -91,7 +91,7 @@ class Diagnosis:
 
 
 def diagnose(
-    garment: SourceMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
+    garment: PolygonMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
 ) -> Diagnosis:
     """Everything that is wrong with a garment, on its own and on the resting `body`; `file` is named in the cures.
 
@@ -101,7 +101,7 @@ def diagnose(
     pinned = False
     if isinstance(garment, Garment):
         pinned = bool(garment.pinned.any())
-        garment = SourceMesh(garment.vertices, tuple(garment.faces))
+        garment = PolygonMesh(garment.vertices, tuple(garment.faces))
     surface = SourceSurface.of(garment)
     findings = _surface_findings(surface)
     vertices = garment.vertices[np.unique(surface.faces)]
@@ -199,7 +199,7 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
         sentence = "The cloth has only one side, like a Moebius strip."
         add("one-sided", Severity.WARNING, sentence, "cut it open where it is twisted", False, np.zeros(0))
     if len(topology.edges) and len(surface.faces):
-        double = double_layered(surface.source.vertices, surface.faces)
+        double = surface.double
         if double.mean() > DOUBLE:
             polygons = surface.polygon[surface.kept[double]]
             sentence = (
@@ -285,11 +285,8 @@ def _contact_findings(
 
 def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
     """Whether most of the cloth's area has its normal towards the body."""
-    corners = vertices[faces]
-    centres = corners.mean(axis=1)
-    near = body.surface.nearest(centres)
-    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(np.einsum("ij,ij->i", area_normals, near.normals.numpy()).sum()) < 0.0
+    near = body.surface.nearest(vertices[faces].mean(axis=1))
+    return float(np.einsum("ij,ij->i", face_cross_products(vertices, faces), near.normals.numpy()).sum()) < 0.0
 
 
 def _penetration_findings(

@@ -12,6 +12,7 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.topology import Topology
+from pb4u.geometry.triangle_mesh import area_weighted_normals
 
 SAMPLES = 400
 COARSE = 4
@@ -78,12 +79,8 @@ class RestBody:
 
     @cached_property
     def _tree(self) -> tuple[cKDTree, np.ndarray]:
-        kept = np.flatnonzero(self.contact)
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-        columns = [np.bincount(self.faces.reshape(-1), cross[:, k], len(self.vertices)) for k in range(3)]
-        normals = np.stack(columns, axis=1)[kept]
-        return cKDTree(self.vertices[kept]), normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        touchable = np.flatnonzero(self.contact)
+        return cKDTree(self.vertices[touchable]), area_weighted_normals(self.vertices, self.faces)[touchable]
 
     def misfit(self, points: np.ndarray) -> np.ndarray:
         """Mean distance (...) [m] of `points` (..., points, 3) to the body, depth inside it counted five times.

@@ -12,19 +12,15 @@ import numpy as np
 
 from pb4u.body.library import body_names
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.garment.obj_file import read_obj
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.source_map import map_to_nearest, map_to_same
 from pb4u.garment.source_surface import SourceSurface
-from pb4u.geometry.mesh_file_size import least_triangles
+from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
 
-SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", ".off")
 MOST_SIMULATED = 1_000_000
 """Triangles that a garment may have as it is simulated."""
-MOST_READ = 4_000_000
-"""Triangles that a file may have to be read at all, with `triangles` asked for."""
 DEFAULT_BODY = "woman"
 SMALLEST, LARGEST = 0.05, 5.0
 """Extent [m] between which a garment's file may be in metres."""
@@ -71,62 +67,34 @@ def fix_command(file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY) -> s
     return f"`pb4u check {shlex.quote(str(file))}{worn_by} --fix OUT.obj`"
 
 
-def read_source(path: Path, most_triangles: int = MOST_READ) -> SourceMesh:
-    """The mesh in a file, polygons and UVs kept where the format has them (OBJ).
+def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
+    """The mesh in a garment's file, polygons and UVs kept where the format has them (OBJ).
 
-    Raises InputError when the file is missing, of another kind, damaged, empty of faces or over `most_triangles`.
+    Args:
+        path: the file.
+        most_triangles: number of triangles above which it is refused.
+
+    Raises:
+        InputError: the file is missing, of another kind, damaged, empty of faces or too large.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"{path.name} is no garment file that can be read; the kinds are {', '.join(SUFFIXES)}.")
+    if path.suffix.lower() not in READERS:
+        raise InputError(f"{path.name} is no garment file that can be read; the kinds are {', '.join(READERS)}.")
     if not path.is_file():
         raise InputError(f"There is no garment file {path}.")
-    # Counted before anything is parsed: a huge file is refused in the time it takes to read it.
-    _refuse_too_many(path, least_triangles(path, MOST_READ), most_triangles)
-    source = read_obj(path) if suffix == ".obj" else _read_with_trimesh(path)
-    _refuse_too_many(path, sum(len(p) - 2 for p in source.polygons), most_triangles)
-    return source
 
+    def refuse_large(count: int) -> None:
+        if count > MOST_READ:
+            raise InputError(
+                f"{path} has {count:,} triangles or more, and {MOST_READ:,} are the most that can be read; "
+                "decimate it in the program it comes from."
+            )
+        if count > most_triangles:
+            raise InputError(
+                f"{path} has {count:,} triangles, and {most_triangles:,} are the most that can be simulated; "
+                "ask for fewer with `--triangles N`."
+            )
 
-def _refuse_too_many(path: Path, count: int, most: int) -> None:
-    if count <= most:
-        return
-    if count <= MOST_READ:
-        raise InputError(
-            f"{path} has {count:,} triangles, and {most:,} are the most that can be simulated; "
-            "ask for fewer with `--triangles N`."
-        )
-    raise InputError(
-        f"{path} has {count:,} triangles or more, and {MOST_READ:,} are the most that can be read; "
-        "decimate it in the program it comes from."
-    )
-
-
-def _read_with_trimesh(path: Path) -> SourceMesh:
-    import trimesh
-
-    try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-    except Exception as error:  # each format's reader raises its own kinds
-        raise InputError(f"{path} cannot be read as a mesh: {str(error) or type(error).__name__}.") from None
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-        raise InputError(f"{path} has no faces: export the garment as a polygon mesh.")
-    if path.suffix.lower() == ".stl":
-        # An STL lists three corners per triangle and no connectivity; equal corners are one vertex by the format.
-        mesh.merge_vertices()
-    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if len(bad):
-        raise InputError(
-            f"{path}: {len(bad)} vertices are NaN or infinite, first {bad[:5].tolist()}; delete or mend them and "
-            "export again."
-        )
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError(f"{path}: a face names a vertex out of range, the file has {len(vertices)}; export it again.")
-    uvs = getattr(mesh.visual, "uv", None)
-    if uvs is not None and len(uvs) == len(vertices):
-        return SourceMesh(vertices, tuple(faces), np.asarray(uvs, dtype=np.float64), tuple(faces))
-    return SourceMesh(vertices, tuple(faces))
+    return read_mesh(path, refuse_large)
 
 
 def _refuse_unusable(path: Path, surface: SourceSurface) -> None:

@@ -10,16 +10,16 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.garment.diagnosis import is_inside_out
 from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit
-from pb4u.garment.garment import SourceMesh
 from pb4u.garment.push_out import CLEARANCE, push_out
 from pb4u.garment.source_surface import SourceSurface
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
 
 DEEPEST_SHARE = 0.6
 """A garment with more of its vertices inside the body than this is of another size, not in want of a push."""
 
 
-def repair(source: SourceMesh, body: ShapedBody | AnimatedBody | None = None) -> tuple[SourceMesh, tuple[str, ...]]:
+def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -> tuple[PolygonMesh, tuple[str, ...]]:
     """The garment with every mendable fault mended, and a plain sentence for each change.
 
     Polygons and UVs are kept; vertex order too, unless vertices had to be welded or dropped. Without a body only the
@@ -37,7 +37,7 @@ def repair(source: SourceMesh, body: ShapedBody | AnimatedBody | None = None) ->
     return source, tuple(said)
 
 
-def _moved(source: SourceMesh, body: RestBody, said: list[str]) -> SourceMesh:
+def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     used = np.unique(np.concatenate(source.polygons))
     fit = find_fit(source.vertices[used], body)
     if fit.is_identity:
@@ -51,7 +51,7 @@ def _moved(source: SourceMesh, body: RestBody, said: list[str]) -> SourceMesh:
     return replace(source, vertices=fit.apply(source.vertices))
 
 
-def _welded(source: SourceMesh, said: list[str]) -> SourceMesh:
+def _welded(source: PolygonMesh, said: list[str]) -> PolygonMesh:
     surface = SourceSurface.of(source)
     target = surface.weld_target
     joined = Topology(target[surface.faces], len(target))
@@ -64,7 +64,7 @@ def _welded(source: SourceMesh, said: list[str]) -> SourceMesh:
     return replace(source, polygons=tuple(target[p] for p in source.polygons))
 
 
-def _without_waste(source: SourceMesh, said: list[str]) -> SourceMesh:
+def _without_waste(source: PolygonMesh, said: list[str]) -> PolygonMesh:
     """Drops faces without area, faces there twice and vertices of no face."""
     surface = SourceSurface.of(source)
     keep = np.unique(surface.polygon[surface.kept])
@@ -83,7 +83,7 @@ def _without_waste(source: SourceMesh, said: list[str]) -> SourceMesh:
     used = np.unique(np.concatenate(polygons)) if polygons else np.zeros(0, dtype=np.int64)
     if len(used) < len(source.vertices):
         said.append(f"Dropped {len(source.vertices) - len(used)} vertices that no face uses.")
-    return SourceMesh(
+    return PolygonMesh(
         source.vertices[used],
         tuple(np.searchsorted(used, p) for p in polygons),
         source.uvs,
@@ -91,7 +91,7 @@ def _without_waste(source: SourceMesh, said: list[str]) -> SourceMesh:
     )
 
 
-def _oriented(source: SourceMesh, body: RestBody | None, said: list[str]) -> SourceMesh:
+def _oriented(source: PolygonMesh, body: RestBody | None, said: list[str]) -> PolygonMesh:
     surface = SourceSurface.of(source)
     flip = surface.flipped[0]
     turn = np.zeros(len(source.polygons), dtype=bool)
@@ -112,7 +112,7 @@ def _oriented(source: SourceMesh, body: RestBody | None, said: list[str]) -> Sou
     return replace(source, polygons=turned(source.polygons), polygon_uvs=uvs)
 
 
-def _pushed_out(source: SourceMesh, body: RestBody, said: list[str]) -> SourceMesh:
+def _pushed_out(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     before = body.signed_distances(source.vertices)
     inside = before < 0.0
     if not inside.any():

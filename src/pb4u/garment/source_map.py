@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pb4u.garment.garment import SourceMap, SourceMesh
+from pb4u.garment.garment import SourceMap
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.nearest_surface import TriangleSurface
 
 
-def map_to_same(source: SourceMesh, kept: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
+def map_to_same(source: PolygonMesh, kept: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
     """Source map of a simulated mesh that holds the `kept` source vertices, in order.
 
     Source vertices that are not simulated go with the nearest point of the mesh.
@@ -26,7 +27,7 @@ def map_to_same(source: SourceMesh, kept: np.ndarray, vertices: np.ndarray, face
     return SourceMap(source, triangle, barycentric)
 
 
-def map_to_nearest(source: SourceMesh, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
+def map_to_nearest(source: PolygonMesh, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
     """Source map by the nearest point of the simulated mesh (vertices, 3) [m] to each source vertex."""
     hit = TriangleSurface(faces, len(vertices)).at(vertices).nearest(source.vertices)
     return SourceMap(source, hit.triangle.numpy(), hit.barycentric.numpy())

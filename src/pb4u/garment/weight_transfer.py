@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skinning import SkinningWeights
 from pb4u.garment.garment import Garment
+from pb4u.geometry.triangle_mesh import area_weighted_normals
 
 INFLUENCES = 8
 """Bones that move one garment vertex, at most."""
@@ -37,7 +38,7 @@ def borrow_weights(garment: Garment, body: ShapedBody, seed: int = 0) -> Skinnin
 
     loose = garment.loose
     weights = _nearest_skin(
-        garment, _vertex_normals(body.vertices, body.faces)[allowed], distances, nearest, skin_weights
+        garment, area_weighted_normals(body.vertices, body.faces)[allowed], distances, nearest, skin_weights
     )
     if loose or _torn_edges(garment, weights) > TEARING_EDGES:
         loose = True
@@ -73,22 +74,11 @@ def _dense(weights: SkinningWeights, bones: int) -> np.ndarray:
     return dense
 
 
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(vertices, 3) unit normals, weighted by area; 0 where no face is."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    total = np.stack(
-        [np.bincount(faces.reshape(-1), weights=cross[:, k], minlength=len(vertices)) for k in range(3)], axis=1
-    )
-    unit: np.ndarray = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
-    return unit
-
-
 def _nearest_skin(
     garment: Garment, normals: np.ndarray, distances: np.ndarray, nearest: np.ndarray, skin_weights: np.ndarray
 ) -> np.ndarray:
     """(vertices, bones): mean over the nearest skin vertices, nearer ones and those facing the same way first."""
-    facing = np.einsum("id,ikd->ik", _vertex_normals(garment.vertices, garment.faces), normals[nearest])
+    facing = np.einsum("id,ikd->ik", area_weighted_normals(garment.vertices, garment.faces), normals[nearest])
     if np.median(facing[:, 0]) < 0.0:  # the whole garment is inside out
         facing = -facing
     width = 0.5 * (distances[:, -1:] - distances[:, :1]) + 1e-9

@@ -61,20 +61,11 @@ class TriangleSurface:
             raise InputError("The body surface has no face that may be touched; its contact region is empty.")
         self.faces = np.ascontiguousarray(faces[kept])
         self.vertex_count = vertex_count
-        self._kept = torch.from_numpy(kept)
-        self._kept_is_all = len(kept) == len(faces)
+        self._kept = kept
 
     @cached_property
     def topology(self) -> Topology:
         return Topology(self.faces, self.vertex_count)
-
-    @cached_property
-    def _border(self) -> tuple[Tensor, Tensor]:
-        """Whether each edge (edges,) and each vertex (vertices,) lies on a border."""
-        edge = self.topology.edge_face_counts == 1
-        vertex = np.zeros(self.vertex_count, dtype=bool)
-        vertex[self.topology.edges[edge].reshape(-1)] = True
-        return torch.from_numpy(edge), torch.from_numpy(vertex)
 
     @cached_property
     def _tensors(self) -> dict[str, tuple[Tensor, Tensor, Tensor, Tensor, Tensor]]:
@@ -84,8 +75,9 @@ class TriangleSurface:
         """Faces, edge of each corner pair, border edges, border vertices and original face index on `device`."""
         key = str(device)
         if key not in self._tensors:
-            parts = (torch.from_numpy(self.faces), torch.from_numpy(self.topology.face_edges.copy()), *self._border)
-            self._tensors[key] = tuple(p.to(device) for p in (*parts, self._kept))  # type: ignore[assignment]
+            mesh = self.topology
+            arrays = (self.faces, mesh.face_edges.copy(), mesh.edge_face_counts == 1, mesh.border_vertices, self._kept)
+            self._tensors[key] = tuple(torch.from_numpy(a).to(device) for a in arrays)  # type: ignore[assignment]
         return self._tensors[key]
 
     def at(self, vertices: Tensor | np.ndarray) -> PosedSurface:

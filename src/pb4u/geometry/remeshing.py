@@ -9,7 +9,6 @@ import numpy as np
 from pb4u.errors import InputError
 from pb4u.geometry.edge_operations import (
     collapse_short_edges,
-    edge_table,
     flip_edges,
     relax,
     split_long_edges,
@@ -154,7 +153,7 @@ def _flip_until_settled(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _relax_on(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray, surface: Surface, passes: int) -> np.ndarray:
-    border = edge_table(faces, len(vertices)).border_vertex
+    border = Topology(faces, len(vertices)).border_vertices
     for _ in range(passes):
         moved = relax(vertices, faces, locked)
         normals = vertex_normals(moved, faces)

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from pb4u.graph.features import MaterialRange, map_linear, map_log
-from pb4u.graph.graph import NodeType, receiver_runs
-from pb4u.graph.incidence import Incidence, Span, incidence
+from pb4u.graph.graph import NodeType
+from pb4u.graph.incidence import Incidence, both_directions
 from pb4u.scene.packed import PackedGarments
 
 
@@ -19,16 +19,17 @@ class GarmentEdges:
     """Edges between garment vertices, both directions, in ascending order of receiver.
 
     Args:
-        senders, receivers: the ends of the directed edges.
-        runs: spans of edges and receivers that fit in cache.
+        senders: vertex at the start of each directed edge.
+        receivers: vertex at its end.
         rest_vector: (edges, 3) sender - receiver at rest [m].
-        rest_length: (edges, 1) [m]. inverse_rest_length: (edges, 1) [1/m]. rest_direction: (edges, 3) unit vectors.
+        rest_length: (edges, 1) [m].
+        inverse_rest_length: (edges, 1) [1/m].
+        rest_direction: (edges, 3) unit vectors.
         material: (edges, 3) mean of both ends' bending, mu, lambda mapped to [0, 1].
     """
 
     senders: Incidence
     receivers: Incidence
-    runs: tuple[tuple[Span, Span], ...]
     rest_vector: Tensor
     rest_length: Tensor
     inverse_rest_length: Tensor
@@ -50,6 +51,7 @@ class GarmentGraph:
         incident_length: (vertices,) mean rest length of the mesh edges at each vertex [m].
         mean_edge_lengths: of each garment [m].
         vertex_offsets: first vertex of each garment, and the total.
+        world_offsets: first vertex of each world, and the total.
         faces: (faces, 3) int64.
     """
 
@@ -62,6 +64,7 @@ class GarmentGraph:
     incident_length: Tensor
     mean_edge_lengths: tuple[float, ...]
     vertex_offsets: tuple[int, ...]
+    world_offsets: tuple[int, ...]
     faces: Tensor
 
 
@@ -71,9 +74,13 @@ def garment_graph(
     dtype: torch.dtype = torch.float32,
     further_edges: Mapping[str, Tensor] | None = None,
 ) -> GarmentGraph:
-    """The static graph of `garments`, on their device, floating arrays in `dtype`.
+    """The static graph of garments, on their device.
 
-    `further_edges` names more undirected edges (edges, 2) between vertices of the same garment.
+    Args:
+        garments: the pack.
+        material_range: where materials are mapped to [0, 1].
+        dtype: of the floating arrays.
+        further_edges: undirected edges (edges, 2) int64 between vertices of one garment beyond its mesh, by name.
     """
     material = _vertex_material(garments, material_range)
     pairs = {"mesh": garments.edges, **(further_edges or {})}
@@ -90,15 +97,13 @@ def garment_graph(
         incident_length=_mean_at(garments.edges.reshape(-1), lengths, garments).to(dtype),
         mean_edge_lengths=garments.mean_edge_lengths,
         vertex_offsets=garments.vertex_offsets,
+        world_offsets=garments.world_offsets,
         faces=garments.faces,
     )
 
 
 def _garment_edges(garments: PackedGarments, pairs: Tensor, material: Tensor, dtype: torch.dtype) -> GarmentEdges:
-    count = garments.vertex_count
-    both = torch.cat([pairs, pairs.flip(1)])
-    both = both[torch.argsort(both[:, 1] * count + both[:, 0])]
-    senders, receivers = incidence(both[:, 0].contiguous(), count), incidence(both[:, 1].contiguous(), count)
+    senders, receivers = both_directions(pairs, garments.vertex_count)
     rest = garments.rest_positions.to(torch.float64)
     vector = rest[senders.index] - rest[receivers.index]
     length = vector.norm(dim=1, keepdim=True)
@@ -106,7 +111,6 @@ def _garment_edges(garments: PackedGarments, pairs: Tensor, material: Tensor, dt
     return GarmentEdges(
         senders=senders,
         receivers=receivers,
-        runs=receiver_runs(receivers.offsets),
         rest_vector=vector.to(dtype),
         rest_length=length.to(dtype),
         inverse_rest_length=inverse_length.to(dtype),

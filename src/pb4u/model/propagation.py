@@ -107,7 +107,7 @@ class Propagation(nn.Module):
                 sent = message.up_to_last(hidden)
                 if form.message_norm:
                     sent = message.after_second(sent)
-                sums.append(segment_sum(sent if piece.mask is None else sent * piece.mask, piece.receivers))
+                sums.append(segment_sum(sent, piece.receivers))
             total = joined(sums) + total
             degrees = inflow.degrees() + degrees
         if not form.message_norm:

@@ -8,8 +8,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, from_axis_angle, multiply, rotate, slerp
-from pb4u.motion.ground import lowest_heights
-from pb4u.motion.retargeting import heading
+from pb4u.motion.retargeting import heading, lowest_heights
 
 # How long the motion is thought to have gone on before its first frame, slowing down backwards in time [s].
 _RUN_UP = 0.12

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges, graph_builder
+from pb4u.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges
 from pb4u.graph.features import Feature, FeatureLayout
-from pb4u.graph.garment_graph import GarmentGraph
+from pb4u.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.graph.graph import EdgeSet, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.nn.normaliser import Normaliser
@@ -25,15 +25,38 @@ MOST_PROPAGATION_STEPS = 500
 
 
 class FurtherLoss(Protocol):
-    """What a method minimises in training besides the incremental potential."""
+    """What a method minimises in training besides the incremental potential, for the garments of one pack."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Under which it is logged."""
 
-    def energies(self, garments: PackedGarments, before: Tensor, after: Tensor, progress: float) -> Tensor:
-        """(garments,) losses [J] of a step between positions `before` and `after` (vertices, 3) [m]; differentiable.
+    def energies(self, before: Tensor, after: Tensor, progress: float) -> Tensor:
+        """(garments,) losses of a step [J], differentiable with respect to `after`.
 
-        `progress` is the fraction of the training's budget that is spent.
+        Args:
+            before: (vertices, 3) positions before the step [m].
+            after: (vertices, 3) positions after it [m].
+            progress: fraction of the training's budget that is spent.
         """
+
+
+@dataclass(frozen=True, eq=False)
+class Derived:
+    """What a method derives once from the garments of a pack, beyond their meshes; nothing by default.
+
+    Args:
+        edges: undirected edges (edges, 2) int64 between vertices of one garment, by kind, such as "coarse"; they carry
+            the columns of mesh edges and share their normaliser.
+        finder: finds edges anew at every step; they carry the layout's `found_edge` columns.
+        rest: tensors handed on in `Graph.rest`, by name.
+        losses: what training minimises besides the incremental potential.
+    """
+
+    edges: Mapping[str, Tensor] = field(default_factory=dict)
+    finder: EdgeFinder = field(default_factory=NoFoundEdges)
+    rest: Mapping[str, Tensor] = field(default_factory=dict)
+    losses: tuple[FurtherLoss, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +69,13 @@ class NetworkConfiguration(ABC):
         world_edges: which body vertices a garment vertex sees.
         passes: how often the network is asked in one time step, each time from where it left off; 1 in the paper. Above
             1 the layout should name "descent" and "advance".
-        carried_shares: shares of the body's motion that a time step may start with, the best of them and free flight;
-            none in the paper. With any the layout should name the same two.
+        carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
+            flight, is taken; none in the paper. With any the layout should name the same two.
     """
 
-    width: int
-    layout: FeatureLayout
-    world_edges: WorldEdgeRule
+    width: int = 128
+    layout: FeatureLayout = field(default_factory=FeatureLayout)
+    world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
 
@@ -93,24 +116,9 @@ class GraphNetwork(nn.Module, ABC):
         """Dimensionless factors (vertices, 1) on the accelerations, or None for 1."""
         return None
 
-    def further_edges(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        """Undirected edges (edges, 2) between vertices of a garment beyond its mesh, by kind, such as "coarse".
-
-        They carry the columns of mesh edges and share their normaliser.
-        """
-        return {}
-
-    def edge_finder(self, garments: PackedGarments) -> EdgeFinder:
-        """What finds edges between garment vertices anew at every step; they have the layout's `found_edge` columns."""
-        return NoFoundEdges()
-
-    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        """Tensors derived once from the garments at rest and found again in `Graph.rest`, by name."""
-        return {}
-
-    def further_losses(self) -> tuple[FurtherLoss, ...]:
-        """What is minimised in training besides the incremental potential."""
-        return ()
+    def derive(self, garments: PackedGarments) -> Derived:
+        """What the method needs of the garments beyond their meshes; derived once."""
+        return Derived()
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +128,14 @@ class PreparedGarments:
     Args:
         builder: makes the graph of a step.
         steps: propagation steps of each garment.
-        scale: (vertices, 1) dimensionless factors on the accelerations, or None.
+        scale: (vertices, 1) dimensionless factors on the accelerations, or None for 1.
+        losses: what the method minimises in training besides the incremental potential.
     """
 
     builder: GraphBuilder
     steps: tuple[int, ...]
     scale: Tensor | None
+    losses: tuple[FurtherLoss, ...] = ()
 
     def graph(
         self,
@@ -162,8 +172,7 @@ class AccelerationModel(nn.Module):
     """A network between its normalisers: acceleration x dt^2 from a graph of raw features.
 
     Called as `model(prepared.graph(state, collider, dt, origin), prepared)`. On an accelerator cast the network alone,
-    `model.network.to(torch.bfloat16)`: normalisers and what comes out stay in full precision. `model.network.compile()`
-    compiles it; garments prepared with fixed shapes then never make it compile again.
+    `model.network.to(torch.bfloat16)`: normalisers and what comes out stay in full precision.
     """
 
     def __init__(self, network: GraphNetwork) -> None:
@@ -182,7 +191,6 @@ class AccelerationModel(nn.Module):
         garments: PackedGarments,
         propagation_steps: int | None = None,
         dtype: torch.dtype = torch.float32,
-        fixed_shapes: bool = False,
     ) -> PreparedGarments:
         """Everything that is the same at every step of `garments`.
 
@@ -190,23 +198,16 @@ class AccelerationModel(nn.Module):
             garments: on the device to compute on.
             propagation_steps: overrides what the resolution asks for.
             dtype: precision of features and accelerations.
-            fixed_shapes: same shapes every step, for a captured accelerator step.
 
-        Raises InputError where the override is not between 1 and 500, or where shapes are to be fixed that change.
+        Raises:
+            InputError: the override is not between 1 and 500.
         """
-        network = self.network
-        builder = graph_builder(
-            garments,
-            network.layout,
-            network.world_edges,
-            dtype,
-            fixed_shapes,
-            network.further_edges(garments),
-            network.edge_finder(garments),
-            network.rest_quantities(garments),
-        )
+        network, layout = self.network, self.network.layout
+        derived = network.derive(garments)
+        static = garment_graph(garments, layout.material_range, dtype, derived.edges)
+        builder = GraphBuilder(static, layout, network.world_edges, derived.finder, derived.rest)
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
-        prepared = PreparedGarments(builder, steps, network.update_scale(builder.static))
+        prepared = PreparedGarments(builder, steps, network.update_scale(static), derived.losses)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
     def forward(self, graph: Graph, prepared: PreparedGarments) -> Tensor:
@@ -231,12 +232,10 @@ class AccelerationModel(nn.Module):
         garments = len(graph.vertex_offsets) - 1
         node_sets = list(graph.nodes.values())
         owner = torch.cat([node_set.owner for node_set in node_sets])
-        counted = torch.cat([_counted(s.active, len(s.owner), owner.device) for s in node_sets])
-        self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), owner, garments, counted)
+        self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), owner, garments)
         for edge_set in graph.edges.values():
             edge_owner = graph.nodes[edge_set.receiver_set].owner[edge_set.receivers.index]
-            present = None if edge_set.mask is None else edge_set.mask[:, 0] > 0
-            self._edge_normaliser(edge_set).gather(edge_set.features, edge_owner, garments, present)
+            self._edge_normaliser(edge_set).gather(edge_set.features, edge_owner, garments)
         self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].owner, garments)
 
     def normalisers(self) -> tuple[Normaliser, ...]:
@@ -257,7 +256,3 @@ class AccelerationModel(nn.Module):
     def _edge_normaliser(self, edges: EdgeSet) -> Normaliser:
         normaliser: Normaliser = getattr(self, f"{edges.columns}_normaliser")
         return normaliser
-
-
-def _counted(active: Tensor | None, rows: int, device: torch.device) -> Tensor:
-    return torch.ones(rows, dtype=torch.bool, device=device) if active is None else active

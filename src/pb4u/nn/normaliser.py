@@ -53,19 +53,21 @@ class Normaliser(nn.Module):
         return values * self.spread + self.mean
 
     @torch.no_grad()
-    def gather(self, values: Tensor, owner: Tensor, garments: int, counted: Tensor | None = None) -> None:
-        """Add one step's `values` (rows, width), each row of garment `owner` (rows,), to the statistics.
+    def gather(self, values: Tensor, owner: Tensor, garments: int) -> None:
+        """Add one step to the statistics: each garment its mean and mean square once, however many rows it has.
 
-        Each garment that has a row adds its mean and mean square once, however many rows it has. `counted` (rows,) bool
-        leaves rows out. Raises RuntimeError once frozen.
+        Args:
+            values: (rows, width).
+            owner: (rows,) int64 garment of each row.
+            garments: how many there are; those without a row add nothing.
+
+        Raises:
+            RuntimeError: the statistics are frozen.
         """
         if bool(self.frozen):
             raise RuntimeError("The statistics are frozen; they are gathered during warm-up only.")
         rows = values.to(torch.float64)
-        weight = torch.ones(len(rows), 1, dtype=torch.float64, device=rows.device)
-        if counted is not None:
-            weight = counted[:, None].to(torch.float64)
-        stacked = torch.cat([weight, rows * weight, rows.square() * weight], dim=1)
+        stacked = torch.cat([torch.ones_like(rows[:, :1]), rows, rows.square()], dim=1)
         totals = torch.zeros(garments, stacked.shape[1], dtype=torch.float64, device=rows.device)
         totals.index_add_(0, owner, stacked)
         present = (totals[:, :1] > 0).to(torch.float64)

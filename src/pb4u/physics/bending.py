@@ -7,16 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pb4u.physics.energy_term import (
-    ElementBlocks,
-    EnergyTerm,
-    TimeStep,
-    columns,
-    corner_pairs,
-    dot,
-    sum_by_garment,
-    sum_by_vertex,
-)
+from pb4u.physics.contact.planes import ContactSet
+from pb4u.physics.energy_term import EnergyTerm, columns, corner_pairs, dot, sum_by_garment, sum_by_vertex
+from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 
 
@@ -34,19 +27,22 @@ class Bending(EnergyTerm):
     rest_angles: bool = False
     name = "bending"
 
-    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments
         length, angle = _length_and_angle(x, garments.hinges)
         return self._energies(garments, length * (angle - self._rest(garments)))
 
-    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         garments = step.garments
         bend, derivative = self._bend_and_derivative(garments, x)
         pull = _stiffness(garments) * bend
         forces = torch.cat([pull * d for d in derivative], dim=1)
         return self._energies(garments, bend), sum_by_vertex(forces, garments.hinges.T.reshape(-1), len(x))
 
-    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
+    def elements(self, garments: PackedGarments) -> Tensor:
+        return garments.hinges
+
+    def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         """Gauss-Newton: stiffness times the outer product of the derivative of l (theta - theta0)."""
         garments = step.garments
         _, derivative = self._bend_and_derivative(garments, x)
@@ -56,7 +52,7 @@ class Bending(EnergyTerm):
         blocks = x.new_empty((3, 3, len(pairs), len(root)))
         for k, (i, j) in enumerate(pairs):
             torch.mul(scaled[i][:, None], scaled[j][None], out=blocks[:, :, k])
-        return ElementBlocks(garments.hinges, blocks)
+        return blocks
 
     def _rest(self, garments: PackedGarments) -> Tensor | float:
         return dihedral_angles(garments.rest_positions, garments.hinges) if self.rest_angles else 0.0

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from pb4u.physics.energy_term import ElementBlocks, EnergyTerm, TimeStep, sum_by_garment
+from pb4u.physics.contact.planes import ContactSet
+from pb4u.physics.energy_term import EnergyTerm, sum_by_garment
+from pb4u.physics.time_step import TimeStep
 
 
 @dataclass(frozen=True)
@@ -20,14 +22,11 @@ class Gravity(EnergyTerm):
     absolute: bool = False
     name = "gravity"
 
-    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         garments = step.garments
         height = x if self.absolute else x - step.height_origin[garments.vertex_garment]
         energy = -garments.vertex_masses * (height @ step.gravity)
         return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
 
-    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
-        return self.energies(step, x), -step.garments.vertex_masses[:, None] * step.gravity
-
-    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks | None:
-        return None
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
+        return self.energies(step, contacts, x), -step.garments.vertex_masses[:, None] * step.gravity

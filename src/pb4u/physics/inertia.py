@@ -5,7 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pb4u.physics.energy_term import ElementBlocks, EnergyTerm, TimeStep, dot, sum_by_garment
+from pb4u.physics.contact.planes import ContactSet
+from pb4u.physics.energy_term import EnergyTerm, dot, sum_by_garment, vertex_elements
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import PackedGarments
 
 
 class Inertia(EnergyTerm):
@@ -17,18 +20,19 @@ class Inertia(EnergyTerm):
 
     name = "inertia"
 
-    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         return self._energies(step, self._change(step, x))
 
-    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         change = self._change(step, x)
         return self._energies(step, change), (step.garments.vertex_masses / step.dt**2)[:, None] * change
 
-    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
-        garments = step.garments
-        stiffness = garments.vertex_masses / step.dt**2
-        blocks = stiffness * torch.eye(3, dtype=x.dtype, device=x.device)[:, :, None, None]
-        return ElementBlocks(torch.arange(len(x), device=x.device)[:, None], blocks)
+    def elements(self, garments: PackedGarments) -> Tensor:
+        return vertex_elements(garments)
+
+    def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+        stiffness = step.garments.vertex_masses / step.dt**2
+        return stiffness * torch.eye(3, dtype=x.dtype, device=x.device)[:, :, None, None]
 
     def _change(self, step: TimeStep, x: Tensor) -> Tensor:
         return (x - step.state.positions) - step.dt * step.state.velocities

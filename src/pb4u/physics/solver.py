@@ -8,28 +8,51 @@ depend on the resolution.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.conjugate_gradient import LinearSolution, conjugate_gradient
-from pb4u.physics.contact_planes import ContactPlanes
-from pb4u.physics.divergence import DivergedError
-from pb4u.physics.incremental_potential import Energies, StepPotential
-from pb4u.physics.overrun import lifted_off_the_body
-from pb4u.physics.preconditioner import PatchBasis, TwoLevelPreconditioner
+from pb4u.physics.contact.planes import ContactPlanes
+from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
+from pb4u.physics.energy_term import EnergyTerm
+from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
+from pb4u.physics.linear_solver import LinearSolution, PatchBasis, TwoLevelPreconditioner, conjugate_gradient
 from pb4u.physics.stiffness_matrix import StiffnessPattern
-from pb4u.physics.tracked_contact import TrackedContact
+from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.scene.packed import PackedGarments
+from pb4u.scene.scene import STANDARD_GRAVITY
+from pb4u.scene.state import State
 
-_STANDARD_GRAVITY = 9.81
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
 _SUFFICIENT_DECREASE = 1e-4
+"""Share of the decrease that the slope promises with which a line search is content (Nocedal and Wright, 3.1)."""
+
+_HALVINGS = 20
+"""Of a step in a line search; a millionth of a Newton step that still does not descend is rounding."""
+
 _LARGEST_MOVE = 0.2
+"""How far [m] one Newton step may move a vertex: further, the tangent planes of the body mean nothing."""
+
 _BUCKLING_MOVE = 1e-4
+"""First move [m] along a direction of negative curvature; doubled while the energy falls."""
+
+_BUCKLING_DOUBLINGS = 9
+"""Up to 2.6 cm, the depth of a fold."""
+
+LARGEST_MOTION = 0.15
+"""How far the body under the cloth may move in one implicit step [m]: less than a limb is thick."""
+
+_NEAR = 0.05
+"""Distance [m] from the body within which its motion concerns the cloth."""
+
+
 # Share of the compressive curvature and extra mass, from safest to exact: an iteration starts one level above the last
 # and falls back while the curvature is negative. The extra mass holds back what is about to buckle.
 _LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
@@ -42,7 +65,8 @@ class Solution:
     Args:
         positions: (vertices, 3) [m].
         energies: at `positions`.
-        residual: rms over free vertices of the unbalanced acceleration, in units of standard gravity.
+        residual: rms over the free vertices of a world of the unbalanced acceleration, in units of standard gravity;
+            of the world where it is largest.
         iterations: Newton iterations made.
         inner_iterations: conjugate gradient iterations made, summed.
         converged: whether the residual is below the tolerance.
@@ -59,23 +83,18 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class Progress:
-    """One iteration, for whoever watches: total energy [J] and residual before it."""
+class Iteration:
+    """One iteration, for whoever watches.
 
-    iteration: int
+    Args:
+        number: counted from 0.
+        total: energy before it [J].
+        residual: before it, as in `Solution`.
+    """
+
+    number: int
     total: float
     residual: float
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Tensors of cloth are small: threads gain little, and wait for one another wherever another process is at work."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 class Solver:
@@ -84,27 +103,24 @@ class Solver:
     Computes in float64 on the CPU.
 
     Args:
-        tolerance: rms(M^-1 gradient) / 9.81 at which a step counts as solved.
+        tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
         max_iterations: Newton iterations after which it stops anyway.
         forcing: relative tolerance of the linear solves.
     """
 
     def __init__(self, tolerance: float = 1e-3, max_iterations: int = 100, forcing: float = 0.05) -> None:
         self.tolerance, self.max_iterations, self.forcing = tolerance, max_iterations, forcing
-        self._garments: PackedGarments | None = None
+        self._prepared_for: tuple[PackedGarments, tuple[EnergyTerm, ...]] | None = None
         self._pattern: StiffnessPattern
         self._basis: PatchBasis
-
-    def refine(self, potential: StepPotential, start: Tensor, iterations: int) -> Solution:
-        """At most `iterations` iterations from a prediction `start` (vertices, 3) [m], fewer if solved earlier."""
-        return self.minimise(potential, start, iterations)
+        self._threads: ThreadpoolController
 
     def minimise(
         self,
         potential: StepPotential,
         start: Tensor,
         iterations: int | None = None,
-        watch: Callable[[Progress], None] | None = None,
+        watch: Callable[[Iteration], None] | None = None,
     ) -> Solution:
         """Minimise `potential` from `start` (vertices, 3) float64 [m], where pinned vertices stay.
 
@@ -116,7 +132,9 @@ class Solver:
 
         Raises DivergedError when `start` or its energy is not finite.
         """
-        with _one_thread():
+        self._prepare(potential)
+        # Tensors of cloth are small: threads gain little, and wait for one another wherever another process is at work.
+        with self._threads.limit(limits=1, user_api="openmp"):
             return self._minimise(potential, start, iterations, watch)
 
     def _minimise(
@@ -124,10 +142,9 @@ class Solver:
         potential: StepPotential,
         start: Tensor,
         iterations: int | None,
-        watch: Callable[[Progress], None] | None,
+        watch: Callable[[Iteration], None] | None,
     ) -> Solution:
         garments = potential.step.garments
-        self._prepare(garments)
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
@@ -143,33 +160,41 @@ class Solver:
             if not np.isfinite(residual) or not np.isfinite(total):
                 raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
             if watch is not None:
-                watch(Progress(iteration, total, residual))
+                watch(Iteration(iteration, total, residual))
             if residual <= self.tolerance or iteration >= limit:
                 solved = residual <= self.tolerance
-                return Solution(x, energies, residual, iteration, inner, solved, frozen.step.contact_next)
+                return Solution(x, energies, residual, iteration, inner, solved, frozen.contacts.next)
             highest = min(level + 1, len(_LEVELS) - 1)
             newton, level = self._direction(frozen, x, gradient, highest, preconditioner)
             inner += newton.iterations
-            moved = self._line_search(frozen, x, gradient, total, newton)
+            moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
-                return Solution(x, energies, residual, iteration, inner, False, frozen.step.contact_next)
+                return Solution(x, energies, residual, iteration, inner, False, frozen.contacts.next)
             x = moved
             iteration += 1
 
-    def _prepare(self, garments: PackedGarments) -> None:
-        if self._garments is not garments:
+    def _prepare(self, potential: StepPotential) -> None:
+        garments, terms = potential.step.garments, potential.potential.terms
+        if self._prepared_for is None or self._prepared_for[0] is not garments or self._prepared_for[1] != terms:
             if garments.dtype != torch.float64 or garments.device.type != "cpu":
                 raise ValueError(f"the solver needs garments packed in float64 on the CPU, not {garments.dtype}")
-            self._pattern = StiffnessPattern(garments)
+            from threadpoolctl import ThreadpoolController
+
+            # Of this thread alone: torch's own setting would be that of every thread begun meanwhile, for good.
+            self._threads = ThreadpoolController()
+            self._pattern = StiffnessPattern(garments, terms)
             self._basis = PatchBasis(garments, self._pattern.free.numpy())
-            self._garments = garments
+            self._prepared_for = garments, terms
 
     def _residual(self, garments: PackedGarments, gradient: Tensor) -> float:
+        """Of the world that is farthest from its balance."""
         free = self._pattern.free
         if not bool(free.any()):
             return 0.0
-        acceleration = gradient[free] / garments.vertex_masses[free, None]
-        return float(acceleration.square().sum(1).mean().sqrt()) / _STANDARD_GRAVITY
+        squared = (gradient[free] / garments.vertex_masses[free, None]).square().sum(1)
+        counts = torch.bincount(garments.vertex_world[free], minlength=garments.world_count).tolist()
+        worlds = torch.split(squared, counts)
+        return max(float(world.mean().sqrt()) for world in worlds if len(world)) / STANDARD_GRAVITY
 
     def _direction(
         self, frozen: StepPotential, x: Tensor, gradient: Tensor, level: int, preconditioner: _StepPreconditioner
@@ -195,37 +220,68 @@ class Solver:
             level -= 1
 
     def _line_search(
-        self, frozen: StepPotential, x: Tensor, gradient: Tensor, total: float, solved: LinearSolution
+        self, frozen: StepPotential, x: Tensor, gradient: Tensor, energies: Tensor, solved: LinearSolution
     ) -> Tensor | None:
-        """Where the energy has fallen enough along the direction, then along the buckling one; None if nowhere."""
+        """Where the energy has fallen enough along the direction, then along the buckling one; None if nowhere.
+
+        Decided world by world. `energies` (worlds,) [J] are those at `x` (vertices, 3) [m].
+        """
+        garments = frozen.step.garments
+        world = garments.vertex_world
+
+        def each_vertex(values: Tensor) -> Tensor:
+            return values[world, None]
+
+        def energies_at(positions: Tensor) -> Tensor:
+            return frozen.energies(positions).per_world(garments)
+
         direction = torch.from_numpy(solved.solution.reshape(-1, 3))
-        largest = float(direction.norm(dim=1).max())
-        if largest > _LARGEST_MOVE:
-            direction = direction * (_LARGEST_MOVE / largest)
-        slope = float((gradient * direction).sum())
-        length = 1.0
-        for _ in range(20):
-            candidate = x + length * direction
-            energy = float(frozen.energies(candidate).total)
-            if energy <= total + _SUFFICIENT_DECREASE * length * slope:
+        direction = direction * each_vertex(_factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0))
+        slope = _sums(gradient * direction, garments)
+        length = torch.ones_like(slope)
+        for _ in range(_HALVINGS):
+            candidate = x + each_vertex(length) * direction
+            reached = energies_at(candidate)
+            fallen = reached <= energies + _SUFFICIENT_DECREASE * length * slope
+            if bool(fallen.all()):
                 break
-            length *= 0.5
+            length = torch.where(fallen, length, 0.5 * length)
         else:
-            return None
+            if not bool(fallen.any()):
+                return None
+            candidate = torch.where(each_vertex(fallen), candidate, x)
+            reached = energies_at(candidate)
         if solved.negative is None:
             return candidate
         buckling = torch.from_numpy(solved.negative.reshape(-1, 3))
-        buckling = buckling * (_BUCKLING_MOVE / float(buckling.norm(dim=1).max()))
-        if float((gradient * buckling).sum()) > 0:
-            buckling = -buckling
-        result, size = candidate, 1.0
-        for _ in range(9):
-            further = candidate + size * buckling
-            lower = float(frozen.energies(further).total)
-            if not lower < energy:
+        buckling = buckling * each_vertex(_factors(buckling, _BUCKLING_MOVE, garments))
+        buckling = buckling * each_vertex(torch.where(_sums(gradient * buckling, garments) > 0, -1.0, 1.0))
+        result, size, falling = candidate, 1.0, torch.ones_like(fallen)
+        for _ in range(_BUCKLING_DOUBLINGS):
+            further = torch.where(each_vertex(falling), candidate + size * buckling, result)
+            lower = energies_at(further)
+            falling = falling & (lower < reached)
+            if not bool(falling.any()):
                 break
-            result, energy, size = further, lower, 2.0 * size
+            result = torch.where(each_vertex(falling), further, result)
+            reached, size = torch.where(falling, lower, reached), 2.0 * size
         return result
+
+
+def _factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:
+    """(worlds,) on the `moves` (vertices, 3) of each world that make the largest of them `size` [m].
+
+    A world next to still beside the others keeps still: its moves are rounding.
+    """
+    counts = torch.tensor(garments.world_offsets).diff()
+    largest = torch.segment_reduce(moves.norm(dim=1), "max", lengths=counts)
+    return torch.where(largest > 1e-12 * largest.max(), torch.full_like(largest, size) / largest, 0.0)
+
+
+def _sums(values: Tensor, garments: PackedGarments) -> Tensor:
+    """(worlds,) sums of `values` (vertices, 3) over the vertices of each world."""
+    starts, stops = garments.world_offsets[:-1], garments.world_offsets[1:]
+    return torch.stack([values[start:stop].sum() for start, stop in zip(starts, stops, strict=True)])
 
 
 class _StepPreconditioner:
@@ -252,3 +308,39 @@ class _StepPreconditioner:
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         assert self._current is not None
         return self._current(residual)
+
+
+def substep_count(step: TimeStep) -> int:
+    """Implicit steps that `step` should be cut into so that no part of the body near the cloth jumps over it."""
+    planes, bodies = step.contacts.now, step.bodies
+    if planes is None or bodies is None:
+        return 1
+    near = planes.touchable & (planes.distance < _NEAR)
+    if not bool(near.any()):
+        return 1
+    motion = planes.interpolated(bodies.motion, bodies.colliders.faces)[near]
+    return max(1, math.ceil(float(motion.norm(dim=1).max()) / LARGEST_MOTION))
+
+
+def implicit_steps(
+    potential: IncrementalPotential, solver: Solver, step: TimeStep, iterations: int | None = None
+) -> tuple[State, Solution]:
+    """The state at the end of `step` from free flight, and the solution of its last implicit step.
+
+    A body that moves far in the step is moved along straight lines in several implicit steps.
+
+    Args:
+        potential: the energies.
+        solver: their minimiser.
+        step: garments in float64 on the CPU.
+        iterations: at most this many in each implicit step; None goes to the solver's tolerance.
+
+    Raises DivergedError when the state is not finite.
+    """
+    count, state = substep_count(step), step.state
+    for k in range(count):
+        part = step if count == 1 else step.part(k, count, state)
+        start = part.with_pins(state.positions + part.dt * state.velocities)
+        solution = solver.minimise(potential.of(part), start, iterations)
+        state = part.reached(solution.positions)
+    return State(state.positions, state.velocities, step.state.frame + 1), solution

@@ -3,40 +3,46 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.energy_term import ElementBlocks, corner_pairs
+from pb4u.physics.energy_term import EnergyTerm, corner_pairs
 from pb4u.scene.packed import PackedGarments
 
 
 class StiffnessPattern:
-    """Which pairs of vertices any energy couples: those that share a face or a hinge.
+    """Which pairs of vertices the energies couple, by the elements that they declare.
 
     Pinned vertices, and isolated ones, which have no mass, do not move.
 
     Args:
         garments: static quantities on the CPU.
+        terms: the energies.
 
     Attributes:
         free: (vertices,) bool, whether a vertex moves.
         own_entries: (vertices,) which entry is the diagonal block of each vertex.
     """
 
-    def __init__(self, garments: PackedGarments) -> None:
+    def __init__(self, garments: PackedGarments, terms: Sequence[EnergyTerm]) -> None:
         self.vertex_count = count = garments.vertex_count
         self.free = ~garments.pinned & (garments.vertex_masses > 0)
-        self._elements = (torch.arange(count)[:, None], garments.faces, garments.hinges)
-        ends = [_pair_ends(e) for e in self._elements]
+        declared = {term.name: term.elements(garments) for term in terms}
+        elements = {name: part for name, part in declared.items() if part is not None}
+        # Every vertex has a block of its own, whatever the energies.
+        ends = [_pair_ends(e) for e in (torch.arange(count)[:, None], *elements.values())]
         # Energies are summed once for each two vertices that they couple; the matrix holds the sum and its transpose.
         keys = [torch.minimum(i, j) * count + torch.maximum(i, j) for i, j in ends]
         coupled = torch.unique(torch.cat(keys))
         self._coupled_count = len(coupled)
-        self._slots = [self._axes(torch.searchsorted(coupled, k), i > j) for k, (i, j) in zip(keys, ends, strict=True)]
+        self._slots = {
+            name: self._axes(torch.searchsorted(coupled, k), i > j).reshape(-1)
+            for name, k, (i, j) in zip(elements, keys[1:], ends[1:], strict=True)
+        }
         low, high = torch.div(coupled, count, rounding_mode="floor"), coupled % count
         apart = torch.nonzero(low != high)[:, 0]
         rows, columns = torch.cat([low, high[apart]]), torch.cat([high, low[apart]])
@@ -49,11 +55,11 @@ class StiffnessPattern:
         self._indptr = torch.searchsorted(rows, torch.arange(count + 1)).to(torch.int32)
         self._held = torch.nonzero(~(self.free[rows] & self.free[columns]))[:, 0]
 
-    def assemble(self, elements: Sequence[ElementBlocks]) -> np.ndarray:
-        """(entries, 3, 3) sum of element blocks; those of a vertex that does not move are zero."""
+    def assemble(self, blocks: Mapping[str, Tensor]) -> np.ndarray:
+        """(entries, 3, 3) sum of the terms' element `blocks`; those of a vertex that does not move are zero."""
         sums = torch.zeros(9 * self._coupled_count, dtype=torch.float64)
-        for element in elements:
-            sums.scatter_add_(0, self._slots_of(element.vertices), element.blocks.reshape(-1))
+        for name, values in blocks.items():
+            sums.scatter_add_(0, self._slots[name], values.reshape(-1))
         entries = sums.index_select(0, self._mirror).reshape(-1, 3, 3)
         entries[self._held] = 0.0
         return entries.numpy()
@@ -62,12 +68,6 @@ class StiffnessPattern:
         """(3, 3, n) where the sums of a `pair` (n,) are, axis by axis, with the axes exchanged where `turned` (n,)."""
         axes = torch.arange(9).reshape(3, 3)
         return torch.where(turned, axes.T[:, :, None], axes[:, :, None]) * self._coupled_count + pair
-
-    def _slots_of(self, vertices: Tensor) -> Tensor:
-        for elements, slots in zip(self._elements, self._slots, strict=True):
-            if elements is vertices or (vertices.shape[1] == 1 and torch.equal(elements, vertices)):
-                return slots.reshape(-1)
-        raise ValueError("an energy couples vertices that are not those of the garments' vertices, faces or hinges")
 
     def matrix(self, entries: np.ndarray) -> Any:
         """Assembled `entries` as a scipy BSR matrix (3 vertices, 3 vertices)."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pb4u.physics.energy_term import ElementBlocks, EnergyTerm, TimeStep, columns, outer, sum_by_garment, sum_by_vertex
+from pb4u.physics.contact.planes import ContactSet
+from pb4u.physics.energy_term import EnergyTerm, columns, outer, sum_by_garment, sum_by_vertex
+from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 
 
@@ -19,10 +21,10 @@ class Stretch(EnergyTerm):
 
     name = "stretch"
 
-    def energies(self, step: TimeStep, x: Tensor) -> Tensor:
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         return _energies(step.garments, *_green_strain(*_deformation(step.garments, x)))
 
-    def energies_and_gradient(self, step: TimeStep, x: Tensor) -> tuple[Tensor, Tensor]:
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         garments = step.garments
         f1, f2 = _deformation(garments, x)
         g11, g22, g12 = _green_strain(f1, f2)
@@ -34,7 +36,10 @@ class Stretch(EnergyTerm):
         forces = torch.cat([-on_b - on_c, on_b, on_c], dim=1)
         return _energies(garments, g11, g22, g12), sum_by_vertex(forces, garments.faces.T.reshape(-1), len(x))
 
-    def curvature(self, step: TimeStep, x: Tensor) -> ElementBlocks:
+    def elements(self, garments: PackedGarments) -> Tensor:
+        return garments.faces
+
+    def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         """Exact where the stress is tensile; compressive stress is left to `buckling`."""
         garments = step.garments
         f1, f2 = _deformation(garments, x)
@@ -49,7 +54,7 @@ class Stretch(EnergyTerm):
         h12 = t12 * identity + mu * cross.transpose(0, 1) + lam * cross
         return _by_corners(garments, h11, h12, h22)
 
-    def buckling(self, step: TimeStep, x: Tensor) -> ElementBlocks:
+    def buckling(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         """The curvature of compressive stress."""
         garments = step.garments
         stress = _stress(garments, *_green_strain(*_deformation(garments, x)))
@@ -62,7 +67,7 @@ def _identity(x: Tensor) -> Tensor:
     return torch.eye(3, dtype=x.dtype, device=x.device)[:, :, None]
 
 
-def _by_corners(garments: PackedGarments, h11: Tensor, h12: Tensor, h22: Tensor) -> ElementBlocks:
+def _by_corners(garments: PackedGarments, h11: Tensor, h12: Tensor, h22: Tensor) -> Tensor:
     """Second derivatives by the columns of F (3, 3, faces) turned into those by the corners.
 
     Edges b-a and c-a move the columns through the inverse rest shape; corner a moves both edges back.
@@ -74,7 +79,7 @@ def _by_corners(garments: PackedGarments, h11: Tensor, h12: Tensor, h22: Tensor)
     cc = c_by_1 * c1 + c_by_2 * c2
     ab, ac = -bb - bc.transpose(0, 1), -bc - cc
     aa = -ab - ac
-    return ElementBlocks(garments.faces, torch.stack([aa, ab, ac, bb, bc, cc], dim=2))
+    return torch.stack([aa, ab, ac, bb, bc, cc], dim=2)
 
 
 def _deformation(garments: PackedGarments, x: Tensor) -> tuple[Tensor, Tensor]:

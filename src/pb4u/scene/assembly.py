@@ -17,12 +17,13 @@ from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.diagnosis import require_worn
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
-from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_garment
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.source_map import map_to_nearest
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.remeshing import remesh
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
@@ -305,7 +306,7 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
         return garment
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
     uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
-    before = SourceMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+    before = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
     remeshed = replace(
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
         source=map_to_nearest(before, vertices, faces),

@@ -1,13 +1,15 @@
-"""Several garments, and the bodies they touch, in one set of arrays: what physics and networks compute on.
+"""Garments and the bodies they touch in one set of arrays: what physics and networks compute on.
 
-Everything here is static during a simulation except `ColliderFrame`, which is made anew each step. Garment g of a pack
-touches collider g only, so scenes of different size, resolution and material batch together without touching.
+A *world* is what can touch: some garments and some bodies. Rows know their garment (a piece of clothing with its
+material) and their world; worlds of different size, resolution and material batch together without touching.
+`PackedGarments` and `PackedColliders` never change; a `ColliderPose` is where the bodies are at one instant.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -15,6 +17,7 @@ from torch import Tensor
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
+from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,16 +29,25 @@ class PackedGarments:
         faces: (faces, 3) int64 into the packed vertices.
         inverse_rest_shape: (faces, 2, 2) [1/m] inverse of the rest triangle's edge matrix in its own plane.
         face_areas: (faces,) rest areas [m^2].
-        lame_mu: (faces,) [Pa]. lame_lambda: (faces,) [Pa]. thickness: (faces,) [m].
-        edges: (edges, 2) int64. edge_lengths: (edges,) rest lengths [m].
+        lame_mu: (faces,) [Pa].
+        lame_lambda: (faces,) [Pa].
+        thickness: (faces,) [m].
+        edges: (edges, 2) int64.
+        edge_lengths: (edges,) rest lengths [m].
         hinges: (hinges, 4) int64 edge v0 v1, opposite v2, opposite v3.
         hinge_areas: (hinges,) both rest areas summed [m^2].
         bending: (hinges,) coefficient [J].
-        vertex_masses: (vertices,) [kg]. vertex_areas: (vertices,) [m^2]. pinned: (vertices,) bool.
-        vertex_garment, face_garment, hinge_garment, edge_garment: garment index of each row, int64, ascending.
+        vertex_masses: (vertices,) [kg].
+        vertex_areas: (vertices,) [m^2].
+        pinned: (vertices,) bool.
+        vertex_garment: (vertices,) int64 garment of each row, ascending.
+        face_garment: (faces,) int64, likewise.
+        hinge_garment: (hinges,) int64, likewise.
+        edge_garment: (edges,) int64, likewise.
         vertex_offsets: first packed vertex of each garment, and the total.
         mean_edge_lengths: mean rest edge length of each garment [m].
         garments: the garments packed.
+        worlds: world of each garment, ascending from 0.
     """
 
     rest_positions: Tensor
@@ -60,6 +72,33 @@ class PackedGarments:
     vertex_offsets: tuple[int, ...]
     mean_edge_lengths: tuple[float, ...]
     garments: tuple[Garment, ...]
+    worlds: tuple[int, ...]
+
+    @property
+    def world_count(self) -> int:
+        return self.worlds[-1] + 1 if self.worlds else 0
+
+    @cached_property
+    def garment_world(self) -> Tensor:
+        """(garments,) int64 world of each garment."""
+        return torch.tensor(self.worlds, dtype=torch.int64, device=self.device)
+
+    @cached_property
+    def vertex_world(self) -> Tensor:
+        """(vertices,) int64 world of each vertex."""
+        return self.garment_world[self.vertex_garment]
+
+    @cached_property
+    def world_offsets(self) -> tuple[int, ...]:
+        """First packed vertex of each world, and the total."""
+        firsts = [self.vertex_offsets[self.worlds.index(world)] for world in range(self.world_count)]
+        return (*firsts, self.vertex_count)
+
+    def by_world(self, values: Tensor) -> Tensor:
+        """(worlds,) sums of `values` (garments,) over the garments of each world."""
+        if self.world_count == self.garment_count:
+            return values
+        return values.new_zeros(self.world_count).index_add(0, self.garment_world, values)
 
     @property
     def garment_count(self) -> int:
@@ -79,24 +118,172 @@ class PackedGarments:
 
 
 @dataclass(frozen=True, eq=False)
-class ColliderFrame:
-    """Where the colliders of a pack are around one step, concatenated.
+class PackedColliders:
+    """What never changes of the bodies of a pack, concatenated.
 
     Args:
-        previous, now, following: (vertices, 3) [m] at frames t-1, t, t+1.
         faces: (faces, 3) int64 into the packed vertices.
         contact: (vertices,) bool, False where contact is not answered.
-        vertex_garment: (vertices,) int64 index of the garment that touches this collider.
+        vertex_world: (vertices,) int64 world of each vertex, ascending.
         ground_height: height of the ground plane [m], or None.
+        surfaces: the searchable surface of each world's bodies, regions left out of contact cut away; None for a world
+            without a body that may be touched.
     """
 
-    previous: Tensor
-    now: Tensor
-    following: Tensor
     faces: Tensor
     contact: Tensor
-    vertex_garment: Tensor
-    ground_height: float | None = 0.0
+    vertex_world: Tensor
+    ground_height: float | None
+    surfaces: tuple[TriangleSurface | None, ...]
+
+    @cached_property
+    def whole_surfaces(self) -> tuple[TriangleSurface | None, ...]:
+        """The surfaces with the regions left out of contact."""
+        return _surfaces(self.faces, None, self.vertex_world, len(self.surfaces))
+
+    @cached_property
+    def world_vertices(self) -> tuple[slice, ...]:
+        """The packed vertices of each world."""
+        counts = torch.bincount(self.vertex_world, minlength=len(self.surfaces)).tolist()
+        stops = np.cumsum(counts).tolist()
+        return tuple(slice(stop - count, stop) for count, stop in zip(counts, stops, strict=True))
+
+    @cached_property
+    def world_faces(self) -> tuple[Tensor, ...]:
+        """The packed faces of each world, int64."""
+        face_world = self.vertex_world[self.faces[:, 0]] if len(self.faces) else self.vertex_world[:0]
+        return tuple(torch.nonzero(face_world == world)[:, 0] for world in range(len(self.surfaces)))
+
+    @cached_property
+    def touchable(self) -> tuple[Tensor, ...]:
+        """The packed vertices of each world that may be touched, int64."""
+        return tuple(
+            torch.nonzero((self.vertex_world == world) & self.contact)[:, 0] for world in range(len(self.surfaces))
+        )
+
+    def pose(self, positions: Tensor) -> ColliderPose:
+        """The bodies with their vertices at `positions` (vertices, 3) [m]."""
+        return ColliderPose(self, positions)
+
+    def to(self, device: torch.device) -> PackedColliders:
+        """The same on a device."""
+        return replace(
+            self,
+            faces=self.faces.to(device),
+            contact=self.contact.to(device),
+            vertex_world=self.vertex_world.to(device),
+        )
+
+
+class ColliderPose:
+    """The bodies of a pack at one instant; their search trees are built when first asked for, and kept with it.
+
+    Args:
+        colliders: what never changes of them.
+        positions: (vertices, 3) [m].
+    """
+
+    def __init__(self, colliders: PackedColliders, positions: Tensor) -> None:
+        self.colliders, self.positions = colliders, positions
+
+    @cached_property
+    def surfaces(self) -> tuple[PosedSurface | None, ...]:
+        """Each world's surface, regions left out of contact cut away."""
+        return self._posed(self.colliders.surfaces)
+
+    @cached_property
+    def whole_surfaces(self) -> tuple[PosedSurface | None, ...]:
+        """Each world's surface with the regions left out of contact."""
+        return self._posed(self.colliders.whole_surfaces)
+
+    def _posed(self, surfaces: tuple[TriangleSurface | None, ...]) -> tuple[PosedSurface | None, ...]:
+        rows = self.colliders.world_vertices
+        return tuple(
+            None if surface is None else surface.at(self.positions[own])
+            for surface, own in zip(surfaces, rows, strict=True)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ColliderFrame:
+    """Where the bodies of a pack are around one step.
+
+    Args:
+        previous: at frame t-1.
+        now: at frame t.
+        following: at frame t+1.
+    """
+
+    previous: ColliderPose
+    now: ColliderPose
+    following: ColliderPose
+
+    @property
+    def colliders(self) -> PackedColliders:
+        return self.now.colliders
+
+    @property
+    def ground_height(self) -> float | None:
+        return self.colliders.ground_height
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is no body at all."""
+        return not len(self.colliders.faces)
+
+    @cached_property
+    def motion(self) -> Tensor:
+        """(vertices, 3) [m] how far the bodies move over the step."""
+        return self.following.positions - self.now.positions
+
+    def between(self, start: float, end: float) -> ColliderFrame:
+        """The part of the step from the fraction `start` to `end`, the bodies moving along straight lines."""
+        now = torch.lerp(self.now.positions, self.following.positions, start)
+        following = torch.lerp(self.now.positions, self.following.positions, end)
+        return ColliderFrame(*(self.colliders.pose(p) for p in (2.0 * now - following, now, following)))
+
+
+def pack_colliders(
+    faces: Sequence[Tensor],
+    contact: Sequence[Tensor],
+    worlds: Sequence[int],
+    ground_height: float | None = 0.0,
+    surfaces: Sequence[TriangleSurface | None] | None = None,
+) -> PackedColliders:
+    """Concatenate bodies.
+
+    Args:
+        faces: of each body, (faces, 3) int64, on one device.
+        contact: of each body, (vertices,) bool.
+        worlds: world of each body, ascending.
+        ground_height: height of the ground plane [m], or None.
+        surfaces: the searchable surface of each world's bodies, where they are already made.
+    """
+    offsets = np.concatenate([[0], np.cumsum([len(part) for part in contact])]).tolist()
+    all_faces = torch.cat([part + offset for part, offset in zip(faces, offsets, strict=False)])
+    all_contact = torch.cat(list(contact))
+    counts = torch.tensor([len(part) for part in contact], device=all_contact.device)
+    owner = torch.tensor(list(worlds), device=all_contact.device).repeat_interleave(counts)
+    if surfaces is None:
+        surfaces = _surfaces(all_faces, all_contact, owner, max(worlds) + 1)
+    return PackedColliders(all_faces, all_contact, owner, ground_height, tuple(surfaces))
+
+
+def _surfaces(
+    faces: Tensor, contact: Tensor | None, vertex_world: Tensor, worlds: int
+) -> tuple[TriangleSurface | None, ...]:
+    """Each world's searchable surface, cut to `contact` (vertices,) where given."""
+    all_faces, owner = faces.cpu().numpy(), vertex_world.cpu().numpy()
+    made: list[TriangleSurface | None] = []
+    for world in range(worlds):
+        vertices = np.flatnonzero(owner == world)
+        region = np.ones(len(vertices), dtype=bool) if contact is None else contact.cpu().numpy()[vertices]
+        if not region.any():
+            made.append(None)
+            continue
+        own = all_faces[owner[all_faces[:, 0]] == world] - vertices[0]
+        made.append(TriangleSurface(own, len(vertices), region))
+    return tuple(made)
 
 
 def inverse_rest_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -125,9 +312,21 @@ def inverse_rest_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def pack(
-    garments: Sequence[Garment], dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+    garments: Sequence[Garment],
+    dtype: torch.dtype = torch.float64,
+    device: torch.device | str = "cpu",
+    worlds: Sequence[int] | None = None,
 ) -> PackedGarments:
-    """Concatenate `garments`. Raises InputError when a rest triangle is degenerate."""
+    """Concatenate garments.
+
+    Args:
+        garments: to pack, those of a world one after the other.
+        dtype: of floating arrays.
+        device: where the arrays live.
+        worlds: world of each garment, ascending from 0; each alone in its own by default.
+
+    Raises InputError when a rest triangle is degenerate.
+    """
     offsets = np.concatenate([[0], np.cumsum([len(g.vertices) for g in garments])]).astype(int)
 
     def real(parts: Sequence[np.ndarray]) -> Tensor:
@@ -166,4 +365,5 @@ def pack(
         vertex_offsets=tuple(offsets.tolist()),
         mean_edge_lengths=tuple(g.mean_edge_length for g in garments),
         garments=tuple(garments),
+        worlds=tuple(range(len(garments)) if worlds is None else worlds),
     )

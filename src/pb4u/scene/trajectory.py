@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import zipfile
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
@@ -16,8 +16,9 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_indices, joined_uvs, offsets
 from pb4u.scene.mapped_archive import map_archive
-from pb4u.scene.polygons import Polygons
+from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory_check import require_consistent
 
 FORMAT_VERSION = 1
@@ -29,36 +30,20 @@ _STREAMED = ("positions", "velocities", "body_positions")
 
 
 @dataclass(frozen=True, eq=False)
-class SourceTrack:
-    """How the author's own mesh rides on the simulated one.
-
-    Args:
-        faces: (source faces, 3) int64 triangulated source.
-        triangle: (source vertices,) int64 simulated face under each source vertex.
-        barycentric: (source vertices, 3) float64.
-        uvs: (uv points, 2) float64 or None. uv_faces: (source faces, 3) int64 or None.
-        polygons: the faces before they were cut into triangles; None where all were triangles.
-    """
-
-    faces: np.ndarray
-    triangle: np.ndarray
-    barycentric: np.ndarray
-    uvs: np.ndarray | None = None
-    uv_faces: np.ndarray | None = None
-    polygons: Polygons | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class TrajectoryHeader:
     """All of a trajectory that does not change from frame to frame.
 
     Args:
-        faces: (faces, 3) int64. rest_positions: (vertices, 3) float32 [m]. pinned: (vertices,) bool.
+        faces: (faces, 3) int64.
+        rest_positions: (vertices, 3) float32 [m].
+        pinned: (vertices,) bool.
         vertex_garment: (vertices,) int32 garment of each vertex.
-        body_faces: (body faces, 3) int64. body_contact: (body vertices,) bool.
+        body_faces: (body faces, 3) int64.
+        body_contact: (body vertices,) bool.
         fps: frames per second.
-        metadata: names, counts, material and versions, as JSON.
-        uvs: (uv points, 2) float64 or None. uv_faces: (faces, 3) int64 or None.
+        metadata: names, counts, garments with their materials and rows, and versions, as JSON.
+        uvs: (uv points, 2) float64 or None.
+        uv_faces: (faces, 3) int64 or None.
         source: the author's mesh where it differs from the simulated one.
         polygons: the faces before they were cut into triangles, where this mesh is the author's own; or None.
     """
@@ -75,6 +60,48 @@ class TrajectoryHeader:
     uv_faces: np.ndarray | None = None
     source: SourceTrack | None = None
     polygons: Polygons | None = None
+
+    @staticmethod
+    def of(scene: Scene, metadata: dict[str, Any]) -> TrajectoryHeader:
+        """Of what is simulated of `scene`, garments and bodies one after the other; `metadata` is added to its own."""
+        garments, bodies = [worn.garment for worn in scene.garments], scene.colliders
+        vertices, triangles = offsets([g.vertices for g in garments]), offsets([g.faces for g in garments])
+        uvs, uv_faces = joined_uvs([(g.uvs, g.uv_faces) for g in garments])
+        described = [
+            {
+                "name": garment.name,
+                "material": asdict(garment.material),
+                "vertices": vertices[k : k + 2],
+                "triangles": triangles[k : k + 2],
+                "source": scene.labels.get("sources", {}).get(garment.name),
+            }
+            for k, garment in enumerate(garments)
+        ]
+        return TrajectoryHeader(
+            faces=joined_indices([g.faces for g in garments], vertices),
+            rest_positions=np.concatenate([g.vertices for g in garments]).astype(np.float32),
+            pinned=np.concatenate([g.pinned for g in garments]),
+            vertex_garment=np.repeat(np.arange(len(garments), dtype=np.int32), np.diff(vertices)),
+            body_faces=joined_indices([body.faces for body in bodies], offsets([body.contact for body in bodies])),
+            body_contact=np.concatenate([body.contact for body in bodies]),
+            fps=scene.fps,
+            metadata={"garments": described, "material": described[0]["material"], **metadata},
+            uvs=uvs,
+            uv_faces=uv_faces,
+            source=SourceTrack.joined(garments),
+        )
+
+    @property
+    def garments(self) -> list[dict[str, Any]]:
+        """What `metadata` says of each garment; older files speak of one."""
+        whole = {
+            "name": self.metadata.get("garment", "garment"),
+            "material": self.metadata.get("material"),
+            "vertices": [0, len(self.rest_positions)],
+            "triangles": [0, len(self.faces)],
+            "source": None,
+        }
+        return self.metadata.get("garments") or [whole]
 
     @property
     def outlines(self) -> Polygons:
@@ -230,13 +257,18 @@ def _header_from(members: dict[str, np.ndarray], metadata: dict[str, Any]) -> Tr
 class TrajectoryWriter:
     """Streams frames to disk, so that length is not bounded by memory; the file appears when it is closed.
 
-    Closing after an error keeps the frames written so far when `keep_partial`, and leaves nothing otherwise.
+    An error on the way leaves nothing.
+
+    Args:
+        path: of the file.
+        header: all that does not change from frame to frame.
+
+    Raises InputError where the folder is absent or cannot be written.
     """
 
-    def __init__(self, path: str | Path, header: TrajectoryHeader, keep_partial: bool = False) -> None:
+    def __init__(self, path: str | Path, header: TrajectoryHeader) -> None:
         self.path = Path(path)
         self.header = header
-        self.keep_partial = keep_partial
         self.frame_count = 0
         if not self.path.parent.is_dir():
             raise InputError(f"The folder {self.path.parent} does not exist; make it first.")
@@ -290,7 +322,7 @@ class TrajectoryWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None or self.keep_partial:
+        if kind is None:
             self.close()
         else:
             self.abandon()

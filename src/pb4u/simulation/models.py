@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, unknown_name
 from pb4u.simulation.simulator import Simulator
 
 _BEST = "best.safetensors"
@@ -47,6 +46,7 @@ def load_simulator(
     propagation_steps: int | None = None,
     passes: int | None = None,
     device: str = "auto",
+    first_frame: str = "auto",
 ) -> Simulator:
     """The simulator called `name`.
 
@@ -57,24 +57,29 @@ def load_simulator(
         propagation_steps: override of K for a network; None follows the paper's rule.
         passes: how often a network is asked in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
+        first_frame: how frame 0 is made: "settled" by the solver, in one "long_step" of the method's own as in the
+            paper, or "auto": settled where the solver runs.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
-    from pb4u.simulation.contact import SurfaceContact
-    from pb4u.simulation.step import Contact, NoContact
+    from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
+    from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
+    from pb4u.simulation.simulator import SkinningSimulator
+    from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
+    ways: dict[str, type[FirstFrame]] = {"settled": Settled, "long_step": OneLongStep}
+    if first_frame not in ("auto", *ways):
+        raise unknown_name("first frame", first_frame, ("auto", *ways))
     if refine < 0:
         raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
     wanted = default_model() if str(name) == "auto" else str(name)
-    answering: Contact = SurfaceContact() if contact else NoContact()
+    answering: Contact = ContactResponse() if contact else NoContact()
+    if wanted in ("skinning", "newton") and first_frame != "auto":
+        raise InputError(f"{wanted} starts in a way of its own; leave the first frame to it.")
     if wanted == "skinning":
-        from pb4u.simulation.skinning_simulator import SkinningSimulator
-
         return SkinningSimulator()
     if wanted == "solver":
-        from pb4u.simulation.solver_simulator import SolverSimulator
-
-        return SolverSimulator(contact=answering)
+        return SolverSimulator(contact=answering, first_frame=ways.get(first_frame, Settled)())
     if wanted == "newton":
         from pb4u.simulation.newton_simulator import NewtonSimulator
 
@@ -82,13 +87,15 @@ def load_simulator(
     if wanted not in model_descriptions():
         _refuse_other_files_of_a_training(Path(wanted))
     if not Path(wanted).suffix and wanted not in model_descriptions():
-        near = get_close_matches(wanted, model_descriptions())
-        hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(model_descriptions())}."
-        raise InputError(f"There is no model {wanted!r}; {hint}")
+        raise unknown_name("model", wanted, model_descriptions())
     from pb4u.simulation.checkpoint import from_pretrained
-    from pb4u.simulation.network_simulator import NetworkSimulator
 
-    return NetworkSimulator(from_pretrained(wanted), propagation_steps, refine, answering, _device(device), passes)
+    # What a further pass improves, and what one long step settles, the solver does better and more cheaply.
+    beginning = ways.get(first_frame, Settled if refine else OneLongStep)()
+    asked = 1 if passes is None and refine else passes
+    return NetworkSimulator(
+        from_pretrained(wanted), propagation_steps, refine, answering, _device(device), asked, beginning
+    )
 
 
 def _refuse_other_files_of_a_training(path: Path) -> None:

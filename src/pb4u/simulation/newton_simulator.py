@@ -13,7 +13,7 @@ from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.simulation.newton_cloth import NewtonCloth, NewtonOptions, warp_device
 from pb4u.simulation.simulator import RunRecord, Simulator
-from pb4u.simulation.stage import Stage
+from pb4u.simulation.timeline import Timeline
 
 
 class NewtonSimulator(Simulator):
@@ -40,17 +40,17 @@ class NewtonSimulator(Simulator):
         return {"solver": "newton VBD", "solver_options": asdict(self.options), "device": self.device}
 
     def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
-        stage = Stage(scene, torch.float32)
-        pinned = scene.garments[0].garment.pinned
-        cloth = NewtonCloth(scene, stage.body(0).numpy(), stage.skinned(0).numpy(), self.device, self.options)
-        cloth.settle(scene.dt, stage.body(0).numpy())
+        timeline = Timeline.of(scene, torch.float32)
+        pinned = timeline.garments.pinned.numpy()
+        cloth = NewtonCloth(scene, timeline.body(0).numpy(), timeline.skinned(0).numpy(), self.device, self.options)
+        cloth.settle(scene.dt, timeline.body(0).numpy())
         previous = cloth.positions
         for frame in range(scene.total_frames):
             if frame:
                 cloth.advance(
                     scene.dt,
-                    (stage.body(frame - 1).numpy(), stage.body(frame).numpy()),
-                    (stage.skinned(frame - 1).numpy()[pinned], stage.skinned(frame).numpy()[pinned]),
+                    (timeline.body(frame - 1).numpy(), timeline.body(frame).numpy()),
+                    (timeline.skinned(frame - 1).numpy()[pinned], timeline.skinned(frame).numpy()[pinned]),
                 )
             positions = cloth.positions
             if not np.isfinite(positions).all():

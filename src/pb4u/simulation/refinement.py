@@ -1,13 +1,29 @@
-"""The solver inside a step: the whole method of `--model solver`, and what `--refine N` adds to a network."""
+"""The solver inside a step: what `--refine N` adds to a network, and the whole method of `--model solver`."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Solution, Solver
+from pb4u.physics.solver import Solution, Solver, implicit_steps
+from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
-from pb4u.simulation.step import Refinement, Situation, displaced
+
+
+class Refinement(ABC):
+    """Improves a prediction by physics."""
+
+    @abstractmethod
+    def refine(self, step: TimeStep, predicted: State) -> State:
+        """A state of lower incremental potential; its velocity is the displacement over dt."""
+
+
+class NoRefinement(Refinement):
+    """Leaves predictions as they are."""
+
+    def refine(self, step: TimeStep, predicted: State) -> State:
+        return predicted
 
 
 class SolverRefinement(Refinement):
@@ -32,16 +48,18 @@ class SolverRefinement(Refinement):
         self.potential = potential or IncrementalPotential()
         self.watch = watch
 
-    def refine(self, predicted: State, situation: Situation) -> State:
-        step_potential = self.potential.prepare(
-            situation.garments,
-            situation.state,
-            situation.collider,
-            situation.dt,
-            situation.gravity,
-            situation.potential.step.contact_now,
-        )
-        solution = self.solver.minimise(step_potential, predicted.positions, self.iterations)
+    def refine(self, step: TimeStep, predicted: State) -> State:
+        solution = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
         if self.watch:
             self.watch(solution)
-        return displaced(situation.state, solution.positions, situation.dt)
+        return step.reached(solution.positions)
+
+
+class ImplicitSteps(SolverRefinement):
+    """Minimises it from free flight, in as many implicit steps as the body's motion needs; see `implicit_steps`."""
+
+    def refine(self, step: TimeStep, predicted: State) -> State:
+        state, solution = implicit_steps(self.potential, self.solver, step, self.iterations)
+        if self.watch:
+            self.watch(solution)
+        return state

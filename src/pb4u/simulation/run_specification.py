@@ -7,7 +7,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -60,11 +60,12 @@ class RunSpecification:
         model: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
         contact: push the garment out of the body after each step (networks and solver).
         refine: solver iterations after each step of a network.
-        passes: how often a network is asked in a step; None is decided by `resolved_passes`.
+        passes: how often a network is asked in a step; None is its own number, or once where the solver
+            refines.
         propagation_steps: override of K for a network; None follows the paper's rule.
         device: where networks and newton compute.
         first_frame: how frame 0 is made: "settled" by the solver, or by one "long_step" of the method itself; "auto"
-            is decided by `resolved_first_frame`.
+            is settled where the solver runs.
 
     Raises:
         InputError: a value of a wrong type or out of range.
@@ -94,21 +95,6 @@ class RunSpecification:
         if self.first_frame not in get_args(FirstFrameChoice):
             raise unknown_name("first frame", str(self.first_frame), get_args(FirstFrameChoice))
 
-    @property
-    def resolved_passes(self) -> int | None:
-        """How often a network is asked in a step; None is its own number.
-
-        Once where the solver refines: what a further pass improves, the solver improves more cheaply.
-        """
-        return 1 if self.passes is None and self.refine else self.passes
-
-    @property
-    def resolved_first_frame(self) -> Literal["settled", "long_step"]:
-        """How frame 0 is made: the paper's long step where a network runs alone, else settled by the solver."""
-        if self.first_frame != "auto":
-            return self.first_frame
-        return "settled" if self.refine or str(self.model) == "solver" else "long_step"
-
     def simulator(self) -> Simulator:
         """What simulates the scene.
 
@@ -118,15 +104,14 @@ class RunSpecification:
         # It brings torch, which a description does without.
         from pb4u.simulation.models import load_simulator
 
-        if self.first_frame not in ("auto", replace(self, first_frame="auto").resolved_first_frame):
-            raise InputError(f"{self.model} cannot start with a first frame made as {self.first_frame} yet.")
         return load_simulator(
             self.model,
             contact=self.contact,
             refine=self.refine,
             propagation_steps=self.propagation_steps,
-            passes=self.resolved_passes,
+            passes=self.passes,
             device=self.device,
+            first_frame=self.first_frame,
         )
 
     def assemble(self, simulator: Simulator) -> Scene:

@@ -5,23 +5,24 @@ from __future__ import annotations
 import statistics
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
-from pb4u.errors import InputError, Pb4uError
-from pb4u.garment.garment import SourceMap
-from pb4u.scene.polygons import Polygons
+from pb4u.body.body_model import PosedBody
+from pb4u.errors import Pb4uError
+from pb4u.progress import Progress, unheard
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
-from pb4u.scene.trajectory import Frame, SourceTrack, Trajectory, TrajectoryHeader, TrajectoryWriter
+from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
 
-Progress = Callable[[int, int], None]
-"""Called with (frames done, frames in all), lead-in included."""
+_CHUNK = 32
+"""Frames skinned at a time."""
 
 
 @dataclass
@@ -73,11 +74,10 @@ class Simulator(ABC):
         return {}
 
     def written_frames(
-        self, scene: Scene, record: RunRecord | None = None, progress: Progress | None = None
+        self, scene: Scene, record: RunRecord | None = None, progress: Progress = unheard
     ) -> Iterator[Frame]:
         """The frames to write, as they are simulated."""
         record = record or RunRecord()
-        collider = scene.colliders[0]
         states = self.rollout(scene, record)
         for frame in range(scene.total_frames):
             began = time.perf_counter()
@@ -85,21 +85,20 @@ class Simulator(ABC):
             if state is None:
                 return
             record.step_seconds.append(time.perf_counter() - began)
-            if progress:
-                progress(frame + 1, scene.total_frames)
+            progress(frame + 1, scene.total_frames)
             if frame >= scene.lead_in:
                 yield Frame(
                     state.positions.detach().cpu().numpy().astype(np.float32),
                     state.velocities.detach().cpu().numpy().astype(np.float32),
-                    collider.positions(frame, frame + 1)[0].numpy(),
+                    np.concatenate([body.positions(frame, frame + 1)[0].numpy() for body in scene.colliders]),
                 )
 
-    def simulate(self, scene: Scene, progress: Progress | None = None) -> Trajectory:
+    def simulate(self, scene: Scene, progress: Progress = unheard) -> Trajectory:
         """Simulate in memory."""
         return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=progress))
 
     def simulate_to(
-        self, scene: Scene, path: str | Path, record: RunRecord | None = None, progress: Progress | None = None
+        self, scene: Scene, path: str | Path, record: RunRecord | None = None, progress: Progress = unheard
     ) -> Trajectory:
         """Simulate into a file as frames come, and open it. What was simulated is kept when the state fails."""
         record = record or RunRecord()
@@ -113,21 +112,21 @@ class Simulator(ABC):
         return Trajectory.open(path)
 
     def header(self, scene: Scene) -> TrajectoryHeader:
-        """The static part of the trajectory this simulator makes of `scene`. Raises InputError for several garments."""
-        if len(scene.garments) > 1:
-            raise InputError(f"{self.name} simulates one garment so far, and the scene has {len(scene.garments)}.")
-        worn, collider = scene.garments[0].garment, scene.colliders[0]
+        """The static part of the trajectory that this simulator makes of `scene`."""
+        garments = [worn.garment for worn in scene.garments]
+        edges = sum(len(garment.edge_lengths) for garment in garments)
+        shape = scene.labels.get("body_shape")
         metadata = {
-            "garment": scene.labels.get("garment", worn.name),
-            "triangles": worn.triangle_count,
-            "mean_edge_length": worn.mean_edge_length,
+            "garment": scene.labels.get("garment", "+".join(garment.name for garment in garments)),
+            "triangles": sum(garment.triangle_count for garment in garments),
+            "mean_edge_length": sum(len(g.edge_lengths) / edges * g.mean_edge_length for g in garments),
             "motion": scene.labels.get("motion", ""),
-            "body": scene.labels.get("body", collider.name),
+            "body": scene.labels.get("body", "+".join(body.name for body in scene.colliders)),
+            **({"body_shape": shape} if shape else {}),
             "model": self.name,
             "propagation_steps": self.propagation_steps(scene),
             "seed": scene.seed,
             "versions": _versions(),
-            "material": asdict(worn.material),
             "gravity": scene.gravity.tolist(),
             "ground_height": scene.ground_height,
             "lead_in": scene.lead_in,
@@ -135,39 +134,28 @@ class Simulator(ABC):
             "notes": list(scene.notes),
             **self.settings(),
         }
-        return TrajectoryHeader(
-            faces=worn.faces,
-            rest_positions=worn.vertices.astype(np.float32),
-            pinned=worn.pinned,
-            vertex_garment=np.zeros(len(worn.vertices), dtype=np.int32),
-            body_faces=collider.faces,
-            body_contact=collider.contact,
-            fps=scene.fps,
-            metadata=metadata,
-            uvs=worn.uvs,
-            uv_faces=worn.uv_faces,
-            source=None if worn.source is None else _source_track(worn.source),
-        )
+        return TrajectoryHeader.of(scene, metadata)
 
 
-def _source_track(source_map: SourceMap) -> SourceTrack:
-    from pb4u.geometry.triangulation import triangulate
+class SkinningSimulator(Simulator):
+    """Bare skinning: the garments carried by the bodies without any physics."""
 
-    mesh = source_map.source
-    corners, _ = triangulate(mesh.vertices, mesh.polygons)
-    uv_faces = None if mesh.polygon_uvs is None else np.concatenate(mesh.polygon_uvs)[corners]
-    faces = np.concatenate(mesh.polygons)[corners]
-    return SourceTrack(
-        faces, source_map.triangle, source_map.barycentric, mesh.uvs, uv_faces,
-        Polygons.of(mesh.polygons, mesh.polygon_uvs),
-    )  # fmt: skip
+    name = "skinning"
+
+    def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
+        previous = None
+        for start in range(0, scene.total_frames, _CHUNK):
+            stop = min(start + _CHUNK, scene.total_frames)
+            block = torch.cat([worn.placement.positions(start, stop) for worn in scene.garments], dim=1)
+            for offset, positions in enumerate(block):
+                velocities = (positions - (positions if previous is None else previous)) / scene.dt
+                previous = positions
+                yield State(positions, velocities, start + offset)
 
 
 def _heading(scene: Scene) -> float:
-    """Angle about the vertical [rad] in which the body faces in the first written frame; 0 is +Z."""
-    from pb4u.body.body_model import PosedBody
-
-    collider = scene.colliders[0]
+    """Angle about the vertical [rad] in which the first body faces in the first written frame; 0 is +Z."""
+    collider = next(iter(scene.colliders), None)
     if not isinstance(collider, PosedBody):
         return 0.0
     w, x, y, z = collider.poses.rotations[scene.lead_in, 0]
@@ -176,10 +164,10 @@ def _heading(scene: Scene) -> float:
 
 
 def _versions() -> dict[str, str]:
-    found = {}
+    installed = {}
     for package in ("pb4u", "torch", "numpy"):
         try:
-            found[package] = version(package)
+            installed[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "unknown"
-    return found
+            installed[package] = "unknown"
+    return installed

@@ -2,53 +2,165 @@
 
 from __future__ import annotations
 
+import copy
 from abc import abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
-from pb4u.physics.divergence import DivergedError, require_finite
+import torch
+
+from pb4u.errors import InputError
+from pb4u.graph.features import ADVANCE
+from pb4u.physics.contact.response import Contact, NoContact
+from pb4u.physics.solver import Solution
+from pb4u.physics.time_step import DivergedError, require_finite
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
-from pb4u.simulation.first_frame import FirstFrame
+from pb4u.simulation.checkpoint import Checkpoint
+from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
+from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SolverRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
-from pb4u.simulation.stage import Stage
-from pb4u.simulation.step import Situation, StepParts, step
+from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.step_start import start_of
+from pb4u.simulation.timeline import Timeline
 
 
 class StepwiseSimulator(Simulator):
-    """Rolls a scene out by repeated steps."""
+    """Rolls a scene out by repeated steps.
+
+    Attributes:
+        first_frame: how frame 0 is made.
+    """
+
+    first_frame: FirstFrame
 
     @abstractmethod
-    def parts(self, stage: Stage, record: RunRecord) -> StepParts:
-        """What the steps of this scene are made of."""
-
-    @abstractmethod
-    def first_frame(self, parts: StepParts) -> FirstFrame:
-        """How frame 0 is made."""
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
+        """What takes the steps of a run."""
 
     def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
-        stage = Stage(scene)
-        parts = self.parts(stage, record)
+        timeline = Timeline.of(scene)
+        method = self.method(timeline, record)
         made = 0
         try:
-            state = require_finite(self.first_frame(parts).start(stage))
-            yield presented(stage, state, parts)
-            for frame in range(scene.total_frames - 1):
-                made = frame + 1
-                state = require_finite(step(situation_at(stage, state, frame), parts))
-                yield presented(stage, state, parts)
+            state = require_finite(self.first_frame.start(timeline, method))
+            yield _written(scene, timeline, state, method)
+            for frame in range(1, scene.total_frames):
+                made = frame
+                state = require_finite(take(timeline.step_from(state), method))
+                yield _written(scene, timeline, state, method)
         except DivergedError:
             record.failed_at = made - scene.lead_in
 
 
-def presented(stage: Stage, state: State, parts: StepParts) -> State:
+def _written(scene: Scene, timeline: Timeline, state: State, method: StepMethod) -> State:
     """The state as it is written; frames of the lead-in are not, and are left as they are."""
-    if state.frame < stage.scene.lead_in:
+    if state.frame < scene.lead_in:
         return state
-    return parts.contact.present(state, stage.garments, stage.held_collider(state.frame))
+    return method.contact.present(timeline.garments, state, timeline.pose(state.frame))
 
 
-def situation_at(stage: Stage, state: State, frame: int) -> Situation:
-    """What is known before the step from `frame` to the next."""
-    after = stage.skinned(frame + 1)
-    carried = after - stage.skinned(frame)
-    return Situation(stage.garments, state, stage.collider(frame), after, carried, stage.dt, stage.gravity)
+class SolverSimulator(StepwiseSimulator):
+    """`--model solver`: the incremental potential minimised each frame, from free flight, then contact response.
+
+    The reference, and the floor that energies are measured from.
+
+    Args:
+        iterations: a fixed number of solver iterations an implicit step; None goes to the tolerance.
+        contact: what answers vertices left inside the body.
+        first_frame: how frame 0 is made.
+    """
+
+    name = "solver"
+
+    def __init__(
+        self, iterations: int | None = None, contact: Contact | None = None, first_frame: FirstFrame | None = None
+    ) -> None:
+        self.iterations, self.contact = iterations, contact or NoContact()
+        self.first_frame = first_frame or Settled()
+
+    def settings(self) -> dict[str, Any]:
+        return {"solver_iterations": self.iterations, "device": "cpu"}
+
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
+        def note(solution: Solution) -> None:
+            record.solver_iterations.append(solution.iterations)
+            record.unsolved += not solution.converged
+
+        return StepMethod(refinement=ImplicitSteps(self.iterations, watch=note), contact=self.contact)
+
+
+class NetworkSimulator(StepwiseSimulator):
+    """A trained network, with the solver and contact response in the loop where asked for.
+
+    The solver mends what the warnings of a checkpoint tell to expect; with it there are none.
+
+    Args:
+        checkpoint: the trained model; it stays as and where it is.
+        propagation_steps: override of K; None follows the paper's rule.
+        refine: solver iterations after each step; 0 for none.
+        contact: what answers vertices left inside the body.
+        device: where the network computes.
+        passes: how often the network is asked in a step; None is its own number.
+        first_frame: how frame 0 is made.
+
+    Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next.
+    """
+
+    def __init__(
+        self,
+        checkpoint: Checkpoint,
+        propagation_steps: int | None = None,
+        refine: int = 0,
+        contact: Contact | None = None,
+        device: torch.device | str = "cpu",
+        passes: int | None = None,
+        first_frame: FirstFrame | None = None,
+    ) -> None:
+        self.name = checkpoint.name
+        self.fps = 1.0 / checkpoint.record.dt
+        self.override, self.refine = propagation_steps, refine
+        self.contact, self.first_frame = contact or NoContact(), first_frame or OneLongStep()
+        self.device = torch.device(device)
+        network = checkpoint.model.network
+        self.passes = network.passes if passes is None else passes
+        if self.passes < 1:
+            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+        if self.passes > 1 and ADVANCE not in network.layout.extra:
+            raise InputError(
+                f"The network {checkpoint.name} was made for one pass a step; leave --passes out, or give 1."
+            )
+        if next(checkpoint.model.parameters()).device != self.device:
+            checkpoint = replace(checkpoint, model=copy.deepcopy(checkpoint.model).to(self.device))
+        self.checkpoint = checkpoint
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "refine": self.refine,
+            "passes": self.passes,
+            "device": str(self.device),
+            "weights_licence": self.checkpoint.licence,
+        }
+
+    def propagation_steps(self, scene: Scene) -> int | None:
+        """K of the finest garment, which takes the most steps."""
+        network = self.checkpoint.model.network
+        ruled = max(network.propagation_steps(worn.garment.mean_edge_length) for worn in scene.garments)
+        if not ruled:
+            return None
+        return ruled if self.override is None else self.override
+
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
+        worlds = timeline.garments.worlds
+        garments: PackedGarments = pack(timeline.garments.garments, torch.float32, self.device, worlds)
+        model = self.checkpoint.model
+        prepared = (model if self.refine else self.checkpoint).prepare(garments, self.override)
+        return StepMethod(
+            start_of(model.network),
+            NetworkPass(model, prepared, self.passes),
+            SolverRefinement(self.refine) if self.refine else NoRefinement(),
+            self.contact,
+        )

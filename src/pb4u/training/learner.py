@@ -2,24 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from pb4u.errors import InputError
 from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
-from pb4u.training.moving_average import MovingAverage
+
+
+class MovingAverage:
+    """Weights averaged over the last steps, calmer than those of any one; faster while the training is young.
+
+    Args:
+        module: whose parameters are averaged.
+        decay: share of the average that a step keeps.
+    """
+
+    def __init__(self, module: nn.Module, decay: float) -> None:
+        self.decay = decay
+        self.values: dict[str, Tensor] = {name: p.detach().clone() for name, p in module.named_parameters()}
+
+    @torch.no_grad()
+    def update(self, module: nn.Module, step: int) -> None:
+        """Take in the parameters after optimiser step number `step`, counted from 1."""
+        decay = min(self.decay, (1.0 + step) / (10.0 + step))
+        for name, parameter in module.named_parameters():
+            self.values[name].lerp_(parameter, 1.0 - decay)
+
+    @torch.no_grad()
+    def swap(self, module: nn.Module) -> None:
+        """Exchange the module's parameters with the averaged ones; called twice, nothing has changed."""
+        for name, parameter in module.named_parameters():
+            own = parameter.detach().clone()
+            parameter.copy_(self.values[name])
+            self.values[name].copy_(own)
 
 
 class Learner:
     """A model in training.
 
     Args:
-        configuration: the network, its seed and how it is trained. workers: this process and the others.
+        configuration: the network, its seed and how it is trained.
+        workers: this process and the others.
 
     Attributes:
-        model: the network between its normalisers. network: what to call in its place, so that gradients are shared.
+        model: the network between its normalisers.
+        network: what to call in its place, so that gradients are shared.
     """
 
     def __init__(self, configuration: TrainingConfiguration, workers: Workers) -> None:
@@ -42,6 +74,15 @@ class Learner:
             group["lr"] = rate
         self.optimiser.step()
         self.average.update(self.model, number)
+
+    @contextmanager
+    def averaged(self) -> Iterator[None]:
+        """The model with its averaged weights in the place of the latest ones."""
+        self.average.swap(self.model)
+        try:
+            yield
+        finally:
+            self.average.swap(self.model)
 
     def state(self, exact: bool = True) -> dict[str, Tensor]:
         """Copies of weights, statistics, averaged weights and moments, by name.

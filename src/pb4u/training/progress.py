@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
+import statistics
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.progress import Progress, unheard
+from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.validation import Score
-
-TERMS = ("stretch", "bending", "collision", "gravity", "friction", "inertia")
 
 
 class Reporter:
@@ -35,7 +39,7 @@ class BarReporter(Reporter):
         self.score = ""
 
     def progressed(self, step: int, progress: float, seconds: float, means: Mapping[str, float]) -> None:
-        terms = "  ".join(f"{name} {means[name]:.2e}" for name in TERMS if name in means)
+        terms = "  ".join(f"{name} {means[name]:.2e}" for name in IncrementalPotential().names if name in means)
         text = f"step {step}  total {means['total']:.2e}, median {means['median']:.2e}  {terms}{self.score}"
         self.bar.update(self.task, completed=min(progress, 1.0), terms=text)
 
@@ -46,16 +50,78 @@ class BarReporter(Reporter):
         self.bar.console.print(f"pb4u: {sentence}")
 
 
+class Journal:
+    """What a training notes of itself: means of its losses every so many steps, validations and incidents.
+
+    Args:
+        reporter: told of everything.
+        folder: that keeps the lines, or None.
+        leads: whether this process writes them.
+    """
+
+    def __init__(self, reporter: Reporter, folder: RunFolder | None, leads: bool) -> None:
+        self.reporter, self.folder, self.leads = reporter, folder, leads
+        self._sums: dict[str, float] = {}
+        self._totals: list[float] = []
+
+    def add(self, values: Mapping[str, float], total: float) -> None:
+        """Count the losses of one step; `total` is the comparable one [J]."""
+        self._totals.append(total)
+        for name, value in {**values, "count": 1.0}.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+
+    def forget(self) -> None:
+        """Drop the steps that are not noted yet."""
+        self._sums, self._totals = {}, []
+
+    def note_means(self, step: int, progress: float, seconds: float, window: int) -> None:
+        """Note the mean of the steps since the last line.
+
+        Args:
+            step: optimiser steps taken.
+            progress: fraction of the budget spent.
+            seconds: of wall time spent.
+            window: length of the windows [steps].
+        """
+        count = self._sums.pop("count", 0.0)
+        if not count:
+            return
+        means = {name: value / count for name, value in self._sums.items()}
+        # Few deep penetrations outweigh everything else in a mean, and its weight of collisions rises.
+        means["median"] = statistics.median(self._totals)
+        self.forget()
+        self.note({"step": step, "seconds": round(seconds, 2), "window": window, **means})
+        self.reporter.progressed(step, progress, seconds, means)
+
+    def note_score(self, step: int, score: Score, best: bool) -> None:
+        """Note a validation."""
+        finite = {name: value if math.isfinite(value) else None for name, value in asdict(score).items()}
+        self.note({"step": step, "validation": finite, "best": best})
+        self.reporter.validated(step, score, best)
+
+    def note(self, record: dict[str, Any]) -> None:
+        """Add a line; a full disk costs the line alone."""
+        if self.leads and self.folder:
+            try:
+                self.folder.append_metrics(record)
+            except NotSavedError as error:
+                self.say(f"{error} The training goes on.")
+
+    def say(self, sentence: str) -> None:
+        """Tell what a person should know."""
+        self.reporter.said(sentence)
+
+
 @contextmanager
-def collecting() -> Iterator[Callable[[int, int], None]]:
+def collecting() -> Iterator[Progress]:
     """A bar for the making of training data, where standard error is a terminal."""
     if not sys.stderr.isatty():
-        yield lambda done, total: None
+        yield unheard
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress as ProgressBar
 
-    with Progress(console=Console(stderr=True)) as bar:
+    with ProgressBar(console=Console(stderr=True)) as bar:
         task = bar.add_task("making garments and clips", total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
@@ -91,7 +157,8 @@ def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
     FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, sharex=True)
     x = [line["step"] for line in steps]
-    for name in TERMS:
+    for name in IncrementalPotential().names:
+        # The potential of weight has no floor, and would be the only one below zero.
         if name != "gravity":
             upper.plot(x, [max(line[name], 1e-9) for line in steps], label=name, linewidth=1)
     upper.set_yscale("log")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import lru_cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,7 +13,8 @@ from torch import Tensor
 from pb4u.body.skeleton import PoseSequence
 from pb4u.body.skinning import SkinningWeights, bone_transforms, skin
 from pb4u.garment.material import Material
-from pb4u.scene.packed import PackedGarments, pack
+from pb4u.geometry.nearest_surface import TriangleSurface
+from pb4u.scene.packed import PackedColliders, PackedGarments, pack, pack_colliders
 from pb4u.training.packed_data import TrainingData
 
 _INDICES = ("faces", "edges", "hinges")
@@ -50,9 +52,10 @@ class Wardrobe:
         """(frames, vertices, 3) [m] where skinning alone puts the garment."""
         return skin(*self._skin("outfit", outfit), transforms)
 
-    def surface(self, body: int) -> tuple[Tensor, Tensor]:
-        """Faces (faces, 3) and contact (vertices,) of a body."""
-        return self._surface(body)
+    def colliders(self, bodies: Sequence[int]) -> PackedColliders:
+        """The bodies, each in a world of its own; the search structures of each are made once."""
+        faces, contact, surfaces = zip(*(self._surface(body) for body in bodies), strict=True)
+        return pack_colliders(faces, contact, range(len(bodies)), 0.0, surfaces)
 
     def _make_outfit(self, outfit: int) -> PackedGarments:
         return pack([self.data.outfits[outfit].garment], self.dtype, self.device)
@@ -70,12 +73,11 @@ class Wardrobe:
             torch.as_tensor(weights.weights, dtype=self.dtype, device=self.device),
         )
 
-    def _make_surface(self, body: int) -> tuple[Tensor, Tensor]:
+    def _make_surface(self, body: int) -> tuple[Tensor, Tensor, TriangleSurface | None]:
         figure = self.data.bodies[body]
-        return (
-            torch.as_tensor(figure.faces, device=self.device),
-            torch.as_tensor(figure.contact, device=self.device),
-        )
+        faces = torch.as_tensor(figure.faces, device=self.device)
+        contact = torch.as_tensor(figure.contact, device=self.device)
+        return faces, contact, pack_colliders([faces], [contact], [0]).surfaces[0]
 
 
 def _in_material(packed: PackedGarments, material: Material) -> PackedGarments:
@@ -87,15 +89,16 @@ def _in_material(packed: PackedGarments, material: Material) -> PackedGarments:
         thickness=torch.full_like(packed.thickness, material.thickness),
         bending=torch.full_like(packed.bending, material.bending),
         vertex_masses=material.density * packed.vertex_areas,
-        garments=(packed.garments[0].with_material(material),),
+        garments=tuple(garment.with_material(material) for garment in packed.garments),
     )
 
 
 def joined(packs: Sequence[PackedGarments]) -> PackedGarments:
-    """Packs one after the other as one."""
+    """Packs one after the other as one, the worlds of each apart from those of the others."""
     if len(packs) == 1:
         return packs[0]
     offsets, garments = [0], 0
+    worlds: list[int] = []
     parts: dict[str, list[Tensor]] = {}
     for packed in packs:
         for entry in fields(packed):
@@ -105,9 +108,13 @@ def joined(packs: Sequence[PackedGarments]) -> PackedGarments:
                 parts.setdefault(entry.name, []).append(value + shift if shift else value)
         offsets += [offsets[-1] + end for end in packed.vertex_offsets[1:]]
         garments += packed.garment_count
+        first = worlds[-1] + 1 if worlds else 0
+        worlds += [first + world for world in packed.worlds]
+    tensors: dict[str, Any] = {name: torch.cat(values) for name, values in parts.items()}
     return PackedGarments(
-        **{name: torch.cat(values) for name, values in parts.items()},
+        **tensors,
         vertex_offsets=tuple(offsets),
         mean_edge_lengths=tuple(length for packed in packs for length in packed.mean_edge_lengths),
         garments=tuple(garment for packed in packs for garment in packed.garments),
+        worlds=tuple(worlds),
     )

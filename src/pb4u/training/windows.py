@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -12,17 +12,20 @@ from torch import Tensor
 from pb4u.body.skeleton import PoseSequence
 from pb4u.garment.material import Material
 from pb4u.model.propagation_control import RandomSteps
-from pb4u.physics.contact_planes import collider_surfaces
-from pb4u.scene.packed import ColliderFrame, PackedGarments
+from pb4u.nn.acceleration_model import PreparedGarments
+from pb4u.physics.contact.planes import nearest_planes
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
-from pb4u.simulation.first_frame import SETTLING_DT
-from pb4u.simulation.step import Situation
+from pb4u.simulation.network_pass import StepFeatures
+from pb4u.simulation.timeline import Timeline
 from pb4u.training.configuration import MaterialSampling, TrainingConfiguration
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.wardrobe import Wardrobe
 
 _LARGEST_PUSH = 0.02
-_STANDARD_GRAVITY = (0.0, -9.81, 0.0)
+"""How far [m] a vertex is pushed out of a body before a window: farther it would cross a limb."""
+
 _SAMPLE, _STEPS, _SETTLE, _SLOWING = range(4)
 
 
@@ -31,7 +34,9 @@ class Sample:
     """One garment of a window.
 
     Args:
-        outfit: index of the garment. clip: index of the motion. start: frame of the clip.
+        outfit: index of the garment.
+        clip: index of the motion.
+        start: frame of the clip.
         material: of the garment. yaw: turn of body and garment about the vertical [rad].
         noise_seed: of the noise on the start.
     """
@@ -48,7 +53,8 @@ class Sampler:
     """Draws samples: sample i is the same whenever, wherever and in whatever order it is drawn.
 
     Args:
-        data: what to draw from. configuration: how.
+        data: what to draw from.
+        configuration: how.
     """
 
     def __init__(self, data: TrainingData, configuration: TrainingConfiguration) -> None:
@@ -105,89 +111,68 @@ def drawn_material(ranges: MaterialSampling, rng: np.random.Generator) -> Materi
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Some frames of bodies and skinned garments, packed; row r is frame start - 1 + r of each sample.
+    """Some frames of samples, each in a world of its own; frame r of the timeline is start - 1 + r of each sample.
 
-    Every body stands near the origin in row 1, so that float32 is fine wherever its motion leads.
+    Every body stands near the origin in frame 1, so that float32 is fine wherever its motion leads.
 
     Args:
         samples: what is packed.
-        garments: static quantities.
-        body: (rows, body vertices, 3) [m]. skinned: (rows, vertices, 3) [m].
-        faces: (body faces, 3). contact: (body vertices,). owner: (body vertices,) garment that touches each.
-        dt: time step [s].
+        timeline: their garments and bodies.
+        length: steps of the window.
     """
 
     samples: tuple[Sample, ...]
-    garments: PackedGarments
-    body: Tensor
-    skinned: Tensor
-    faces: Tensor
-    contact: Tensor
-    owner: Tensor
-    dt: float
-
-    @property
-    def length(self) -> int:
-        """Steps of the window."""
-        return len(self.skinned) - 2
-
-    def skinned_velocity(self, row: int) -> Tensor:
-        """(vertices, 3) [m/s] of the garments as the bodies alone would carry them."""
-        return (self.skinned[row] - self.skinned[row - 1]) / self.dt
-
-    def skinned_acceleration(self, row: int) -> Tensor:
-        """(vertices, 3) [m per step^2] that would keep the garments where the bodies alone carry them."""
-        return self.skinned[row + 1] - 2.0 * self.skinned[row] + self.skinned[row - 1]
-
-    def settling(self, state: State) -> Situation:
-        """The long first step from rest, with the bodies held."""
-        row = state.frame
-        resting = replace(state, velocities=torch.zeros_like(state.velocities))
-        still = self._collider(row, row, row)
-        pins = self.skinned[row]
-        return Situation(self.garments, resting, still, pins, torch.zeros_like(pins), SETTLING_DT, self._gravity)
-
-    def moving(self, state: State) -> Situation:
-        """The ordinary step from the state's row to the next."""
-        row = state.frame
-        collider = self._collider(row - 1, row, row + 1)
-        after = self.skinned[row + 1]
-        return Situation(self.garments, state, collider, after, after - self.skinned[row], self.dt, self._gravity)
-
-    @property
-    def _gravity(self) -> Tensor:
-        return self.body.new_tensor(_STANDARD_GRAVITY)
-
-    def _collider(self, previous: int, now: int, following: int) -> ColliderFrame:
-        return ColliderFrame(
-            self.body[previous], self.body[now], self.body[following], self.faces, self.contact, self.owner, 0.0
-        )
+    timeline: Timeline
+    length: int
 
     def start(self, noise: float, clearance: float) -> State:
-        """The skinned garments of row 1, with noise on where they are and were, pushed out of the bodies.
+        """The skinned garments of frame 1, with noise on where they are and were, pushed out of the bodies.
 
         Args:
             noise: standard deviation of the positions, pins left out, and of those one frame before, independently [m].
             clearance: distance to the bodies that vertices deeper than it are pushed out to [m].
         """
-        now, before = self.skinned[1], self.skinned[0]
+        garments, now, before = self.timeline.garments, self.timeline.skinned(1), self.timeline.skinned(0)
         if noise > 0:
             draws = [
                 np.random.default_rng(sample.noise_seed).standard_normal((2, count, 3))
-                for sample, count in zip(self.samples, np.diff(self.garments.vertex_offsets).tolist(), strict=True)
+                for sample, count in zip(self.samples, np.diff(garments.vertex_offsets).tolist(), strict=True)
             ]
             shifts = noise * torch.as_tensor(np.concatenate(draws, axis=1)).to(now)
-            now = now + torch.where(self.garments.pinned[:, None], 0.0, shifts[0])
+            now = now + torch.where(garments.pinned[:, None], 0.0, shifts[0])
             before = before + shifts[1]
-        push = self._push(now, clearance)
-        return State(now + push, (now - before) / self.dt, 1)
-
-    def _push(self, x: Tensor, clearance: float) -> Tensor:
-        """(vertices, 3) [m] out of the bodies of row 1, once."""
-        planes = collider_surfaces(self.garments, self._collider(1, 1, 1)).at(self.body[1]).nearest(x)
-        pushed = planes.touchable & ~self.garments.pinned
+        planes = nearest_planes(self.timeline.pose(1), garments, now)
+        pushed = planes.touchable & ~garments.pinned
         depth = torch.where(pushed, (clearance - planes.distance).clamp(0.0, _LARGEST_PUSH), 0.0)
-        return depth[:, None] * planes.normals
+        return State(now + depth[:, None] * planes.normals, (now - before) / self.timeline.dt, 1)
+
+
+@dataclass
+class Course:
+    """A window on its way through a round.
+
+    Args:
+        number: of the window.
+        window: its garments and bodies.
+        state: of the garments.
+        prepared: what the network derived once from the garments.
+        features: node features of them.
+        settles: whether the next step is the settling one.
+        left: steps to go.
+    """
+
+    number: int
+    window: Window
+    state: State
+    prepared: PreparedGarments
+    features: StepFeatures
+    settles: bool
+    left: int
+
+    def step(self) -> TimeStep:
+        """What is known before the next step."""
+        timeline = self.window.timeline
+        return timeline.settling_from(self.state) if self.settles else timeline.step_from(self.state)
 
 
 class WindowLoader:
@@ -203,32 +188,26 @@ class WindowLoader:
 
     def load(self, samples: Sequence[Sample], length: int) -> Window:
         """The samples with `length` + 2 frames from the one before their start; the ends of clips are held."""
-        bodies, skins, faces, contacts, owners = [], [], [], [], []
-        base = 0
-        for index, sample in enumerate(samples):
+        bodies, skins, wardrobe = [], [], self.wardrobe
+        for sample in samples:
             clip = self.data.clips[sample.clip]
             poses = _frames(clip.poses, sample.start - 1, length + 2)
-            transforms = _turned(self.wardrobe.transforms(clip.body, poses), sample.yaw)
+            transforms = _turned(wardrobe.transforms(clip.body, poses), sample.yaw)
             ground = poses.root_positions[1] * np.array([1.0, 0.0, 1.0])
             shift = _turn(sample.yaw, transforms) @ torch.as_tensor(ground).to(transforms)
-            bodies.append(self.wardrobe.body_positions(clip.body, transforms) - shift)
-            skins.append(self.wardrobe.outfit_positions(sample.outfit, transforms) - shift)
-            own_faces, contact = self.wardrobe.surface(clip.body)
-            faces.append(own_faces + base)
-            contacts.append(contact)
-            owners.append(torch.full_like(contact, index, dtype=torch.int64))
-            base += len(contact)
-        garments = self.wardrobe.packed([s.outfit for s in samples], [s.material for s in samples])
-        return Window(
-            tuple(samples),
-            garments,
-            torch.cat(bodies, dim=1),
+            bodies.append(wardrobe.body_positions(clip.body, transforms) - shift)
+            skins.append(wardrobe.outfit_positions(sample.outfit, transforms) - shift)
+        clips = [self.data.clips[sample.clip] for sample in samples]
+        body = torch.cat(bodies, dim=1)
+        timeline = Timeline(
+            wardrobe.packed([s.outfit for s in samples], [s.material for s in samples]),
+            wardrobe.colliders([clip.body for clip in clips]),
+            body,
             torch.cat(skins, dim=1),
-            torch.cat(faces),
-            torch.cat(contacts),
-            torch.cat(owners),
-            1.0 / self.data.clips[samples[0].clip].poses.fps,
+            1.0 / clips[0].poses.fps,
+            body.new_tensor((0.0, -STANDARD_GRAVITY, 0.0)),
         )
+        return Window(tuple(samples), timeline, length)
 
 
 def _frames(poses: PoseSequence, start: int, count: int) -> PoseSequence:

@@ -1,0 +1,180 @@
+"""Where a vertex meets the body: the nearest point of it, as planes that energies and contact response share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
+
+
+@dataclass(frozen=True, eq=False)
+class ContactPlanes:
+    """The body near each vertex, linearised: the signed distance and its gradient are exact where it was found.
+
+    Args:
+        points: (vertices, 3) nearest points of the body [m].
+        normals: (vertices, 3) outward unit normals.
+        distance: (vertices,) distance at which the correspondence was found [m], signed for exact planes.
+        touchable: (vertices,) bool, False where the vertex has no body or is nearest to a region left out of contact.
+        triangle: (vertices,) int64 face of the packed colliders.
+        barycentric: (vertices, 3) of the point in that face.
+    """
+
+    points: Tensor
+    normals: Tensor
+    distance: Tensor
+    touchable: Tensor
+    triangle: Tensor
+    barycentric: Tensor
+
+    def signed_distance(self, x: Tensor) -> Tensor:
+        """(vertices,) height [m] of `x` (vertices, 3) over its plane."""
+        return ((x - self.points) * self.normals).sum(-1)
+
+    def transported(self, pose: ColliderPose) -> Tensor:
+        """(vertices, 3) [m] where the nearest points are when the bodies take `pose`."""
+        return self.interpolated(pose.positions, pose.colliders.faces)
+
+    def interpolated(self, values: Tensor, faces: Tensor) -> Tensor:
+        """(vertices, 3) at the nearest points, of `values` (body vertices, 3) given on the bodies' `faces`."""
+        corners = values.to(self.barycentric.dtype)[faces[self.triangle]]
+        return (self.barycentric[:, :, None] * corners).sum(1)
+
+    def transported_normals(self, pose: ColliderPose) -> Tensor:
+        """(vertices, 3) unit normals of the corresponding faces when the bodies take `pose`."""
+        corners = pose.positions.to(self.normals.dtype)[pose.colliders.faces[self.triangle]]
+        cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSet:
+    """What touches what in one time step, as the energies see it; found once and frozen.
+
+    Args:
+        now: for each vertex at frame t, the plane of the body that it may slide on, or None.
+        next: for each vertex at frame t+1, the plane of the body that it may enter, or None.
+        opposite: a second plane for vertices caught between two parts of the body, or None.
+        transported: (vertices, 3) [m] where the body under each vertex takes it over the step, or None.
+        transported_normals: (vertices, 3) the body's unit normals there, or None.
+    """
+
+    now: ContactPlanes | None = None
+    next: ContactPlanes | None = None
+    opposite: ContactPlanes | None = None
+    transported: Tensor | None = None
+    transported_normals: Tensor | None = None
+
+    @staticmethod
+    def at_start(now: ContactPlanes, bodies: ColliderFrame, x: Tensor) -> ContactSet:
+        """The contacts `now` of vertices `x` (vertices, 3) [m], and where `bodies` take them over the step."""
+        motion = now.interpolated(bodies.motion, bodies.colliders.faces)
+        normals = now.transported_normals(bodies.following)
+        return ContactSet(now=now, transported=x + motion.to(x), transported_normals=normals.to(x))
+
+
+PlaneSearch = Callable[[ColliderPose, PackedGarments, Tensor], ContactPlanes]
+"""How a vertex finds the body near it: pose of the bodies, garments, vertices (vertices, 3) [m]."""
+
+
+def nearest_planes(
+    pose: ColliderPose,
+    garments: PackedGarments,
+    x: Tensor,
+    among: Tensor | None = None,
+    otherwise: ContactPlanes | None = None,
+) -> ContactPlanes:
+    """Planes through the exact nearest points of the bodies of each vertex's world.
+
+    Args:
+        pose: of the bodies.
+        garments: whose vertices are looked up.
+        x: (vertices, 3) [m].
+        among: (vertices,) bool, the vertices to look up; the rest keep the planes of `otherwise`.
+        otherwise: planes found before.
+    """
+    planes = _blank(x) if otherwise is None else _copy(otherwise)
+    for world, surface in enumerate(pose.surfaces):
+        rows = _rows(garments, world, among, x.device)
+        if surface is None or not len(rows):
+            continue
+        nearest = surface.nearest(x[rows])
+        planes.points[rows] = nearest.positions
+        planes.normals[rows] = nearest.normals
+        planes.distance[rows] = nearest.signed_distance
+        planes.touchable[rows] = ~nearest.beyond_border
+        planes.triangle[rows] = pose.colliders.world_faces[world][nearest.triangle]
+        planes.barycentric[rows] = nearest.barycentric
+    return planes
+
+
+def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor) -> ContactPlanes:
+    """Planes of the faces whose centres are nearest, with the distance to the centre: the HOOD family's convention.
+
+    Args:
+        pose: of the bodies, regions left out of contact included.
+        garments: whose vertices are looked up.
+        x: (vertices, 3) [m].
+    """
+    planes = _blank(x)
+    planes.barycentric.fill_(1.0 / 3.0)
+    for world, surface in enumerate(pose.whole_surfaces):
+        if surface is None:
+            continue
+        rows = _rows(garments, world, None, x.device)
+        face, distance = surface.nearest_face_centre(x[rows])
+        corners = surface.vertices[torch.from_numpy(surface.surface.faces).to(surface.vertices.device)[face]]
+        cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        planes.points[rows] = corners.mean(1).to(x)
+        planes.normals[rows] = (cross / cross.norm(dim=1, keepdim=True).clamp_min(1e-300)).to(x)
+        planes.distance[rows] = distance
+        planes.touchable[rows] = True
+        planes.triangle[rows] = pose.colliders.world_faces[world][face]
+    return planes
+
+
+def clearances(pose: ColliderPose, points: Tensor, world: Tensor) -> tuple[Tensor, Tensor]:
+    """Signed distance (points,) [m] to the bodies, and outward unit normals (points, 3).
+
+    Where there is no body, or only a region left out of contact, the distance is infinite.
+
+    Args:
+        pose: of the bodies.
+        points: (points, 3) [m].
+        world: (points,) int64 in which each lies.
+    """
+    distance, normals = points.new_full((len(points),), torch.inf), torch.zeros_like(points)
+    for number, surface in enumerate(pose.surfaces):
+        rows = torch.nonzero(world == number)[:, 0]
+        if surface is None or not len(rows):
+            continue
+        nearest = surface.nearest(points[rows])
+        distance[rows] = torch.where(nearest.beyond_border, torch.inf, nearest.signed_distance)
+        normals[rows] = nearest.normals
+    return distance, normals
+
+
+def _rows(garments: PackedGarments, world: int, among: Tensor | None, device: torch.device) -> Tensor:
+    first, stop = garments.world_offsets[world : world + 2]
+    rows = torch.arange(first, stop, device=device)
+    return rows if among is None else rows[among[rows]]
+
+
+def _blank(x: Tensor) -> ContactPlanes:
+    normals = torch.zeros_like(x, requires_grad=False)
+    return ContactPlanes(
+        points=x.detach().clone(),
+        normals=normals,
+        distance=torch.full_like(x[:, 0], torch.inf, requires_grad=False),
+        touchable=torch.zeros(len(x), dtype=torch.bool, device=x.device),
+        triangle=torch.zeros(len(x), dtype=torch.int64, device=x.device),
+        barycentric=torch.zeros_like(x, requires_grad=False),
+    )
+
+
+def _copy(planes: ContactPlanes) -> ContactPlanes:
+    return ContactPlanes(**{name: value.clone() for name, value in vars(planes).items()})

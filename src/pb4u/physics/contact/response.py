@@ -1,0 +1,142 @@
+"""What happens to vertices that a step leaves inside a body or the ground: pushed out, without gaining speed."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from pb4u.physics.contact.clearance import FaceClearance
+from pb4u.physics.contact.planes import ContactPlanes, nearest_planes
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
+from pb4u.scene.scene import UP
+from pb4u.scene.state import State
+
+
+class Contact(ABC):
+    """Answers what is left inside the body at the end of a step."""
+
+    @abstractmethod
+    def respond(self, step: TimeStep, state: State) -> State:
+        """`state`, at the end of `step`, with vertices pushed out; push-out depth never becomes speed."""
+
+    @abstractmethod
+    def present(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
+        """The state as it is written, with the bodies at `pose`; the simulation goes on from `state`."""
+
+
+class NoContact(Contact):
+    """Leaves states as they are."""
+
+    def respond(self, step: TimeStep, state: State) -> State:
+        return state
+
+    def present(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
+        return state
+
+
+@dataclass(frozen=True)
+class ContactReport:
+    """What a contact response did.
+
+    Args:
+        pushed: vertices moved.
+        largest_push: [m].
+        left: vertices still deeper than a millimetre.
+        deepest: largest remaining depth [m], 0 where none.
+    """
+
+    pushed: int
+    largest_push: float
+    left: int
+    deepest: float
+
+
+@dataclass(frozen=True)
+class ContactResponse(Contact):
+    """Pushes vertices out of the true surface along its normal and removes the speed that would take them back in.
+
+    A push is at most `largest_push` per step and what remains is reported. Of the velocity only the inward normal
+    component relative to the body is removed; the push itself never becomes speed. Regions of the body left out of
+    contact do not push, nor do pinned vertices move. Where the nearest surface has become the far side of a thin part
+    (an arm), the vertex is pushed back to the side that it came from; a push that would go deeper into another part is
+    not made.
+
+    What is written has its edges and faces lifted out of the body too, where `faces` says so. The lift stays out of the
+    simulation: coarse cloth would ride above the reach of friction and slide off.
+
+    Args:
+        clearance: distance to the surface that pushed vertices end at [m].
+        largest_push: in one step [m].
+        faces: lifts what lies between the vertices of what is written; None for nothing.
+        watch: called with a report of every response.
+    """
+
+    clearance: float = 5e-4
+    largest_push: float = 0.02
+    faces: FaceClearance | None = field(default_factory=FaceClearance)
+    watch: Callable[[ContactReport], None] | None = None
+
+    def respond(self, step: TimeStep, state: State) -> State:
+        x, v = state.positions, state.velocities
+        movable = ~step.garments.pinned
+        if step.bodies is not None:
+            x, v = self._out_of_bodies(step, step.bodies, x, v, movable)
+        if step.ground_height is not None:
+            depth = (self.clearance - (x[:, 1] - step.ground_height)).clamp(0.0, self.largest_push)
+            up = x.new_tensor(UP)
+            touched = (depth > 0) & movable
+            x = torch.where(touched[:, None], x + depth[:, None] * up, x)
+            v = torch.where(touched[:, None], v + (-v[:, 1]).clamp_min(0.0)[:, None] * up, v)
+        if self.watch is not None:
+            self.watch(self._report(step, state.positions, x))
+        return replace(state, positions=x, velocities=v)
+
+    def present(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
+        return state if self.faces is None else self.faces.lift(garments, state, pose)
+
+    def _out_of_bodies(
+        self, step: TimeStep, bodies: ColliderFrame, x: Tensor, v: Tensor, movable: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        planes = nearest_planes(bodies.following, step.garments, x)
+        normal, depth = planes.normals, self.clearance - planes.distance
+        came_from = nearest_planes(bodies.now, step.garments, step.state.positions, among=depth > 0)
+        normal, depth = self._near_side(planes, came_from, x, bodies.following, depth)
+        push = torch.where(planes.touchable & movable, depth.clamp(0.0, self.largest_push), 0.0)
+        pushed = x + push[:, None] * normal
+        check = nearest_planes(bodies.following, step.garments, pushed, among=push > 0, otherwise=planes)
+        worse = check.touchable & (check.distance < torch.minimum(planes.distance, torch.zeros_like(planes.distance)))
+        push = torch.where(worse, 0.0, push)
+        touched = (push > 0)[:, None]
+        body_velocity = planes.interpolated(bodies.motion, bodies.colliders.faces).to(v) / step.dt
+        inward = ((v - body_velocity) * normal).sum(1, keepdim=True).clamp_max(0.0)
+        return torch.where(touched, x + push[:, None] * normal, x), torch.where(touched, v - inward * normal, v)
+
+    def _near_side(
+        self, planes: ContactPlanes, came_from: ContactPlanes, x: Tensor, following: ColliderPose, depth: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Normals and depths, measured from the side that a vertex came from where that faces the other way."""
+        point = came_from.transported(following).to(x)
+        facing = came_from.transported_normals(following).to(x)
+        was_outside = came_from.touchable & (came_from.distance > -self.clearance)
+        crossed = (depth > 0) & was_outside & ((facing * planes.normals).sum(1) < 0)
+        height = ((x - point) * facing).sum(1)
+        crossed = crossed & (height < 0)
+        normal = torch.where(crossed[:, None], facing, planes.normals)
+        return normal, torch.where(crossed, self.clearance - height, depth)
+
+    def _report(self, step: TimeStep, old: Tensor, new: Tensor) -> ContactReport:
+        moved = (new - old).norm(dim=1)
+        depth = torch.zeros_like(moved)
+        if step.bodies is not None:
+            planes = nearest_planes(step.bodies.following, step.garments, new)
+            depth = torch.where(planes.touchable, -planes.distance, 0.0).clamp_min(0.0)
+        if step.ground_height is not None:
+            depth = torch.maximum(depth, (step.ground_height - new[:, 1]).clamp_min(0.0))
+        if not len(moved):
+            return ContactReport(0, 0.0, 0, 0.0)
+        return ContactReport(int((moved > 0).sum()), float(moved.max()), int((depth > 1e-3).sum()), float(depth.max()))

@@ -1,0 +1,142 @@
+"""One time step as data: all that is known before it, and the state that accelerations lead to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from pb4u.errors import InputError, Pb4uError
+from pb4u.physics.contact.planes import ContactSet, PlaneSearch, nearest_planes
+from pb4u.scene.packed import ColliderFrame, PackedGarments
+from pb4u.scene.state import State
+
+
+class DivergedError(Pb4uError):
+    """A state is no longer finite; frames before `frame` are still good."""
+
+    def __init__(self, frame: int, reason: str) -> None:
+        super().__init__(f"The simulation diverged at frame {frame}: {reason}; the frames before it are kept.")
+        self.frame = frame
+
+
+@dataclass(frozen=True, eq=False)
+class TimeStep:
+    """All that is known before the step from frame t to t+1.
+
+    Args:
+        garments: static quantities.
+        state: positions [m] and velocities [m/s] at frame t.
+        collider: the bodies around the step, or None.
+        dt: length of the step [s].
+        gravity: (3,) [m/s^2].
+        pin_positions: (vertices, 3) [m] where the pinned vertices will be after the step; other rows are not read. None
+            leaves them where they are.
+        skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
+
+    Raises InputError for a time step that is not positive, or shapes that do not match.
+    """
+
+    garments: PackedGarments
+    state: State
+    collider: ColliderFrame | None
+    dt: float
+    gravity: Tensor
+    pin_positions: Tensor | None = None
+    skinned_motion: Tensor | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.dt < float("inf"):
+            raise InputError(f"A time step must be a positive number of seconds, not {self.dt}; check the frame rate.")
+        if self.state.positions.shape != (self.garments.vertex_count, 3):
+            raise InputError(
+                f"Garments of {self.garments.vertex_count} vertices were given positions "
+                f"{tuple(self.state.positions.shape)}."
+            )
+
+    @property
+    def bodies(self) -> ColliderFrame | None:
+        """The bodies around the step where there are any."""
+        return None if self.collider is None or self.collider.empty else self.collider
+
+    @property
+    def ground_height(self) -> float | None:
+        return None if self.collider is None else self.collider.ground_height
+
+    @cached_property
+    def contacts(self) -> ContactSet:
+        """The contacts at the start of the step with the exact surface of the bodies, found once."""
+        return self.contacts_by(nearest_planes)
+
+    def contacts_by(self, search: PlaneSearch) -> ContactSet:
+        """The contacts at the start of the step that `search` finds; none without a body."""
+        if self.bodies is None:
+            return ContactSet()
+        now = search(self.bodies.now, self.garments, self.state.positions.detach())
+        return ContactSet.at_start(now, self.bodies, self.state.positions)
+
+    @cached_property
+    def height_origin(self) -> Tensor:
+        """(garments, 3) [m] the middle of the bodies of each garment's world at t+1, where its height energy is zero.
+
+        So that heights stay small; the world's origin without a body.
+        """
+        x, garments = self.state.positions, self.garments
+        origins = x.new_zeros((garments.world_count, 3))
+        if self.bodies is not None:
+            owner = self.bodies.colliders.vertex_world
+            counts = torch.bincount(owner, minlength=garments.world_count).clamp_min(1)
+            origins = origins.index_add(0, owner, self.bodies.following.positions.to(x)) / counts[:, None]
+        return origins[garments.garment_world]
+
+    def with_pins(self, positions: Tensor) -> Tensor:
+        """`positions` (vertices, 3) [m] with the pinned vertices where they will be."""
+        if self.pin_positions is None:
+            return positions
+        return torch.where(self.garments.pinned[:, None], self.pin_positions, positions)
+
+    def part(self, k: int, count: int, state: State) -> TimeStep:
+        """The k-th of `count` equal parts of the step, from the `state` that the one before led to."""
+        pins = self.pin_positions
+        return replace(
+            self,
+            state=state,
+            collider=None if self.bodies is None else self.bodies.between(k / count, (k + 1) / count),
+            dt=self.dt / count,
+            pin_positions=None if pins is None else torch.lerp(self.state.positions, pins, (k + 1) / count),
+        )
+
+    def reached(self, positions: Tensor) -> State:
+        """The state at the end of the step at `positions` (vertices, 3) [m], moving at the speed that led there."""
+        before = self.state
+        return State(positions, (positions - before.positions) / self.dt, before.frame + 1)
+
+
+def integrate(step: TimeStep, acceleration: Tensor) -> State:
+    """Next state by semi-implicit Euler: v' = v + a / dt, x' = x + dt v'; differentiable.
+
+    Pinned vertices take their places and the velocity that brings them there. Source: the integrator of MeshGraphNets
+    and its descendants, in SI units outside the network.
+
+    Args:
+        step: that is taken.
+        acceleration: (vertices, 3) times dt^2 [m per step^2].
+    """
+    state, pins = step.state, step.pin_positions
+    displacement = step.dt * state.velocities + acceleration
+    positions = step.with_pins(state.positions + displacement)
+    if pins is not None:
+        displacement = torch.where(step.garments.pinned[:, None], pins - state.positions, displacement)
+    return State(positions=positions, velocities=displacement / step.dt, frame=state.frame + 1)
+
+
+def require_finite(state: State) -> State:
+    """Return `state`, or raise DivergedError when a position or velocity is not finite."""
+    finite = torch.isfinite(state.positions).all(1) & torch.isfinite(state.velocities).all(1)
+    if not bool(finite.all()):
+        bad = torch.nonzero(~finite).reshape(-1)
+        reason = f"{len(bad)} of {len(finite)} vertices are not finite, first vertex {int(bad[0])}"
+        raise DivergedError(state.frame, reason)
+    return state

@@ -1,0 +1,155 @@
+"""The mesh as its author made it, beside the simulated one: polygons, UVs, and how it rides on the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence, Sized
+from dataclasses import dataclass
+
+import numpy as np
+
+from pb4u.garment.garment import Garment
+from pb4u.geometry.triangulation import triangulate
+
+
+@dataclass(frozen=True, eq=False)
+class Polygons:
+    """Faces of any number of corners, laid end to end.
+
+    Args:
+        sizes: (polygons,) int64 corners of each, 3 or more.
+        corners: (sum of sizes,) int64 vertex at each corner.
+        uv_corners: (sum of sizes,) int64 UV point at each corner, or None.
+    """
+
+    sizes: np.ndarray
+    corners: np.ndarray
+    uv_corners: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, polygons: Sequence[np.ndarray], polygon_uvs: Sequence[np.ndarray] | None = None) -> Polygons | None:
+        """Those of a mesh; None where all are triangles, which need no other account than the faces."""
+        sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
+        if not (sizes > 3).any():
+            return None
+        return cls(sizes, np.concatenate(polygons), None if polygon_uvs is None else np.concatenate(polygon_uvs))
+
+    @classmethod
+    def of_triangles(cls, faces: np.ndarray, uv_faces: np.ndarray | None) -> Polygons:
+        """Triangles (faces, 3), and their UV corners, as polygons."""
+        uv_corners = None if uv_faces is None else uv_faces.reshape(-1)
+        return cls(np.full(len(faces), 3, dtype=np.int64), faces.reshape(-1), uv_corners)
+
+    def each(self, of_corners: np.ndarray) -> Iterator[list[int]]:
+        """Rows of one integer per corner, polygon by polygon."""
+        values, start = of_corners.tolist(), 0
+        for size in self.sizes.tolist():
+            yield values[start : start + size]
+            start += size
+
+    def members(self, prefix: str = "") -> dict[str, np.ndarray]:
+        """As arrays of a trajectory file."""
+        members = {f"{prefix}polygon_sizes": self.sizes, f"{prefix}polygon_corners": self.corners}
+        if self.uv_corners is not None:
+            members[f"{prefix}polygon_uv_corners"] = self.uv_corners
+        return {name: values.astype(np.int64) for name, values in members.items()}
+
+    @classmethod
+    def from_members(cls, members: dict[str, np.ndarray], prefix: str = "") -> Polygons | None:
+        """From the arrays of a trajectory file; None where it has no such arrays."""
+        sizes, corners = members.get(f"{prefix}polygon_sizes"), members.get(f"{prefix}polygon_corners")
+        if sizes is None or corners is None:
+            return None
+        return cls(sizes, corners, members.get(f"{prefix}polygon_uv_corners"))
+
+    @staticmethod
+    def joined(parts: Sequence[Polygons], vertices: Sequence[int], uvs: Sequence[int]) -> Polygons:
+        """Those of meshes one after the other.
+
+        Args:
+            parts: of each mesh.
+            vertices: first vertex of each where they are joined.
+            uvs: first UV point of each, likewise.
+        """
+        known = [part.uv_corners for part in parts if part.uv_corners is not None]
+        return Polygons(
+            np.concatenate([part.sizes for part in parts]),
+            joined_indices([part.corners for part in parts], vertices),
+            joined_indices(known, uvs) if len(known) == len(parts) else None,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SourceTrack:
+    """How the author's own mesh rides on the simulated one.
+
+    Args:
+        faces: (source faces, 3) int64 triangulated source.
+        triangle: (source vertices,) int64 simulated face under each source vertex.
+        barycentric: (source vertices, 3) float64.
+        uvs: (uv points, 2) float64 or None.
+        uv_faces: (source faces, 3) int64 or None.
+        polygons: the faces before they were cut into triangles; None where all were triangles.
+    """
+
+    faces: np.ndarray
+    triangle: np.ndarray
+    barycentric: np.ndarray
+    uvs: np.ndarray | None = None
+    uv_faces: np.ndarray | None = None
+    polygons: Polygons | None = None
+
+    @staticmethod
+    def of(garment: Garment) -> SourceTrack:
+        """That of a garment; the simulated mesh itself where it is the author's."""
+        if garment.source is None:
+            first = np.unique(garment.faces.reshape(-1), return_index=True)[1]
+            return SourceTrack(garment.faces, first // 3, np.eye(3)[first % 3], garment.uvs, garment.uv_faces)
+        mesh = garment.source.source
+        corners, _ = triangulate(mesh.vertices, mesh.polygons)
+        uv_faces = None if mesh.polygon_uvs is None else np.concatenate(mesh.polygon_uvs)[corners]
+        faces = np.concatenate(mesh.polygons)[corners]
+        polygons = Polygons.of(mesh.polygons, mesh.polygon_uvs)
+        return SourceTrack(faces, garment.source.triangle, garment.source.barycentric, mesh.uvs, uv_faces, polygons)
+
+    @staticmethod
+    def joined(garments: Sequence[Garment]) -> SourceTrack | None:
+        """That of garments one after the other; None where every mesh is simulated as its author made it."""
+        if all(garment.source is None for garment in garments):
+            return None
+        tracks = [SourceTrack.of(garment) for garment in garments]
+        if len(tracks) == 1:
+            return tracks[0]
+        vertices = offsets([track.barycentric for track in tracks])
+        uvs, uv_faces = joined_uvs([(track.uvs, track.uv_faces) for track in tracks])
+        outlines = [track.polygons or Polygons.of_triangles(track.faces, track.uv_faces) for track in tracks]
+        return SourceTrack(
+            joined_indices([track.faces for track in tracks], vertices),
+            joined_indices([track.triangle for track in tracks], offsets([garment.faces for garment in garments])),
+            np.concatenate([track.barycentric for track in tracks]),
+            uvs,
+            uv_faces,
+            Polygons.joined(outlines, vertices, offsets([() if track.uvs is None else track.uvs for track in tracks]))
+            if any(track.polygons for track in tracks)
+            else None,
+        )
+
+
+def offsets(parts: Sequence[Sized]) -> list[int]:
+    """First row of each part where they are joined, and the total."""
+    return [0, *np.cumsum([len(part) for part in parts]).tolist()]
+
+
+def joined_indices(parts: Sequence[np.ndarray], starts: Sequence[int]) -> np.ndarray:
+    """Index arrays one after the other, each counted from its start."""
+    return np.concatenate([part + start for part, start in zip(parts, starts, strict=False)])
+
+
+def joined_uvs(
+    parts: Sequence[tuple[np.ndarray | None, np.ndarray | None]],
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """UV points and UV faces of meshes one after the other; None unless all have them."""
+    known = [(uvs, faces) for uvs, faces in parts if uvs is not None and faces is not None]
+    if len(known) < len(parts):
+        return None, None
+    starts = offsets([uvs for uvs, _ in known])
+    return np.concatenate([uvs for uvs, _ in known]), joined_indices([faces for _, faces in known], starts)

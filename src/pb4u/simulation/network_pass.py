@@ -1,0 +1,178 @@
+"""What a network is asked in a time step: its graph, the node features that need the step's physics, and its passes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from typing import Protocol
+
+import torch
+from torch import Tensor, nn
+
+from pb4u.errors import InputError
+from pb4u.graph.features import ADVANCE, DESCENT, Feature
+from pb4u.graph.graph import Graph
+from pb4u.nn.acceleration_model import PreparedGarments
+from pb4u.physics.descent import JacobiDescent
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.time_step import TimeStep, integrate
+from pb4u.scene.packed import ColliderFrame, PackedColliders, PackedGarments
+
+_ORIGIN_GRID = 1.0 / 16.0
+"""Grid of a step's origin [m], coarse in binary, so that float32 differences of positions stay exact."""
+
+_LINEAR_UP_TO = 0.05
+"""Share of an edge up to which descent is shown as it is."""
+
+
+class Network(ABC):
+    """Adds to the accelerations of a step.
+
+    Attributes:
+        passes: how often it is asked in a step.
+    """
+
+    passes: int
+
+    @abstractmethod
+    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        """(vertices, 3) [m per step^2] to add to the `accelerations` (vertices, 3) reached so far."""
+
+
+class NoNetwork(Network):
+    """Leaves the step where it starts."""
+
+    passes = 0
+
+    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        return torch.zeros_like(accelerations)
+
+
+class NetworkPass(Network):
+    """The network's correction of the accelerations reached so far.
+
+    Args:
+        network: called with a graph and the prepared garments; the model itself, or what distributes it.
+        prepared: what it derived once from the garments, with the propagation steps of this step.
+        passes: how often it is asked in a step.
+        features: node features of the garments, where they are already made.
+        mode: entered while the network computes; no gradient by default, `nullcontext` in training.
+    """
+
+    def __init__(
+        self,
+        network: nn.Module,
+        prepared: PreparedGarments,
+        passes: int = 1,
+        features: StepFeatures | None = None,
+        mode: Callable[[], AbstractContextManager] = torch.inference_mode,
+    ) -> None:
+        self.network, self.prepared, self.passes, self.mode = network, prepared, passes, mode
+        self.features = features or StepFeatures(prepared)
+        self.device = next(network.parameters()).device
+        self._colliders: tuple[PackedColliders, PackedColliders] | None = None
+
+    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        with self.mode():
+            return self.network(self.graph(step, accelerations), self.prepared).to(accelerations)
+
+    def graph(self, step: TimeStep, accelerations: Tensor) -> Graph:
+        """What the network sees after `accelerations` (vertices, 3) [m per step^2]."""
+        assert step.collider is not None
+        extra = {name: value.to(self.device) for name, value in self.features.of(step, accelerations).items()}
+        state = replace(
+            step.state,
+            positions=step.state.positions.to(self.device),
+            velocities=step.state.velocities.to(self.device),
+        )
+        origin = local_origin(step.collider).to(self.device)
+        return self.prepared.graph(state, self._on_device(step.collider), step.dt, origin, extra)
+
+    def _on_device(self, collider: ColliderFrame) -> ColliderFrame:
+        """The bodies where the network computes; what never changes is moved once."""
+        if collider.now.positions.device == self.device:
+            return collider
+        if self._colliders is None or self._colliders[0] is not collider.colliders:
+            self._colliders = collider.colliders, collider.colliders.to(self.device)
+        moved = self._colliders[1]
+        poses = (collider.previous, collider.now, collider.following)
+        return ColliderFrame(*(moved.pose(pose.positions.to(self.device)) for pose in poses))
+
+
+def local_origin(collider: ColliderFrame) -> Tensor:
+    """(3,) [m] middle of the bodies, rounded so that float32 differences of positions stay exact."""
+    middle = collider.now.positions.mean(0)
+    return (middle / _ORIGIN_GRID).round() * _ORIGIN_GRID
+
+
+class StepFeature(Protocol):
+    """One node feature."""
+
+    def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
+        """(vertices, width).
+
+        Args:
+            step: that is taken.
+            accelerations: (vertices, 3) from free flight to where the pass starts [m per step^2].
+            incident_length: (vertices,) mean rest length of the edges at each vertex [m].
+        """
+
+
+class DescentFeature:
+    """Jacobi descent of the incremental potential where the step would end so far.
+
+    In edge lengths it is a strain, and looks the same at any resolution. Steps beyond 5% of an edge grow as their
+    logarithm: one vertex deep inside the body must not drown the others.
+    """
+
+    def __init__(self) -> None:
+        self._potential = IncrementalPotential()
+        self._made: tuple[PackedGarments, float, JacobiDescent] | None = None
+
+    def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
+        x = integrate(step, accelerations).positions
+        strain = self._descent(step).at(self._potential.of(step), x) / incident_length.to(x)[:, None]
+        size = strain.norm(dim=1, keepdim=True) / _LINEAR_UP_TO
+        return strain * torch.where(size > 1e-6, torch.log1p(size) / size.clamp_min(1e-6), 1.0)
+
+    def _descent(self, step: TimeStep) -> JacobiDescent:
+        if self._made is None or self._made[0] is not step.garments or self._made[1] != step.dt:
+            self._made = step.garments, step.dt, JacobiDescent(step.garments, step.dt)
+        return self._made[2]
+
+
+class AdvanceFeature:
+    """The accelerations from free flight to where the pass starts."""
+
+    def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
+        return 100.0 * accelerations
+
+
+_MAKERS: dict[Feature, Callable[[], StepFeature]] = {DESCENT: DescentFeature, ADVANCE: AdvanceFeature}
+
+
+class StepFeatures:
+    """The extra features that prepared garments' layout names.
+
+    Args:
+        prepared: of the network that reads them. Raises InputError where the layout names one that nobody makes.
+    """
+
+    def __init__(self, prepared: PreparedGarments) -> None:
+        self._incident_length = prepared.builder.static.incident_length
+        self._features: dict[str, StepFeature] = {}
+        for feature in prepared.builder.layout.extra:
+            if feature not in _MAKERS:
+                raise InputError(
+                    f"The network reads the node feature {feature.name!r}, which this version cannot make."
+                )
+            self._features[feature.name] = _MAKERS[feature]()
+
+    @torch.no_grad()
+    def of(self, step: TimeStep, accelerations: Tensor) -> Mapping[str, Tensor]:
+        """Every feature (vertices, width) by name; arguments as in `StepFeature.of`."""
+        return {
+            name: feature.of(step, accelerations, self._incident_length) for name, feature in self._features.items()
+        }

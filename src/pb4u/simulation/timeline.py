@@ -1,0 +1,159 @@
+"""The frames of a simulation: bodies, pins and skinned garments over time, and the time step that leaves a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments, pack, pack_colliders
+from pb4u.scene.scene import Scene
+from pb4u.scene.state import State
+
+SETTLING_DT = 1.0 / 3.0
+"""Length of a settling step [s]: inertia weighs a hundredth of what it does at 30 fps (reference 1.8)."""
+
+_BLOCK = 32
+"""Frames computed at a time: skinning many at once is several times faster than one by one."""
+
+_POSES = 4
+"""Poses kept with their search trees; a step needs three."""
+
+
+class Frames(Protocol):
+    """Vertices (vertices, 3) [m] frame by frame; a tensor (frames, vertices, 3) is one."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, frame: int) -> Tensor: ...
+
+
+class BlockedFrames:
+    """Frames computed a block at a time and kept while they are near.
+
+    Args:
+        compute: gives frames (stop - start, vertices, 3) [m] from `start` to `stop`.
+        length: number of frames.
+    """
+
+    def __init__(self, compute: Callable[[int, int], Tensor], length: int) -> None:
+        self._compute, self._length = compute, length
+        self._kept: dict[int, Tensor] = {}
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __getitem__(self, frame: int) -> Tensor:
+        block = frame // _BLOCK
+        if block not in self._kept:
+            start = block * _BLOCK
+            self._kept = {b: rows for b, rows in self._kept.items() if abs(b - block) <= 1}
+            self._kept[block] = self._compute(start, min(start + _BLOCK, self._length))
+        return self._kept[block][frame - block * _BLOCK]
+
+
+class Timeline:
+    """Worlds of garments and bodies over frames; the first and last frame stand for those beyond.
+
+    Args:
+        garments: static quantities.
+        colliders: static quantities of the bodies.
+        body: body vertices of every frame.
+        skinned: garment vertices of every frame where the bodies alone would carry them.
+        dt: time between frames [s].
+        gravity: (3,) [m/s^2].
+    """
+
+    def __init__(
+        self,
+        garments: PackedGarments,
+        colliders: PackedColliders,
+        body: Frames,
+        skinned: Frames,
+        dt: float,
+        gravity: Tensor,
+    ) -> None:
+        self.garments, self.colliders, self.dt, self.gravity = garments, colliders, dt, gravity
+        self._body, self._skinned = body, skinned
+        self._poses: dict[int, ColliderPose] = {}
+
+    @staticmethod
+    def of(scene: Scene, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Timeline:
+        """The frames of a scene, one world.
+
+        Args:
+            scene: garments and bodies.
+            dtype: of positions and static quantities.
+            device: where they live.
+        """
+        garments = pack([worn.garment for worn in scene.garments], dtype, device, [0] * len(scene.garments))
+        bodies = scene.colliders
+        colliders = pack_colliders(
+            [torch.as_tensor(body.faces, device=device) for body in bodies],
+            [torch.as_tensor(body.contact, device=device) for body in bodies],
+            [0] * len(bodies),
+            scene.ground_height,
+        )
+
+        def frames(parts: Sequence[Callable[[int, int], Tensor]]) -> BlockedFrames:
+            return BlockedFrames(
+                lambda a, b: torch.cat([part(a, b) for part in parts], dim=1).to(device, dtype), scene.total_frames
+            )
+
+        body, skinned = frames([b.positions for b in bodies]), frames([w.placement.positions for w in scene.garments])
+        gravity = torch.as_tensor(scene.gravity, dtype=dtype, device=device)
+        return Timeline(garments, colliders, body, skinned, scene.dt, gravity)
+
+    def skinned(self, frame: int) -> Tensor:
+        """(vertices, 3) [m] of the garments where the bodies alone would carry them."""
+        return self._skinned[min(max(frame, 0), len(self._skinned) - 1)]
+
+    def skinned_velocity(self, frame: int) -> Tensor:
+        """(vertices, 3) [m/s] of the garments as the bodies alone would carry them; 0 at the first frame."""
+        return (self.skinned(frame) - self.skinned(frame - 1)) / self.dt
+
+    def skinned_acceleration(self, frame: int) -> Tensor:
+        """(vertices, 3) [m per step^2] that would keep the garments where the bodies alone carry them."""
+        return self.skinned(frame + 1) - 2.0 * self.skinned(frame) + self.skinned(frame - 1)
+
+    def skinned_state(self, frame: int) -> State:
+        """The garments where the bodies alone would carry them, at the speed the bodies alone would give them."""
+        return State(self.skinned(frame), self.skinned_velocity(frame), frame)
+
+    def body(self, frame: int) -> Tensor:
+        """(body vertices, 3) [m]."""
+        return self.pose(frame).positions
+
+    def pose(self, frame: int) -> ColliderPose:
+        """The bodies at a frame; the poses last asked for are kept, with their search trees."""
+        frame = min(max(frame, 0), len(self._body) - 1)
+        pose = self._poses.pop(frame, None) or self.colliders.pose(self._body[frame])
+        while len(self._poses) >= _POSES:
+            del self._poses[next(iter(self._poses))]
+        self._poses[frame] = pose
+        return pose
+
+    def step_from(self, state: State) -> TimeStep:
+        """What is known before the step from the state's frame to the next."""
+        t = state.frame
+        collider = ColliderFrame(self.pose(t - 1), self.pose(t), self.pose(t + 1))
+        after = self.skinned(t + 1)
+        motion = after - self.skinned(t)
+        return TimeStep(self.garments, state, collider, self.dt, self.gravity, after, motion)
+
+    def settling_from(self, state: State) -> TimeStep:
+        """A long step from rest on the bodies standing still at the state's frame."""
+        still, pins = self.pose(state.frame), self.skinned(state.frame)
+        return TimeStep(
+            self.garments,
+            replace(state, velocities=torch.zeros_like(state.velocities)),
+            ColliderFrame(still, still, still),
+            SETTLING_DT,
+            self.gravity,
+            pins,
+            torch.zeros_like(pins),
+        )

@@ -1,0 +1,123 @@
+"""How a training comes back: from coming apart, from a stop, and from a kill."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from torch import Tensor
+
+from pb4u.errors import Pb4uError
+from pb4u.training.budget import Counters, ExplosionGuard
+from pb4u.training.distribution import Workers
+from pb4u.training.learner import Learner
+from pb4u.training.progress import Journal
+from pb4u.training.run_folder import NotSavedError, RunFolder
+
+MOST_ROLLBACKS = 8
+"""After which the learning rate, 256 times lower, is not what is wrong."""
+
+
+class TrainingFailedError(Pb4uError):
+    """A training that cannot be saved by lowering its rate."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """Where a training was.
+
+    Args:
+        tensors: what `Learner.state` gave.
+        counters: what `Counters.to_json` gave.
+    """
+
+    tensors: dict[str, Tensor]
+    counters: dict[str, Any]
+
+    @property
+    def step(self) -> int:
+        """Optimiser steps taken until then."""
+        return int(self.counters["step"])
+
+
+class Recovery:
+    """Keeps the last good state of a training in memory, and in its folder.
+
+    Args:
+        learner: what is trained.
+        workers: this process and the others.
+        folder: where checkpoints are kept, or None.
+        journal: told what happens.
+    """
+
+    def __init__(self, learner: Learner, workers: Workers, folder: RunFolder | None, journal: Journal) -> None:
+        self.learner, self.workers, self.folder, self.journal = learner, workers, folder, journal
+        self.saved = self.snapshot(Counters())
+
+    def snapshot(self, counters: Counters) -> Snapshot:
+        """Where the training is."""
+        return Snapshot(self.learner.state(), counters.to_json())
+
+    def keep(self, counters: Counters) -> None:
+        """Take where the training is as its last good state."""
+        self.saved = self.snapshot(counters)
+
+    def return_to(self, then: Snapshot) -> Counters:
+        """Where the training was; what was learnt since is forgotten."""
+        self.learner.restore(then.tensors)
+        self.journal.forget()
+        return Counters.from_json(then.counters)
+
+    def roll_back(self, counters: Counters) -> Counters:
+        """Return to the last good weights at half the rate, and go on with other samples.
+
+        Raises TrainingFailedError where that was done too often.
+        """
+        at, back = counters.step, self.saved.step
+        lower = replace(
+            counters,
+            rollbacks=counters.rollbacks + 1,
+            rate_factor=0.5 * counters.rate_factor,
+            guard=ExplosionGuard(),
+        )
+        self.journal.forget()
+        self.learner.restore(self.saved.tensors)
+        self.journal.note({"step": at, "rollback": back, "rate_factor": lower.rate_factor})
+        self.journal.say(
+            f"Step {at}: the training was coming apart; back to the weights of step {back} ({at - back} steps "
+            f"lost), at {lower.rate_factor:g} times the learning rate."
+        )
+        if lower.rollbacks > MOST_ROLLBACKS:
+            raise TrainingFailedError(
+                f"The training came apart {lower.rollbacks} times by step {at}; start it with a lower "
+                "curriculum.learning_rate."
+            )
+        return lower
+
+    def checkpoint(self, counters: Counters, exact: bool = False, insist: bool = False) -> None:
+        """Save everything.
+
+        The training itself goes on from what was saved, rounding included, so that it and one resumed stay the same.
+
+        Args:
+            counters: where the training is.
+            exact: keep moments unrounded.
+            insist: raise NotSavedError on a full disk; without it, that only costs the checkpoint.
+        """
+        tensors = self.learner.state(exact)
+        if self.workers.leads and self.folder:
+            try:
+                self.folder.save_state(tensors, counters.to_json())
+            except NotSavedError as error:
+                if insist:
+                    raise
+                self.journal.say(f"{error} The training goes on; the last whole checkpoint is of {self.saved.step}.")
+        self.learner.restore(tensors)
+        self.saved = Snapshot(tensors, counters.to_json())
+
+    def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> Counters:
+        """Go on from a checkpoint. Raises InputError where it is not of this configuration."""
+        begun = Counters.from_json(counters)
+        self.learner.restore(tensors)
+        self.saved = Snapshot(tensors, begun.to_json())
+        return begun

@@ -1,0 +1,140 @@
+"""Features made from the physics of a step, and networks that take several passes."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from ball_scene import ball_scene
+from torch import Tensor
+
+from pb4u.errors import InputError
+from pb4u.graph.features import ADVANCE, DESCENT, Feature, FeatureLayout
+from pb4u.model.pb4u_gnet import Pb4uConfiguration
+from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.physics.time_step import TimeStep, integrate
+from pb4u.scene.packed import pack
+from pb4u.scene.state import State
+from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
+from pb4u.simulation.models import load_simulator
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures, local_origin
+from pb4u.simulation.step import StepMethod, predictions, take
+from pb4u.simulation.step_start import FreeFlight, StepStart
+from pb4u.simulation.stepwise_simulator import NetworkSimulator
+from pb4u.simulation.timeline import Timeline
+
+TINY = Pb4uConfiguration(width=8, blocks=1, layout=FeatureLayout(extra=(DESCENT, ADVANCE)), passes=3)
+
+
+def a_step(cells: int = 10) -> TimeStep:
+    timeline = Timeline.of(ball_scene(cells=cells))
+    rest = timeline.skinned(0)
+    generator = torch.Generator().manual_seed(1)
+    noise = torch.randn(rest.shape, generator=generator, dtype=rest.dtype)
+    return timeline.step_from(State(rest + 1e-3 * noise, 0.1 * noise, 0))
+
+
+def model(configuration: Pb4uConfiguration = TINY) -> AccelerationModel:
+    torch.manual_seed(0)
+    return AccelerationModel(configuration.network())
+
+
+def prepared_for(network: AccelerationModel, at: TimeStep):
+    return network.prepare(pack(at.garments.garments, torch.float32))
+
+
+def test_descent_sees_where_earlier_passes_would_end() -> None:
+    at = a_step()
+    features = StepFeatures(prepared_for(model(), at))
+    nothing = torch.zeros_like(at.state.positions)
+    free = features.of(at, nothing)
+    moved = features.of(at, nothing + torch.tensor([0.0, 0.0, 2e-3], dtype=nothing.dtype))
+    assert not torch.allclose(free["descent"], moved["descent"])
+    assert torch.equal(free["advance"], nothing)
+    assert float(moved["advance"][0, 2]) == pytest.approx(0.2)
+
+
+def test_descent_is_bounded_however_bad_the_state() -> None:
+    at = a_step()
+    features = StepFeatures(prepared_for(model(), at))
+    wild = 0.3 * torch.randn(at.state.positions.shape, generator=torch.Generator().manual_seed(2)).double()
+    assert float(features.of(at, wild)["descent"].norm(dim=1).max()) < 1.0
+
+
+def test_every_pass_starts_where_the_last_left_off() -> None:
+    at = a_step()
+    network = model()
+    prepared = prepared_for(network, at)
+    features = StepFeatures(prepared)
+    found = torch.zeros_like(at.state.positions)
+    with torch.no_grad():
+        for _ in range(3):
+            graph = prepared.graph(at.state, at.collider, at.dt, local_origin(at.collider), features.of(at, found))
+            found = found + network(graph, prepared).to(found)
+    taken = take(at, StepMethod(network=NetworkPass(network, prepared, 3)))
+    assert torch.allclose(taken.positions, integrate(at, found).positions, atol=1e-7)
+
+
+class Reached(StepStart):
+    """Starts from accelerations already reached."""
+
+    def __init__(self, accelerations: Tensor) -> None:
+        self.reached = accelerations
+
+    def accelerations(self, step: TimeStep) -> Tensor:
+        return self.reached
+
+
+def test_training_takes_a_pass_at_a_time() -> None:
+    at = a_step()
+    network = model()
+    prepared = prepared_for(network, at)
+    start: StepStart = FreeFlight()
+    for _ in range(3):
+        before, reached = predictions(at, StepMethod(start, NetworkPass(network, prepared, mode=nullcontext)))
+        assert not before.requires_grad
+        start = Reached(reached.detach())
+    assert integrate(at, reached).positions.requires_grad
+    all_passes = StepMethod(FreeFlight(), NetworkPass(network, prepared, 3, mode=nullcontext))
+    *earlier, last = predictions(at, all_passes)
+    assert len(earlier) == 3
+    assert torch.allclose(last, reached, atol=1e-9)
+    (of_all,) = torch.autograd.grad(last.sum(), network.network.decoder.last.bias)
+    (of_last,) = torch.autograd.grad(reached.sum(), network.network.decoder.last.bias)
+    assert torch.allclose(of_all, of_last, rtol=1e-5), "only the latest pass is differentiable"
+
+
+def test_a_feature_that_nothing_makes_is_refused() -> None:
+    unknown = Feature("colour", 3, "1", False, 1.0, "a test")
+    at = a_step()
+    network = model(replace(TINY, layout=FeatureLayout(extra=(unknown,)), passes=1))
+    with pytest.raises(InputError, match="colour"):
+        StepFeatures(prepared_for(network, at))
+
+
+def test_less_than_one_pass_is_refused() -> None:
+    with pytest.raises(InputError, match="at least 1 pass"):
+        replace(TINY, passes=0)
+
+
+def test_passes_can_be_chosen_and_are_one_where_the_solver_refines(tmp_path: Path) -> None:
+    path = tmp_path / "tiny.safetensors"
+    save_checkpoint(path, model(), TINY, TrainingRecord(1 / 30, (0.01, 0.06), (1, 30)))
+    assert NetworkSimulator(load_checkpoint(path)).passes == 3
+    assert NetworkSimulator(load_checkpoint(path), refine=5).passes == 3
+    assert load_simulator(path).passes == 1
+    assert load_simulator(path, refine=0).passes == 3
+    assert load_simulator(path, refine=5, passes=2).simulate(ball_scene(frames=2)).metadata["passes"] == 2
+    with pytest.raises(InputError, match="at least 1 pass"):
+        load_simulator(path, passes=0)
+
+
+def test_a_network_of_one_pass_cannot_take_more(tmp_path: Path) -> None:
+    path = tmp_path / "plain.safetensors"
+    plain = Pb4uConfiguration(width=8, blocks=1)
+    save_checkpoint(path, model(plain), plain, TrainingRecord(1 / 30, (0.01, 0.06), (1, 30)))
+    with pytest.raises(InputError, match="one pass"):
+        load_simulator(path, passes=2)
