@@ -144,6 +144,17 @@ def test_shapes_given_apart_add_up_and_the_same_key_twice_is_refused(pb4u: Calla
         assert "gives height twice" in ended.err
 
 
+def test_every_entry_has_a_flag(saved: Saved) -> None:
+    run = saved(
+        "--first-frame", "settled", "--refine", 3, "--passes", 2, "--propagation-steps", 7, "--contact", "off",
+        "--device", "cpu", "--arms-away", 4, "--seed", 9, "--lead-in", 2, "--fps", 24, "--frames", 5,
+    )  # fmt: skip
+    assert (run.first_frame, run.refine, run.passes, run.propagation_steps) == ("settled", 3, 2, 7)
+    assert (run.contact, run.device) == (False, "cpu")
+    scene = run.scene
+    assert (scene.arms_away, scene.seed, scene.lead_in, scene.fps, scene.frames) == (4, 9, 2, 24, 5)
+
+
 def test_a_file_whose_name_holds_an_equals_sign_is_a_file(saved: Saved) -> None:
     Path("a=b.json").write_text("{}")
     assert str(saved("--material", "a=b.json").scene.garments[0].material) == "a=b.json"

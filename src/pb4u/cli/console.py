@@ -6,9 +6,8 @@ import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import typer
 
@@ -17,6 +16,7 @@ from pb4u.errors import InputError
 from pb4u.export.registry import formats_help, written_files
 from pb4u.progress import Progress, unheard
 
+Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
 FORMATS = formats_help()
 
@@ -75,13 +75,6 @@ def check_writable(path: Path, flag: str) -> None:
         raise InputError(f"{path} for {flag} is a folder; give the name of a file.")
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"The folder {path.parent} for {flag} cannot be written to.")
-
-
-class Switch(str, Enum):
-    """On or off."""
-
-    on = "on"
-    off = "off"
 
 
 class BodyShape(dict[str, float]):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import shutil
 import sys
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,13 +14,6 @@ from pb4u.errors import InputError, Pb4uError
 
 if TYPE_CHECKING:
     from pb4u.evaluation.worker_pool import WorkerPool
-
-
-class Floors(str, Enum):
-    """Where the solver's results for the ratios come from."""
-
-    run = "run"
-    stored = "stored"
 
 
 def evaluate(
@@ -60,11 +52,12 @@ def evaluate(
         ),
     ] = None,
     refine: Annotated[int, typer.Option(metavar="N", help="Solver iterations after each step of a network.")] = 0,
-    contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = Switch.off,
+    contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = "off",
     device: Annotated[str, typer.Option(help="Where networks compute: auto, cpu or cuda.")] = "auto",
     floors: Annotated[
-        Floors, typer.Option(help="run the solver on scenes whose floor is not stored, or take what is stored.")
-    ] = Floors.run,
+        Literal["run", "stored"],
+        typer.Option(help="run the solver on scenes whose floor is not stored, or take what is stored."),
+    ] = "run",
     workers: Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")] = 1,
     ray: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
@@ -94,8 +87,8 @@ def evaluate(
     request = Request(
         protocol=protocol, models=_names(models), garments=_names(garments), motions=_names(motions),
         bodies=_names(bodies), levels=_names(levels), steps=_counts(propagation_steps), frames=frames, lead_in=lead_in,
-        recordings=recordings, refine=refine, contact=contact is Switch.on, device=device,
-        floors=floors is Floors.run,
+        recordings=recordings, refine=refine, contact=contact == "on", device=device,
+        floors=floors == "run",
     )  # fmt: skip
 
     def pool() -> WorkerPool:

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from pb4u import __version__
-from pb4u.cli import assets, check, convert, evaluate, info, simulate, train, view
+from pb4u.cli import assets, check, evaluate, info, simulate, train, trajectory_verbs
 from pb4u.errors import InputWarning, Pb4uError
 
 app = typer.Typer(
@@ -24,9 +24,9 @@ app = typer.Typer(
 )
 for verb in (
     simulate.simulate,
-    view.view,
+    trajectory_verbs.view,
     check.check,
-    convert.convert,
+    trajectory_verbs.convert,
     train.train,
     evaluate.evaluate,
     info.info,

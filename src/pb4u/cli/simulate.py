@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -25,20 +24,12 @@ from pb4u.cli.console import (
 )
 from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.simulation.run_specification import Device, FirstFrameChoice, RunSpecification
 
 if TYPE_CHECKING:
     from pb4u.scene.scene import Scene
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.simulator import RunRecord, Simulator
-
-
-class Device(str, Enum):
-    """Where networks and newton compute."""
-
-    auto = "auto"
-    cpu = "cpu"
-    cuda = "cuda"
 
 
 class GarmentValue(NamedTuple):
@@ -174,6 +165,13 @@ def simulate(
         Device | None,
         typer.Option(help="Where a network or newton computes; the solver always runs on the CPU. Default: auto."),
     ] = None,
+    first_frame: Annotated[
+        FirstFrameChoice | None,
+        typer.Option(
+            help="How frame 0 is made: settled by the solver, or in one long step of the method itself, as in the "
+            "paper. Default: auto, which is settled wherever the solver takes part."
+        ),
+    ] = None,
     seed: Annotated[
         int | None, typer.Option(help=f"Seed of everything random. Default: {SceneSpecification.seed}.")
     ] = None,
@@ -209,7 +207,7 @@ def simulate(
         ),
         **_given(
             model=model, propagation_steps=propagation_steps, passes=passes, refine=refine,
-            contact=None if contact is None else contact is Switch.on, device=None if device is None else device.value,
+            contact=contact and contact == "on", device=device, first_frame=first_frame,
         ),
     )  # fmt: skip
     _simulate(run, list(out) if out else _default_targets(run.scene), save_scene, json)

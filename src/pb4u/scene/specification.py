@@ -92,7 +92,7 @@ class SceneSpecification:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "garments", tuple(self.garments))
-        object.__setattr__(self, "body_shape", dict(_checked_shape(self.body_shape)))
+        object.__setattr__(self, "body_shape", _checked_shape(self.body_shape))
         if self.crop is not None:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
         require_name("body", self.body)
@@ -176,12 +176,12 @@ def require_switch(what: str, value: object) -> None:
         raise InputError(f"The value of {what} must be true or false, not {value!r}.")
 
 
-def _checked_shape(shape: Any) -> Mapping[str, float]:
+def _checked_shape(shape: Any) -> dict[str, float]:
     if not isinstance(shape, Mapping):
         raise InputError(f"The shape of the body must be numbers by name, such as height = 0.7, not {shape!r}.")
     for key, value in shape.items():
         require_number(f"shape parameter {key}", value)
-    return shape
+    return {key: float(value) for key, value in shape.items()}
 
 
 def _checked_crop(crop: Any) -> tuple[int, int]:
