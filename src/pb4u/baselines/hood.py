@@ -1,4 +1,4 @@
-"""HOOD: a mesh and two coarse levels, gone up and down like the strokes of a U (Grigorev et al. 2023; reference 4)."""
+"""HOOD: a mesh and two coarse levels, from fine to coarse and back (Grigorev et al. 2023; reference 4)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SCHEDULE = (("mesh", NEAR), (NEAR, FAR), (FAR,), (NEAR, FAR), ("mesh", NEAR))
 
 
 class LevelChoice(Protocol):
-    """Asked which two coarse levels a garment uses."""
+    """A rule for the two coarse levels that a garment uses."""
 
     def levels(self, mean_edge_length: float) -> tuple[int, int]:
         """The near and the far one, for a mean rest edge length [m]; an edge of level l spans 2^(l + 1) mesh edges."""
@@ -113,13 +113,13 @@ class Hood(EncodeProcessDecode):
         nodes, edges = self.encode(graph)
         views = {kinds: _with_edges(graph, (*kinds, "world")) for kinds in SCHEDULE}
         masks = [_level_masks(graph, depth) for depth in range(3)]
-        put_aside: list[dict[str, Tensor]] = []
+        saved: list[dict[str, Tensor]] = []
         for index, (kinds, block) in enumerate(zip(self.schedule, self.blocks, strict=True)):
             depth = _depth(kinds)
-            if depth > len(put_aside):
-                put_aside.append(_world_latents(graph, edges))
-            elif depth < len(put_aside):
-                edges = edges | put_aside.pop()
+            if depth > len(saved):
+                saved.append(_world_latents(graph, edges))
+            elif depth < len(saved):
+                edges = edges | saved.pop()
             last = index == len(self.blocks) - 1
             nodes, changed = block(nodes, edges, views[kinds], (GARMENT,) if last else None, masks[depth])
             edges = edges | changed

@@ -28,7 +28,7 @@ class EdgeFinder(Protocol):
     """Finds edges between garment vertices anew at every step, such as those of cloth that comes near itself."""
 
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:
-        """Undirected edges (edges, 2) int64 between vertices of one garment, by kind; kinds without edges stay.
+        """Undirected edges (edges, 2) int64 between vertices of one garment, by kind; empty kinds are named as well.
 
         Args:
             positions: (vertices, 3) [m].
@@ -36,25 +36,30 @@ class EdgeFinder(Protocol):
 
 
 class NoFoundEdges:
-    """Finds nothing."""
+    """The finder of a network whose edges are all known beforehand."""
 
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:
         return {}
 
 
 class TouchableVertices:
-    """The body vertices that the garments of each world may touch; computed anew for colliders not seen last."""
+    """The body vertices that the garments of each world may touch, kept while the colliders stay the same.
 
-    def __init__(self) -> None:
-        self._key: tuple[Tensor, Tensor] | None = None
+    Args:
+        worlds: number of worlds.
+    """
+
+    def __init__(self, worlds: int) -> None:
+        self._worlds = worlds
+        self._of: tuple[Tensor, Tensor] | None = None
         self._vertices: tuple[Tensor, ...] = ()
 
-    def of(self, collider: ColliderFrame, worlds: int) -> tuple[Tensor, ...]:
+    def find(self, collider: ColliderFrame) -> tuple[Tensor, ...]:
         """Packed body vertices of each world, (vertices of that world,) int64."""
         contact, world = collider.contact, collider.vertex_garment
-        if self._key is None or self._key[0] is not contact or self._key[1] is not world:
-            self._vertices = tuple(torch.nonzero((world == number) & contact)[:, 0] for number in range(worlds))
-            self._key = contact, world
+        if self._of is None or self._of[0] is not contact or self._of[1] is not world:
+            self._vertices = tuple(torch.nonzero((world == w) & contact)[:, 0] for w in range(self._worlds))
+            self._of = contact, world
         return self._vertices
 
 
@@ -75,7 +80,10 @@ class GraphBuilder:
     world_edges: WorldEdgeRule
     finder: EdgeFinder = field(default_factory=NoFoundEdges)
     rest: Mapping[str, Tensor] = field(default_factory=dict)
-    _touchable: TouchableVertices = field(default_factory=TouchableVertices)
+    _touchable: TouchableVertices = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_touchable", TouchableVertices(len(self.static.world_offsets) - 1))
 
     @property
     def dtype(self) -> torch.dtype:
@@ -185,9 +193,7 @@ class GraphBuilder:
     ) -> None:
         """Add the body vertices that a garment vertex sees, and the edges between them, where there are any."""
         now, following = self._localise(collider.now, origin), self._localise(collider.following, origin)
-        garment, body = self._near_pairs(
-            positions, now, self._touchable.of(collider, len(self.static.world_offsets) - 1)
-        )
+        garment, body = self._near_pairs(positions, now, self._touchable.find(collider))
         if len(body) == 0:
             return
         kept, body_node = torch.unique(body, return_inverse=True)
