@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -24,6 +24,7 @@ from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.presets.networks import NETWORKS, mgn
 from pb4u.scene.packed import pack
 from pb4u.simulation.checkpoint import TrainingRecord, from_pretrained, save_checkpoint
+from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
 TINY = {
     "mgn": MeshGraphNetConfiguration(width=16, blocks=3),
@@ -274,6 +275,26 @@ def test_what_sees_cloth_near_itself_answers_to_it_and_what_does_not_does_not():
         model = model_of(TINY[name])
         change = (accelerations(model, at) - accelerations(model, poked)).abs().max()
         assert (float(change.detach()) > 1e-6) == feels
+
+
+@dataclass(frozen=True)
+class Pooling:
+    share: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class PooledConfiguration(MeshGraphNetConfiguration):
+    pooling: tuple[Pooling, ...] = (Pooling(), Pooling(0.25))
+
+
+def test_a_configuration_is_read_with_all_its_parts_once_a_preset_holds_it(monkeypatch):
+    written = configuration_to_json(PooledConfiguration(width=4))
+    with pytest.raises(InputError, match="unknown type"):
+        configuration_from_json(written)
+    monkeypatch.setitem(NETWORKS, "pooled", PooledConfiguration())
+    assert configuration_from_json(written) == PooledConfiguration(width=4)
+    with pytest.raises(InputError, match="describes a Pooling, not a network"):
+        configuration_from_json(written["pooling"][0])
 
 
 def test_senseless_configurations_are_refused():

@@ -9,8 +9,17 @@ from tests.baselines import readable_contours as readable
 from tests.baselines.scenes import dented, two_sheets
 from tests.network_scenes import sheet
 
-from pb4u.baselines.contact_losses import ContourLength, Ramp, Repulsion, SelfContactLoss, squared_contour_length
-from pb4u.baselines.proximity_edges import ATTRACTION, REPULSION, SelfProximityEdges, garments_proximity
+from pb4u.baselines.self_contact import (
+    ATTRACTION,
+    REPULSION,
+    ContourLength,
+    PackProximity,
+    Ramp,
+    Repulsion,
+    SelfContactLoss,
+    SelfProximityEdges,
+    squared_contour_length,
+)
 from pb4u.garment.garment import Garment
 from pb4u.geometry.proximity.intersection_contours import ContourFinder
 from pb4u.geometry.proximity.near_pairs import near_pairs
@@ -31,7 +40,7 @@ def dent() -> tuple[np.ndarray, np.ndarray]:
 
 
 def edges_of(packed: PackedGarments) -> SelfProximityEdges:
-    return SelfProximityEdges(garments_proximity(packed), packed.vertex_offsets, 0.03)
+    return SelfProximityEdges(PackProximity(packed), 0.03)
 
 
 SHAPES = {"dent": dent, "shaken": shaken}
@@ -155,7 +164,7 @@ def test_repulsion_counts_what_comes_within_3_mm_of_the_side_it_was_on():
     packed = pack([garment])
     before = torch.as_tensor(garment.vertices)
     half = len(before) // 2
-    loss = SelfContactLoss(Repulsion(weight=Ramp(0.2, 0.6, 8.0)), packed, garments_proximity(packed))
+    loss = SelfContactLoss(Repulsion(weight=Ramp(0.2, 0.6, 8.0)), PackProximity(packed))
 
     def at(gap: float, progress: float = 1.0) -> torch.Tensor:
         after = before.clone()
@@ -177,8 +186,8 @@ def test_losses_are_given_garment_by_garment():
     after = torch.as_tensor(np.concatenate([still.vertices, dented(through)]))
     before = torch.as_tensor(np.concatenate([still.vertices, through.vertices]))
     packed = pack([still, through])
-    finders = garments_proximity(packed)
-    for loss in (SelfContactLoss(kind, packed, finders) for kind in (ContourLength(), Repulsion())):
+    proximity = PackProximity(packed)
+    for loss in (SelfContactLoss(kind, proximity) for kind in (ContourLength(), Repulsion())):
         energies = loss.energies(before, after, 1.0)
         assert energies.shape == (2,)
         assert float(energies[0]) == 0.0 < float(energies[1])

@@ -46,20 +46,20 @@ def columns(features, layout_columns):
 
 def test_the_paper_layout_has_11_9_and_with_the_type_20_columns():
     layout = FeatureLayout()
-    assert total_width(layout.node_columns) + 9 == 20
-    assert total_width(layout.mesh_edge_columns) == 11
-    assert total_width(layout.world_edge_columns) == 9
+    assert total_width(layout.columns("node")) + 9 == 20
+    assert total_width(layout.columns("mesh_edge")) == 11
+    assert total_width(layout.columns("world_edge")) == 9
     bare = FeatureLayout(mesh_edge=("direction", "rest_direction", "length_ratio"))
-    assert total_width(bare.mesh_edge_columns) == 7
+    assert total_width(bare.columns("mesh_edge")) == 7
 
 
 def test_every_feature_of_the_tables_can_be_made_in_its_width():
     layout = FeatureLayout(tuple(NODE_FEATURES), tuple(MESH_EDGE_FEATURES), tuple(WORLD_EDGE_FEATURES))
     graph = built(moment([sheet(6, 7)]), layout)
     for node_set in graph.nodes.values():
-        assert node_set.features.shape[1] == total_width(layout.node_columns)
-    assert graph.edges["mesh"].features.shape[1] == total_width(layout.mesh_edge_columns)
-    assert graph.edges["body_to_garment"].features.shape[1] == total_width(layout.world_edge_columns)
+        assert node_set.features.shape[1] == total_width(layout.columns("node"))
+    assert graph.edges["mesh"].features.shape[1] == total_width(layout.columns("mesh_edge"))
+    assert graph.edges["body_to_garment"].features.shape[1] == total_width(layout.columns("world_edge"))
     for table in (NODE_FEATURES, MESH_EDGE_FEATURES, WORLD_EDGE_FEATURES):
         assert all(feature.unit and feature.source and feature.typical > 0 for feature in table.values())
 
@@ -68,14 +68,14 @@ def test_node_features_are_what_they_say():
     at = moment([sheet(6, 7)])
     layout = FeatureLayout(node=tuple(NODE_FEATURES))
     graph = built(at, layout, dt=0.1)
-    garment = columns(graph.nodes["garment"].features, layout.node_columns)
+    garment = columns(graph.nodes["garment"].features, layout.columns("node"))
     torch.testing.assert_close(garment["velocity"], at.state.velocities * 0.1)
     torch.testing.assert_close(garment["normal"], vertex_normals(at.state.positions, at.garments.faces))
     torch.testing.assert_close(garment["dt"], torch.full((42, 1), 3.0, dtype=torch.float64).log())
     torch.testing.assert_close(garment["vertex_mass"][:, 0], at.garments.vertex_masses.log())
     density = torch.tensor(COTTON.density / 0.0434, dtype=torch.float64).log() / torch.tensor(0.7 / 0.0434).log()
     torch.testing.assert_close(garment["areal_density"], density.expand(42, 1), rtol=1e-5, atol=0)
-    body = columns(graph.nodes["body"].features, layout.node_columns)
+    body = columns(graph.nodes["body"].features, layout.columns("node"))
     for name in ("areal_density", "vertex_mass", "material"):
         assert bool((body[name] == -1).all())
     assert set(graph.nodes["body"].types.tolist()) == {NodeType.BODY}
@@ -91,8 +91,8 @@ def test_materials_run_from_0_to_1_over_the_training_range(position):
         at = moment([sheet(5, 5, material=replace(COTTON, **{name: value}))])
         layout = FeatureLayout()
         for features, made in (
-            (built(at).nodes["garment"].features, layout.node_columns),
-            (built(at).edges["mesh"].features, layout.mesh_edge_columns),
+            (built(at).nodes["garment"].features, layout.columns("node")),
+            (built(at).edges["mesh"].features, layout.columns("mesh_edge")),
         ):
             mapped = columns(features, made)["material"][:, position]
             torch.testing.assert_close(mapped, torch.full_like(mapped, expected), atol=1e-9, rtol=0)
@@ -126,7 +126,7 @@ def test_mesh_edge_features_are_what_they_say():
     at = moment([sheet(5, 6)])
     layout = FeatureLayout(mesh_edge=tuple(MESH_EDGE_FEATURES))
     mesh = built(at, layout).edges["mesh"]
-    made = columns(mesh.features, layout.mesh_edge_columns)
+    made = columns(mesh.features, layout.columns("mesh_edge"))
     s, r = mesh.senders.index, mesh.receivers.index
     now, rest = (x[s] - x[r] for x in (at.state.positions, at.garments.rest_positions))
     torch.testing.assert_close(made["relative_position"], now)
@@ -164,7 +164,7 @@ def test_world_edges_join_the_nearest_body_vertices_in_reach_and_run_both_ways(n
         garment = edges.receivers.index if edges is into else edges.senders.index
         nodes = edges.senders.index if edges is into else edges.receivers.index
         vertex = torch.tensor(of_node)[nodes]
-        made = columns(edges.features, layout.world_edge_columns)
+        made = columns(edges.features, layout.columns("world_edge"))
         torch.testing.assert_close(made["relative_now"], sign * (at.state.positions[garment] - now[vertex]))
         torch.testing.assert_close(made["relative_next"], sign * (at.state.positions[garment] - following[vertex]))
         torch.testing.assert_close(made["distance_now"], made["relative_now"].norm(dim=1, keepdim=True))

@@ -12,9 +12,16 @@ from dataclasses import dataclass, field
 from torch import Tensor, nn
 
 from pb4u.baselines.coarsening import REMEMBERED, coarse_levels
-from pb4u.baselines.contact_losses import ContourLength, Repulsion, SelfContactLoss
-from pb4u.baselines.proximity_edges import ATTRACTION, REPULSION, SelfProximityEdges, garments_proximity
 from pb4u.baselines.rest_meshes import MeshMemory, packed_levels, require_scipy
+from pb4u.baselines.self_contact import (
+    ATTRACTION,
+    REPULSION,
+    ContourLength,
+    PackProximity,
+    Repulsion,
+    SelfContactLoss,
+    SelfProximityEdges,
+)
 from pb4u.errors import InputError
 from pb4u.graph.builder import NoFoundEdges
 from pb4u.graph.features import FOUND_EDGE_FEATURES, FeatureLayout
@@ -90,12 +97,12 @@ class ContourCraft(EncodeProcessDecode):
         return self.decode_after(self.blocks, *self.encode(graph), graph)
 
     def derive(self, garments: PackedGarments) -> Derived:
-        c, finders = self.configuration, garments_proximity(garments)
+        c, pack = self.configuration, PackProximity(garments)
         levels = [self._levels.of(garments, garment, c.level + 1) for garment in range(garments.garment_count)]
         edges, labels = packed_levels(garments, levels, (COARSE,))
         return Derived(
             edges=edges,
-            finder=SelfProximityEdges(finders, garments.vertex_offsets, c.radius) if c.radius > 0 else NoFoundEdges(),
+            finder=SelfProximityEdges(pack, c.radius) if c.radius > 0 else NoFoundEdges(),
             rest={LEVEL: labels},
-            losses=tuple(SelfContactLoss(loss, garments, finders) for loss in c.losses),
+            losses=tuple(SelfContactLoss(loss, pack) for loss in c.losses),
         )

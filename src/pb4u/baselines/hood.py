@@ -1,10 +1,10 @@
-"""HOOD: a mesh and two coarse levels, gone up and down like the strokes of a U (Grigorev et al. 2023; reference 4)."""
+"""HOOD: a mesh and two coarse levels, from fine to coarse and back (Grigorev et al. 2023; reference 4)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import torch
@@ -28,7 +28,7 @@ SCHEDULE = (("mesh", NEAR), (NEAR, FAR), (FAR,), (NEAR, FAR), ("mesh", NEAR))
 
 
 class LevelChoice(Protocol):
-    """Asked which two coarse levels a garment uses."""
+    """A rule for the two coarse levels that a garment uses."""
 
     def levels(self, mean_edge_length: float) -> tuple[int, int]:
         """The near and the far one, for a mean rest edge length [m]; an edge of level l spans 2^(l + 1) mesh edges."""
@@ -111,17 +111,16 @@ class Hood(EncodeProcessDecode):
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
         """Normalised accelerations (garment vertices, 3); `steps` is not read."""
         nodes, edges = self.encode(graph)
-        views = {kinds: _with_edges(graph, (*kinds, "world")) for kinds in SCHEDULE}
         masks = [_level_masks(graph, depth) for depth in range(3)]
-        put_aside: list[dict[str, Tensor]] = []
+        saved: list[dict[str, Tensor]] = []
         for index, (kinds, block) in enumerate(zip(self.schedule, self.blocks, strict=True)):
             depth = _depth(kinds)
-            if depth > len(put_aside):
-                put_aside.append(_world_latents(graph, edges))
-            elif depth < len(put_aside):
-                edges = edges | put_aside.pop()
+            if depth > len(saved):
+                saved.append(_world_latents(graph, edges))
+            elif depth < len(saved):
+                edges = edges | saved.pop()
             last = index == len(self.blocks) - 1
-            nodes, changed = block(nodes, edges, views[kinds], (GARMENT,) if last else None, masks[depth])
+            nodes, changed = block(nodes, edges, graph, (GARMENT,) if last else None, masks[depth])
             edges = edges | changed
         return self.decoder(nodes[GARMENT])
 
@@ -136,16 +135,12 @@ class Hood(EncodeProcessDecode):
 
 
 def _depth(kinds: Sequence[str]) -> int:
-    """How many levels are left behind where these kinds of edges are the ones processed."""
+    """The finest level that these kinds of edges belong to, where the mesh is level 0."""
     return ("mesh", NEAR, FAR).index(kinds[0])
 
 
-def _with_edges(graph: Graph, kinds: Sequence[str]) -> Graph:
-    return replace(graph, edges={name: s for name, s in graph.edges.items() if s.kind in kinds})
-
-
 def _world_latents(graph: Graph, edges: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Latents of world edges as they are before a stage on a coarser level, which the way up takes back."""
+    """Latents of world edges before a stage on a coarser level, taken back once it has ended."""
     latents = {name: edges[name] for name, edge_set in graph.edges.items() if edge_set.kind == "world"}
     # While gradients are off, blocks write over the latents they are given.
     return latents if torch.is_grad_enabled() else {name: values.clone() for name, values in latents.items()}

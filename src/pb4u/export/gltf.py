@@ -24,6 +24,7 @@ from pb4u.progress import Progress, unheard
 from pb4u.scene.trajectory import Trajectory
 
 _TOLERANCE = 1e-3
+"""Largest distance of a vertex from the trajectory [m]: less than can be seen beside a body."""
 _MOST_TARGETS = 256
 """Texture layers that every WebGL 2 device has."""
 _FLOAT, _UNSIGNED_INT = 5126, 5125

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """How a trajectory is looked at.
+    """Camera, size and colours of pictures.
 
     Args:
         width: pixels.
         height: pixels.
-        azimuth: degrees around the vertical; 0 looks the body in the face, positive walks towards its left.
+        azimuth: degrees around the vertical; 0 is in front of the body, positive towards its left.
         elevation: degrees above the horizontal.
-        turntable: degrees the camera travels over the whole clip.
+        turntable: degrees that the camera turns about the vertical over the whole clip.
         show_body: whether the body is drawn.
         cloth: colour of the garment, RGB in [0, 1].
     """
@@ -215,9 +215,9 @@ def write_still(
 
     Args:
         trajectory: what is drawn.
-        path: whose suffix tells the format.
+        path: file to write; its suffix decides the format.
         progress: told of the moments drawn.
-        view: how it is looked at.
+        view: camera, size and colours.
         frames: moments side by side, spread evenly over the clip.
     """
     from PIL import Image
@@ -240,7 +240,7 @@ def write_gif(
         trajectory: what is drawn.
         path: file to write.
         progress: told of the frames drawn.
-        view: how it is looked at.
+        view: camera, size and colours.
         highest_fps: frames are dropped so that it plays in real time at no more than this; more make files large.
     """
     from PIL import Image
@@ -262,7 +262,7 @@ def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, 
         trajectory: what is drawn.
         path: file to write.
         progress: told of the frames drawn.
-        view: how it is looked at.
+        view: camera, size and colours.
 
     Raises:
         MissingExtraError: the "render" extra is not installed.

@@ -19,7 +19,7 @@ _ALL = slice(None)
 
 
 class LazyFrames:
-    """Stands where an array (frames, vertices, 3) float32 is expected and computes what is asked of it.
+    """Takes the place of an array (frames, vertices, 3) float32 and computes the parts that are read.
 
     `frames[t]`, `frames[a:b]`, `frames[:, vertices]` and iteration compute that part only;
     any other use goes through a full array.
@@ -37,7 +37,7 @@ class LazyFrames:
         self._compute = compute
 
     def as_array(self) -> np.ndarray:
-        """Itself, for the type checker: everything that a trajectory is asked for, it answers."""
+        """Itself, typed as the array that it stands for."""
         return cast(np.ndarray, self)
 
     def __len__(self) -> int:

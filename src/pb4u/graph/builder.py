@@ -28,7 +28,7 @@ class EdgeFinder(Protocol):
     """Finds edges between garment vertices anew at every step, such as those of cloth that comes near itself."""
 
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:
-        """Undirected edges (edges, 2) int64 between vertices of one garment, by kind; kinds without edges stay.
+        """Undirected edges (edges, 2) int64 between vertices of one garment, by kind; empty kinds are named as well.
 
         Args:
             positions: (vertices, 3) [m].
@@ -36,7 +36,7 @@ class EdgeFinder(Protocol):
 
 
 class NoFoundEdges:
-    """Finds nothing."""
+    """The finder of a network whose edges are all known beforehand."""
 
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:
         return {}

@@ -120,7 +120,7 @@ def _garment_edges(garments: PackedGarments, pairs: Tensor, material: Tensor, dt
 
 
 def _vertex_material(garments: PackedGarments, limits: MaterialRange) -> Tensor:
-    """(vertices, 3) float64 bending, mu, lambda: means over what meets at a vertex, mapped to [0, 1]."""
+    """(vertices, 3) float64 bending, mu, lambda: means over the elements at a vertex, mapped to [0, 1]."""
     corners = garments.faces.reshape(-1)
     mu = _mean_at(corners, garments.lame_mu.repeat_interleave(3), garments)
     lam = _mean_at(corners, garments.lame_lambda.repeat_interleave(3), garments)

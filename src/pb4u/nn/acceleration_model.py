@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -17,11 +17,11 @@ from pb4u.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.graph.graph import EdgeSet, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.nn.normaliser import Normaliser
-from pb4u.scene.packed import ColliderFrame, PackedGarments
-from pb4u.scene.state import State
+from pb4u.scene.packed import PackedGarments
 
 ACCELERATION = Feature("acceleration", 3, "m/step^2", True, 3e-3, "x(t+1) - 2 x(t) + x(t-1), in displacement units")
 MOST_PROPAGATION_STEPS = 500
+"""Far above the 31 that the rule gives at 38,000 triangles; beyond lies a slip of the keyboard."""
 
 
 class FurtherLoss(Protocol):
@@ -67,8 +67,8 @@ class NetworkConfiguration(ABC):
         width: of all latents and hidden layers.
         layout: the columns read.
         world_edges: which body vertices a garment vertex sees.
-        passes: how often the network is asked in one time step, each time from where it left off; 1 in the paper. Above
-            1 the layout should name "descent" and "advance".
+        passes: evaluations of the network in one time step, each adding to the accelerations of the one before; 1 in
+            the paper. Above 1 the layout should name "descent" and "advance".
         carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
             flight, is taken; none in the paper. With any the layout should name the same two.
     """
@@ -94,7 +94,7 @@ class GraphNetwork(nn.Module, ABC):
     """A network on normalised features; a baseline differs from ours in this and in nothing else.
 
     Args:
-        configuration: what it reads, and how it is asked.
+        configuration: what it reads, and how often it is evaluated in a step.
     """
 
     def __init__(self, configuration: NetworkConfiguration) -> None:
@@ -106,10 +106,15 @@ class GraphNetwork(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
-        """Normalised accelerations (garment vertices, 3), with `steps` propagation steps for each garment."""
+        """Normalised accelerations (garment vertices, 3).
+
+        Args:
+            graph: with normalised features.
+            steps: propagation steps of each garment.
+        """
 
     def propagation_steps(self, mean_edge_length: float) -> int:
-        """How many propagation steps a garment of this mean rest edge length [m] takes; 0 where there are none."""
+        """Propagation steps of a garment of this mean rest edge length [m]; 0 for a method without them."""
         return 0
 
     def update_scale(self, garments: GarmentGraph) -> Tensor | None:
@@ -117,7 +122,7 @@ class GraphNetwork(nn.Module, ABC):
         return None
 
     def derive(self, garments: PackedGarments) -> Derived:
-        """What the method needs of the garments beyond their meshes; derived once."""
+        """What the method needs of a pack beyond its meshes; called once a pack."""
         return Derived()
 
 
@@ -137,23 +142,19 @@ class PreparedGarments:
     scale: Tensor | None
     losses: tuple[FurtherLoss, ...] = ()
 
-    def graph(
-        self,
-        state: State,
-        collider: ColliderFrame | None,
-        dt: float,
-        origin: Tensor | None = None,
-        extra: Mapping[str, Tensor] | None = None,
-    ) -> Graph:
-        """The graph at `state`; see `GraphBuilder.build`."""
-        return self.builder.build(state, collider, dt, origin, extra)
+    @property
+    def graph(self) -> Callable[..., Graph]:
+        """Makes the graph of a step; see `GraphBuilder.build`."""
+        return self.builder.build
 
     def with_steps(self, steps: int | Sequence[int]) -> PreparedGarments:
-        """The same garments taking other numbers of propagation steps, one for all or one a garment.
+        """The same garments taking other numbers of propagation steps; no change for a method without such steps.
 
-        A method without propagation steps takes none whatever is asked.
+        Args:
+            steps: one number for all garments, or one for each.
 
-        Raises InputError where a number is not between 1 and 500.
+        Raises:
+            InputError: a number is not between 1 and 500.
         """
         if not any(self.steps):
             return self
@@ -179,12 +180,12 @@ class AccelerationModel(nn.Module):
         super().__init__()
         self.network = network
         layout = network.layout
-        self.node_normaliser = Normaliser(layout.node_columns)
-        self.mesh_edge_normaliser = Normaliser(layout.mesh_edge_columns)
-        self.world_edge_normaliser = Normaliser(layout.world_edge_columns)
+        self.node_normaliser = Normaliser(layout.columns("node"))
+        self.mesh_edge_normaliser = Normaliser(layout.columns("mesh_edge"))
+        self.world_edge_normaliser = Normaliser(layout.columns("world_edge"))
         self.acceleration_normaliser = Normaliser((ACCELERATION,))
         # Absent where no edges are found, so that such a network's checkpoint holds nothing of them.
-        self.found_edge_normaliser = Normaliser(layout.found_edge_columns) if layout.found_edge else None
+        self.found_edge_normaliser = Normaliser(layout.columns("found_edge")) if layout.found_edge else None
 
     def prepare(
         self,
@@ -211,7 +212,12 @@ class AccelerationModel(nn.Module):
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
     def forward(self, graph: Graph, prepared: PreparedGarments) -> Tensor:
-        """Acceleration x dt^2 (garment vertices, 3) [m per step^2]."""
+        """Acceleration x dt^2 (garment vertices, 3) [m per step^2].
+
+        Args:
+            graph: with features as they are.
+            prepared: the garments.
+        """
         output = self.network(self.normalised(graph), prepared.steps).to(prepared.builder.dtype)
         acceleration = self.acceleration_normaliser.restore(output)
         return acceleration if prepared.scale is None else prepared.scale * acceleration
@@ -225,9 +231,14 @@ class AccelerationModel(nn.Module):
 
     @torch.no_grad()
     def gather_statistics(self, graph: Graph, acceleration: Tensor) -> None:
-        """Warm-up: add a step's features and skinning's accelerations (garment vertices, 3) [m per step^2].
+        """Warm-up: add a step to the statistics; every garment of the graph weighs the same.
 
-        Every garment of the graph weighs the same. Raises RuntimeError once frozen.
+        Args:
+            graph: with features as they are.
+            acceleration: (garment vertices, 3) accelerations of skinning [m per step^2].
+
+        Raises:
+            RuntimeError: the statistics are frozen.
         """
         garments = len(graph.vertex_offsets) - 1
         node_sets = list(graph.nodes.values())

@@ -44,10 +44,10 @@ class EncodeProcessDecode(GraphNetwork):
         self.node_type = nn.Embedding(len(NodeType), TYPE_WIDTH)
         self.level = nn.Embedding(levels, LEVEL_WIDTH) if levels else None
         marks = TYPE_WIDTH + (LEVEL_WIDTH if levels else 0)
-        self.node_encoder = MLP(total_width(layout.node_columns) + marks, width, width, norm=True)
-        columns = {kind: layout.mesh_edge_columns for kind in mesh_kinds}
-        columns |= {kind: layout.found_edge_columns for kind in found_kinds}
-        columns["world"] = layout.world_edge_columns
+        self.node_encoder = MLP(total_width(layout.columns("node")) + marks, width, width, norm=True)
+        columns = {kind: layout.columns("mesh_edge") for kind in mesh_kinds}
+        columns |= {kind: layout.columns("found_edge") for kind in found_kinds}
+        columns["world"] = layout.columns("world_edge")
         self.edge_encoders = nn.ModuleDict(
             {kind: MLP(total_width(of), width, width, norm=True) for kind, of in columns.items()}
         )

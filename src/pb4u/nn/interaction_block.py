@@ -16,6 +16,10 @@ class InteractionBlock(nn.Module):
     """Edges e' = f_e([v_i, v_j, e_ij]), nodes v_i + f_v([v_i, sum of e' a kind]), then e_ij + e'.
 
     What is summed is the edge output before its residual. All node sets share f_v; all edge sets of a kind share f_e.
+
+    Args:
+        width: of all latents and hidden layers.
+        kinds: of the edges that messages pass over; others are left out.
     """
 
     def __init__(self, width: int, kinds: Sequence[str]) -> None:
@@ -32,7 +36,7 @@ class InteractionBlock(nn.Module):
         receivers: Sequence[str] | None = None,
         masks: Mapping[str, Tensor] | None = None,
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """New node and edge latents (rows, width) by set name.
+        """New node latents, and those of the edges passed over, (rows, width) by set name.
 
         Args:
             nodes: latents (nodes, width) by set name.
@@ -49,7 +53,7 @@ class InteractionBlock(nn.Module):
         }
         new_edges = {}
         for name, edge_set in graph.edges.items():
-            if edge_set.receiver_set not in hidden:
+            if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
                 continue
             mask = None if masks is None else masks.get(name)
             sums, new_edges[name] = self._messages(edge_set, nodes, edges[name], mask, keep_edges=receivers is None)

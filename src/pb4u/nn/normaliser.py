@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from pb4u.graph.features import Feature, total_width
 
 SMALLEST_SPREAD = 1e-2
+"""Smallest spread as a share of the typical one: dividing by less would blow up rounding in a constant column."""
 
 
 class Normaliser(nn.Module):
@@ -18,6 +19,9 @@ class Normaliser(nn.Module):
     `sums` holds everything gathered, [garments, sum of means, sum of mean squares] in float64: add it over devices to
     reduce, then call `refresh`. Columns that are not normalised pass through unchanged. Before anything is gathered the
     mean is 0 and the spread the feature's typical one.
+
+    Args:
+        columns: the features, in order.
     """
 
     sums: Tensor

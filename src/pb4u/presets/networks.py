@@ -77,7 +77,7 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
         "the small one, which sees the descent of the potential",
     ),
     "pb4u_small_carried": (pb4u_small_carried, "the small one, each step started part of the way with the body"),
-    "pb4u_small_two_passes": (pb4u_small_two_passes, "that one, asked twice a step"),
+    "pb4u_small_two_passes": (pb4u_small_two_passes, "that one, evaluated twice a step"),
     "without_propagation_control": (replace(pb4u_paper, control=FixedSteps(15)), "15 steps at every resolution"),
     "without_update_scaling": (replace(pb4u_paper, scaling=NoScaling()), "updates as predicted at every resolution"),
     "without_both": (replace(pb4u_paper, control=FixedSteps(15), scaling=NoScaling()), "neither of the two"),

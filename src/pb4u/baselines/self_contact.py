@@ -1,9 +1,9 @@
-"""What ContourCraft minimises so that cloth keeps clear of itself, and gets out again (reference 6.3)."""
+"""Contact of cloth with itself, as ContourCraft has it: edges (reference 6.1) and what is minimised (reference 6.3)."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -14,6 +14,65 @@ from torch import Tensor
 from pb4u.geometry.proximity.intersection_contours import ContourFinder
 from pb4u.geometry.proximity.self_proximity import SelfProximity
 from pb4u.scene.packed import PackedGarments
+
+REPULSION, ATTRACTION = "repulsion", "attraction"
+
+
+class PackProximity:
+    """Finds where each garment of a pack is close to itself; edges and losses share one.
+
+    Args:
+        garments: the pack.
+
+    Attributes:
+        garments: the pack.
+        spans: vertices of each garment in the pack.
+        finders: of each garment, on vertices numbered within it.
+    """
+
+    def __init__(self, garments: PackedGarments) -> None:
+        self.garments = garments
+        self.spans = [slice(start, stop) for start, stop in pairwise(garments.vertex_offsets)]
+        self.finders = [
+            SelfProximity(
+                garments.faces[garments.face_garment == garment].cpu().numpy() - span.start, span.stop - span.start
+            )
+            for garment, span in enumerate(self.spans)
+        ]
+
+
+class SelfProximityEdges:
+    """Edges from vertices to the nearest corner of the faces that they stand over, garment by garment.
+
+    Args:
+        pack: the garments.
+        radius: largest height over a face [m].
+    """
+
+    def __init__(self, pack: PackProximity, radius: float) -> None:
+        self._pack, self._radius = pack, radius
+
+    def find(self, positions: Tensor) -> Mapping[str, Tensor]:
+        """Repulsion and attraction edges (edges, 2) int64 of the pack, each pair of vertices once a kind.
+
+        Args:
+            positions: (vertices, 3) [m].
+        """
+        edges: dict[str, list[np.ndarray]] = {REPULSION: [], ATTRACTION: []}
+        points = positions.detach().to("cpu", torch.float64).numpy()
+        for finder, span in zip(self._pack.finders, self._pack.spans, strict=True):
+            own = points[span]
+            facing = finder.find(own, self._radius)
+            corners = finder.faces[facing.faces]
+            away = np.linalg.norm(own[corners] - own[facing.vertices][:, None], axis=2)
+            nearest = np.take_along_axis(corners, away.argmin(axis=1)[:, None], axis=1)[:, 0]
+            pairs = np.sort(np.column_stack([facing.vertices, nearest]), axis=1)
+            for kind, chosen in ((REPULSION, ~facing.passed), (ATTRACTION, facing.passed)):
+                edges[kind].append(np.unique(pairs[chosen], axis=0) + span.start)
+        return {
+            kind: torch.from_numpy(np.concatenate(parts).reshape(-1, 2)).to(positions.device)
+            for kind, parts in edges.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -57,16 +116,9 @@ class Repulsion:
     reference_area: float = 1.6e-4
     name = "repulsion"
 
-    def energy(
-        self,
-        weight: float,
-        proximity: SelfProximity,
-        garments: PackedGarments,
-        own: slice,
-        before: Tensor,
-        after: Tensor,
-    ) -> Tensor:
+    def energy(self, pack: PackProximity, garment: int, weight: float, before: Tensor, after: Tensor) -> Tensor:
         """The loss of one garment [J]; arguments as in `ContourLength.energy`."""
+        proximity, own = pack.finders[garment], pack.spans[garment]
         facing = proximity.find(before[own].detach().to("cpu", torch.float64).numpy(), self.reach)
         kept = ~facing.passed
         vertices, faces, side = (
@@ -80,7 +132,7 @@ class Repulsion:
         a, b, c = (after[faces[:, corner]] for corner in range(3))
         normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-12)
         height = side.to(after) * ((after[vertices] - a) * normal).sum(dim=1)
-        share = garments.vertex_areas[vertices].to(after) / self.reference_area
+        share = pack.garments.vertex_areas[vertices].to(after) / self.reference_area
         return (weight * share * (self.clearance - height).clamp_min(0.0) ** 3).sum()
 
 
@@ -98,26 +150,17 @@ class ContourLength:
     weight: Ramp = field(default_factory=lambda: Ramp(45 / 56, 50 / 56, 1e7))
     name = "contours"
 
-    def energy(
-        self,
-        weight: float,
-        proximity: SelfProximity,
-        garments: PackedGarments,
-        own: slice,
-        before: Tensor,
-        after: Tensor,
-    ) -> Tensor:
+    def energy(self, pack: PackProximity, garment: int, weight: float, before: Tensor, after: Tensor) -> Tensor:
         """The loss of one garment [J], differentiable with respect to `after`.
 
         Args:
+            pack: the garments.
+            garment: which of them.
             weight: w at this point of the training.
-            proximity: finder of the garment's contacts with itself.
-            garments: the pack that it is in.
-            own: its vertices in the pack.
             before: (vertices, 3) positions of the pack before the step [m].
             after: (vertices, 3) positions of the pack after it [m].
         """
-        return weight * squared_contour_length(proximity.contours, after[own])
+        return weight * squared_contour_length(pack.finders[garment].contours, after[pack.spans[garment]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,26 +169,21 @@ class SelfContactLoss:
 
     Args:
         loss: of one garment.
-        garments: the pack.
-        finders: of each garment's contacts with itself.
+        pack: the garments.
     """
 
     loss: Repulsion | ContourLength
-    garments: PackedGarments
-    finders: Sequence[SelfProximity]
+    pack: PackProximity
 
     @property
     def name(self) -> str:
         return self.loss.name
 
     def energies(self, before: Tensor, after: Tensor, progress: float) -> Tensor:
-        weight, total = self.loss.weight.at(progress), after.new_zeros(len(self.finders))
+        weight, total = self.loss.weight.at(progress), after.new_zeros(len(self.pack.finders))
         if weight == 0.0:
             return total
-        parts = [
-            self.loss.energy(weight, finder, self.garments, slice(*span), before, after)
-            for finder, span in zip(self.finders, pairwise(self.garments.vertex_offsets), strict=True)
-        ]
+        parts = [self.loss.energy(self.pack, g, weight, before, after) for g in range(len(total))]
         return total + torch.stack(parts).to(total)
 
 
