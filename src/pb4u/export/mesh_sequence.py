@@ -16,7 +16,7 @@ import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.export.finite_frames import held_frames
-from pb4u.progress import Progress
+from pb4u.progress import Progress, unheard
 from pb4u.scene.trajectory import Trajectory
 
 SIGNATURE = "# Written by pb4u"
@@ -28,7 +28,7 @@ def frame_files(path: Path, frames: int) -> tuple[Path, ...]:
     return tuple(path.with_name(f"{path.stem}_{t:04d}{path.suffix}") for t in range(frames))
 
 
-def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress | None = None) -> None:
+def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
     """Write every frame of the garment, vertex order, polygons and UVs kept; metres, Y up."""
     topology = _topology(trajectory)
     held = set(held_frames(trajectory))
@@ -36,8 +36,7 @@ def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress | 
     for t, (file, positions) in enumerate(zip(files, trajectory.positions, strict=True)):
         remark = "not finite, the last whole frame before it" if t in held else ""
         file.write_text(_text(t, positions, topology, remark), encoding="ascii")
-        if progress:
-            progress(t + 1, trajectory.frame_count)
+        progress(t + 1, trajectory.frame_count)
 
 
 def cache_files(path: Path, _frames: int) -> tuple[Path, ...]:
@@ -56,14 +55,14 @@ def check_companion(path: Path) -> None:
         raise InputError(f"{mesh} exists and is not from pb4u, and {path.name} needs that name: choose another name.")
 
 
-def write_pc2(trajectory: Trajectory, path: Path, progress: Progress | None = None) -> None:
+def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
     """PC2, little-endian: header (magic, version 1, points, first frame, sampling 1, samples), then the vertices."""
     samples, points = trajectory.positions.shape[:2]
     header = struct.pack("<12siiffi", b"POINTCACHE2\0", 1, points, 0.0, 1.0, samples)
     _write(trajectory, path, header, "<f4", progress)
 
 
-def write_mdd(trajectory: Trajectory, path: Path, progress: Progress | None = None) -> None:
+def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
     """MDD (LightWave), big-endian: samples, points, the time of each sample [s], then the vertices."""
     samples, points = trajectory.positions.shape[:2]
     times = (np.arange(samples) / trajectory.fps).astype(">f4")
@@ -71,13 +70,12 @@ def write_mdd(trajectory: Trajectory, path: Path, progress: Progress | None = No
     _write(trajectory, path, header, ">f4", progress)
 
 
-def _write(trajectory: Trajectory, path: Path, header: bytes, dtype: str, progress: Progress | None) -> None:
+def _write(trajectory: Trajectory, path: Path, header: bytes, dtype: str, progress: Progress) -> None:
     with path.open("wb") as file:
         file.write(header)
         for done, positions in enumerate(trajectory.positions, start=1):
             file.write(positions.astype(dtype).tobytes())
-            if progress:
-                progress(done, trajectory.frame_count)
+            progress(done, trajectory.frame_count)
     first = _text(0, trajectory.positions[0], _topology(trajectory))
     path.with_suffix(".obj").write_text(first, encoding="ascii")
 

@@ -14,7 +14,7 @@ from pb4u.errors import MissingExtraError, Pb4uError
 from pb4u.export.finite_frames import held_frames
 from pb4u.export.shading import CLOTH, SKIN
 from pb4u.geometry.triangle_mesh import vertex_normals
-from pb4u.progress import Progress
+from pb4u.progress import Progress, unheard
 from pb4u.scene.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ def _open_studio(trajectory: Trajectory, view: View) -> Studio:
 
 
 def write_still(
-    trajectory: Trajectory, path: Path, progress: Progress | None = None, view: View | None = None, frames: int = 5
+    trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None, frames: int = 5
 ) -> None:
     """A PNG or JPEG strip.
 
@@ -230,7 +230,7 @@ def write_still(
 def write_gif(
     trajectory: Trajectory,
     path: Path,
-    progress: Progress | None = None,
+    progress: Progress = unheard,
     view: View | None = None,
     highest_fps: float = 15.0,
 ) -> None:
@@ -255,7 +255,7 @@ def write_gif(
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
 
 
-def write_mp4(trajectory: Trajectory, path: Path, progress: Progress | None = None, view: View | None = None) -> None:
+def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None) -> None:
     """An MP4 (VP9) at the trajectory's own frame rate.
 
     Args:
@@ -286,8 +286,7 @@ def write_mp4(trajectory: Trajectory, path: Path, progress: Progress | None = No
         writer.release()
 
 
-def _counted(pictures: Iterator[np.ndarray], total: int, progress: Progress | None) -> Iterator[np.ndarray]:
+def _counted(pictures: Iterator[np.ndarray], total: int, progress: Progress) -> Iterator[np.ndarray]:
     for done, picture in enumerate(pictures, start=1):
         yield picture
-        if progress:
-            progress(done, total)
+        progress(done, total)

@@ -11,7 +11,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError
-from pb4u.progress import Progress
+from pb4u.progress import Progress, unheard
 
 if TYPE_CHECKING:
     from pb4u.scene.trajectory import Trajectory
@@ -24,7 +24,7 @@ class Format:
     Args:
         suffixes: of the file names, in lower case.
         description: one sentence for the command line, without its full stop.
-        writer: called with the trajectory, the path and what is told of the progress, or None; it may write more than
+        writer: called with the trajectory, the path and what is told of the progress; it may write more than
             one file, all of them in the folder of the path.
         check: called with the path before any work is done; raises where the format cannot be written there.
         files: called with the path and the number of frames; the files written, where that is more than the path.
@@ -132,7 +132,7 @@ def export(trajectory: Trajectory, path: str | Path, progress: Progress | None =
     writer = _function(form.writer)
     try:
         with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder:
-            writer(shown, Path(folder) / path.name, progress)
+            writer(shown, Path(folder) / path.name, progress or unheard)
             for written in sorted(Path(folder).iterdir()):
                 os.replace(written, path.with_name(written.name))
     except OSError as error:
@@ -140,7 +140,7 @@ def export(trajectory: Trajectory, path: str | Path, progress: Progress | None =
     return path
 
 
-def write_npz(trajectory: Trajectory, path: Path, progress: Progress | None = None) -> None:
+def write_npz(trajectory: Trajectory, path: Path, progress: Progress) -> None:
     """The trajectory as it is, in one step."""
     trajectory.save(path)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pb4u.export.shading import unit_normals
-from pb4u.progress import Progress
+from pb4u.progress import Progress, unheard
 
 _SAMPLED_VERTICES = 3000
 _VERTICES_AT_ONCE = 1024
@@ -38,7 +38,7 @@ class ShapeBasis:
 
 
 def fit_shapes(
-    positions: np.ndarray, faces: np.ndarray, tolerance: float, most: int, progress: Progress | None = None
+    positions: np.ndarray, faces: np.ndarray, tolerance: float, most: int, progress: Progress = unheard
 ) -> ShapeBasis:
     """The shortest basis that keeps every vertex of every frame within `tolerance` [m], of at most `most` shapes.
 
@@ -61,8 +61,7 @@ def fit_shapes(
         batch = range(first, min(first + _FRAMES_AT_ONCE, frames))
         offsets = np.stack([unit_normals(positions[t], faces) - start_normals for t in batch])
         normal_shapes += directions[first : batch.stop].T.astype(np.float32) @ offsets.reshape(len(batch), -1)
-        if progress:
-            progress(batch.stop, frames)
+        progress(batch.stop, frames)
     low, high = directions.min(axis=0), directions.max(axis=0)
     span = np.maximum(high - low, 1e-12)
     weights = (directions - low) / span
