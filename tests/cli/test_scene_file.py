@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pb4u.scene.specification import GarmentSpecification
@@ -34,7 +35,7 @@ def saved(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Sa
     def call(*arguments: object) -> RunSpecification:
         Path("saved.toml").unlink(missing_ok=True)
         with pytest.raises(Stopped):
-            pb4u("simulate", *arguments, "--model", "skinning", "--save-scene", "saved.toml")
+            pb4u("simulate", "--model", "skinning", *arguments, "--save-scene", "saved.toml")
         return RunSpecification.open("saved.toml")
 
     return call
@@ -80,6 +81,25 @@ def test_a_flag_also_replaces_what_belonged_to_what_it_replaces(saved: Saved) ->
     assert (kept.crop, kept.keep_lead_in, kept.garments[0].pins) == ((3, 9), True, "hem")
     other = saved("scene.toml", "--body", "woman", "--motion", "dance", "--drop-lead-in").scene
     assert (other.body_shape, other.crop, other.keep_lead_in) == ({}, None, False)
+
+
+def test_two_garments_are_simulated_and_told_apart(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = ("--garment", "tanktop", "--garment", "cardigan", "--material", "cardigan=wool", "--motion", "dance")
+    ended = pb4u("simulate", *SMALL, *flags, "--out", "a.npz")
+    assert ended.code == 0, ended.err
+    made = Trajectory.open("a.npz")
+    assert made.metadata["garment"] == "tanktop+cardigan"
+    assert [(each["name"], each["material"]["density"]) for each in made.metadata["garments"]] == [
+        ("tanktop", pytest.approx(0.20022)), ("cardigan", pytest.approx(0.28)),
+    ]  # fmt: skip
+    for garment, each in zip(("tanktop", "cardigan"), made.metadata["garments"], strict=True):
+        alone = pb4u("simulate", *SMALL, "--garment", garment, *flags[-2:], "--out", "b.npz")
+        assert alone.code == 0, alone.err
+        first, stop = each["vertices"]
+        np.testing.assert_array_equal(made.positions[:, first:stop], Trajectory.open("b.npz").positions)
 
 
 @pytest.mark.parametrize(
@@ -146,11 +166,12 @@ def test_shapes_given_apart_add_up_and_the_same_key_twice_is_refused(pb4u: Calla
 
 def test_every_entry_has_a_flag(saved: Saved) -> None:
     run = saved(
-        "--first-frame", "settled", "--refine", 3, "--passes", 2, "--propagation-steps", 7, "--contact", "off",
-        "--device", "cpu", "--arms-away", 4, "--seed", 9, "--lead-in", 2, "--fps", 24, "--frames", 5,
+        "--model", "pb4u-small", "--first-frame", "settled", "--refine", 3, "--passes", 2, "--propagation-steps", 7,
+        "--contact", "off", "--device", "cpu", "--arms-away", 4, "--seed", 9, "--lead-in", 2, "--fps", 24,
+        "--frames", 5,
     )  # fmt: skip
     assert (run.first_frame, run.refine, run.passes, run.propagation_steps) == ("settled", 3, 2, 7)
-    assert (run.contact, run.device) == (False, "cpu")
+    assert (run.model, run.contact, run.device) == ("pb4u-small", False, "cpu")
     scene = run.scene
     assert (scene.arms_away, scene.seed, scene.lead_in, scene.fps, scene.frames) == (4, 9, 2, 24, 5)
 
