@@ -14,24 +14,22 @@ import argparse
 import json
 import statistics
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pb4u.physics.integrator import integrate
-from pb4u.simulation.network_simulator import NetworkSimulator
-from pb4u.simulation.solver_simulator import SolverSimulator
-from pb4u.simulation.stage import Stage
-from torch import Tensor
-
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.physics.solver import Progress, Solver
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.solver import Iteration, Solver
+from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import from_pretrained
+from pb4u.simulation.refinement import Refinement
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.step import BallisticPredictor, Predictor, Situation, StepParts
-from pb4u.simulation.step_start import StepStart, start_of
+from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step_start import start_of
+from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
+from pb4u.simulation.timeline import Timeline
 
 FREE_FLIGHT = "free flight"
 MOST_ITERATIONS = 60
@@ -45,8 +43,8 @@ class Run:
     energies: list[float] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
 
-    def note(self, progress: Progress) -> None:
-        self.energies.append(progress.total)
+    def note(self, iteration: Iteration) -> None:
+        self.energies.append(iteration.total)
         self.seconds.append(time.process_time() - self.began)
 
     def reached(self, energy: float) -> tuple[int, float] | None:
@@ -57,40 +55,26 @@ class Run:
         return None
 
 
-class StartAlone(Predictor):
-    """Where a network starts its step, without the network: what it has to beat."""
-
-    def __init__(self, start: StepStart) -> None:
-        self.start = start
-
-    def predict(self, situation: Situation) -> State:
-        accelerations = self.start.accelerations(situation)
-        garments = situation.garments
-        return integrate(situation.state, accelerations, situation.dt, garments.pinned, situation.pin_positions)
-
-
-class Race(Predictor):
+class Race(Refinement):
     """Goes on as the solver does, and races the starts at every step after the first `skipped`."""
 
-    def __init__(self, usual: Predictor, starts: dict[str, Predictor], skipped: int) -> None:
+    def __init__(self, usual: Refinement, starts: dict[str, StepMethod], skipped: int) -> None:
         self.usual, self.starts, self.skipped = usual, starts, skipped
         self.solver = Solver(tolerance=0.0, max_iterations=MOST_ITERATIONS)
         self.runs: list[dict[str, Run]] = []
 
-    def predict(self, situation: Situation) -> State:
+    def refine(self, step: TimeStep, predicted: State) -> State:
         if self.skipped > 0:
             self.skipped -= 1
         else:
-            self.runs.append({name: self._run(start, situation) for name, start in self.starts.items()})
-        return self.usual.predict(situation)
+            self.runs.append({name: self._run(start, step) for name, start in self.starts.items()})
+        return self.usual.refine(step, predicted)
 
-    def _run(self, start: Predictor, situation: Situation) -> Run:
+    def _run(self, start: StepMethod, step: TimeStep) -> Run:
         run = Run(time.process_time())
-        predicted: Tensor = start.predict(situation).positions
-        potential: StepPotential = IncrementalPotential().prepare(
-            situation.garments, situation.state, situation.collider, situation.dt, situation.gravity
-        )
-        self.solver.minimise(potential, predicted, watch=run.note)
+        *_, accelerations = predictions(step, start)
+        predicted = integrate(step, accelerations).positions
+        self.solver.minimise(IncrementalPotential().of(step), predicted, watch=run.note)
         return run
 
 
@@ -102,19 +86,19 @@ class RacingSimulator(SolverSimulator):
         self.models, self.lead_in = models, lead_in
         self.race: Race
 
-    def parts(self, stage: Stage, record: RunRecord) -> StepParts:
-        parts = super().parts(stage, record)
-        starts: dict[str, Predictor] = {FREE_FLIGHT: BallisticPredictor()}
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
+        usual = super().method(timeline, record)
+        starts = {FREE_FLIGHT: StepMethod()}
         for name in self.models:
             checkpoint = from_pretrained(name)
             if checkpoint.model.network.carried_shares:
-                starts[f"{Path(name).stem}, its start alone"] = StartAlone(start_of(checkpoint.model.network))
+                # What the network has to beat.
+                starts[f"{Path(name).stem}, its start alone"] = StepMethod(start_of(checkpoint.model.network))
             for passes in sorted({1, checkpoint.model.network.passes}):
-                network = NetworkSimulator(checkpoint, passes=passes)
                 label = f"{Path(name).stem}, {passes} pass{'es' * (passes > 1)}"
-                starts[label] = network.parts(stage, record).predictor
-        self.race = Race(parts.predictor, starts, self.lead_in)
-        return StepParts(self.race, parts.refinement, parts.contact)
+                starts[label] = NetworkSimulator(checkpoint, passes=passes).method(timeline, record)
+        self.race = Race(usual.refinement, starts, self.lead_in)
+        return replace(usual, refinement=self.race)
 
 
 def summary(runs: list[dict[str, Run]], iterations: int, slack: float) -> dict[str, dict[str, Any]]:

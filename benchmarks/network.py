@@ -28,7 +28,7 @@ from tests.readable_network import readable_accelerations
 
 from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.presets.networks import network_preset
-from pb4u.scene.packed import ColliderFrame
+from pb4u.scene.packed import ColliderFrame, pack_colliders
 
 Shapes = Counter[tuple[int, int, int]]
 
@@ -62,14 +62,8 @@ def on_a_body(triangles: int) -> Moment:
     side = int(garment.vertices[:, 0].max() / 0.01) + 2
     under = sheet(side, side, edge=0.01, seed=1)
     now = torch.as_tensor(under.vertices, dtype=torch.float32) - torch.tensor([0.0, 0.012, 0.0])
-    collider = ColliderFrame(
-        previous=now - 0.002,
-        now=now,
-        following=now + 0.002,
-        faces=torch.as_tensor(under.faces),
-        contact=torch.ones(len(now), dtype=torch.bool),
-        vertex_garment=torch.zeros(len(now), dtype=torch.int64),
-    )
+    bodies = pack_colliders([torch.as_tensor(under.faces)], [torch.ones(len(now), dtype=torch.bool)], [0])
+    collider = ColliderFrame(bodies.pose(now - 0.002), bodies.pose(now), bodies.pose(now + 0.002))
     bare = moment([garment], body=False, dtype=torch.float32)
     return Moment(bare.garments, bare.state, collider)
 

@@ -19,10 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from pb4u.physics.contact_response import ContactResponse
-from pb4u.simulation.contact import SurfaceContact
-from pb4u.simulation.solver_simulator import SolverPredictor, SolverSimulator
-from pb4u.simulation.stage import Stage
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 from torch import Tensor
@@ -33,16 +29,20 @@ from pb4u.evaluation.metrics import ENERGIES, measure, strain_percentile
 from pb4u.garment.dressing import SkinnedPlacement
 from pb4u.garment.library import build_garment
 from pb4u.motion.library import load_motion
+from pb4u.physics.contact.response import ContactResponse
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.physics.solver import Progress, Solver
+from pb4u.physics.solver import Iteration, Solver
 from pb4u.scene.assembly import make_scene
-from pb4u.scene.packed import ColliderFrame, PackedGarments, pack
+from pb4u.scene.packed import PackedGarments, pack, pack_colliders
+from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.first_frame import FirstFrame, Relaxed
-from pb4u.simulation.refinement import SolverRefinement
+from pb4u.simulation.first_frame import Settled
+from pb4u.simulation.refinement import ImplicitSteps
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.step import StepParts
+from pb4u.simulation.step import StepMethod
+from pb4u.simulation.stepwise_simulator import SolverSimulator
+from pb4u.simulation.timeline import Timeline
 
 DT = 1.0 / 30.0
 SETTLING_STEPS = 6
@@ -57,25 +57,22 @@ class Case:
         posed = body.posed(load_motion(motion).poses(body, 30.0, frames + 1))
         made = build_garment(garment, body, triangles)
         self.garments: PackedGarments = pack([made])
-        self._body = posed.positions(0, frames + 1).double()
-        skinned = SkinnedPlacement(made, posed).positions(0, 2).double()
+        gravity = torch.tensor([0.0, -STANDARD_GRAVITY, 0.0], dtype=torch.float64)
+        bodies = pack_colliders([torch.as_tensor(posed.faces)], [torch.as_tensor(posed.contact)], [0])
+        skinned = SkinnedPlacement(made, posed).positions(0, frames + 1).double()
         self.start, self.velocity = skinned[0], (skinned[1] - skinned[0]) / DT
-        self._faces, self._contact = torch.as_tensor(posed.faces), torch.as_tensor(posed.contact)
-
-    def collider(self, frame: int, following: int) -> ColliderFrame:
-        owner = torch.zeros(len(self._contact), dtype=torch.int64)
-        body = self._body
-        return ColliderFrame(body[max(frame - 1, 0)], body[frame], body[following], self._faces, self._contact, owner)
+        body_positions = posed.positions(0, frames + 1).double()
+        self.timeline = Timeline(self.garments, bodies, body_positions, skinned, DT, gravity)
 
     def step(self, state: State) -> StepPotential:
-        return IncrementalPotential().prepare(self.garments, state, self.collider(state.frame, state.frame + 1), DT)
+        return IncrementalPotential().of(self.timeline.step_from(state))
 
     def settled(self, solver: Solver) -> State:
-        x, still = self.start, torch.zeros_like(self.start)
+        state = State(self.start, torch.zeros_like(self.start), 0)
         for _ in range(SETTLING_STEPS):
-            step = IncrementalPotential().prepare(self.garments, State(x, still, 0), self.collider(0, 0), 1.0 / 3.0)
-            x = solver.refine(step, x, 12).positions
-        return State(x, self.velocity, 0)
+            step = IncrementalPotential().of(self.timeline.settling_from(state))
+            state = State(solver.minimise(step, state.positions, 12).positions, state.velocities, 0)
+        return State(state.positions, self.velocity, 0)
 
 
 def roll_out(case: Case, frames: int) -> tuple[list[dict[str, float]], State]:
@@ -87,9 +84,7 @@ def roll_out(case: Case, frames: int) -> tuple[list[dict[str, float]], State]:
         began, cpu_began = time.perf_counter(), time.process_time()
         step = case.step(state)
         solution = solver.minimise(step, state.positions + DT * state.velocities)
-        moved = State(solution.positions, (solution.positions - state.positions) / DT, state.frame + 1)
-        frame = case.collider(state.frame, state.frame + 1)
-        answered, _ = response.respond(case.garments, moved, frame, DT, state)
+        answered = response.respond(step.step, step.step.reached(solution.positions))
         spent, cpu = time.perf_counter() - began, time.process_time() - cpu_began
         before, state = state, answered
         effort = {
@@ -106,24 +101,21 @@ class Landing(SolverSimulator):
     """The solver with `effort` times the iterations, of settling too, and its tolerance divided by as much."""
 
     def __init__(self, effort: int) -> None:
-        super().__init__(contact=SurfaceContact())
+        careful = Settled(iterations=12 * effort, solver=self._strengthened(Solver(), effort))
+        super().__init__(contact=ContactResponse(), first_frame=careful)
         self.effort = effort
 
-    def parts(self, stage: Stage, record: RunRecord) -> StepParts:
-        parts = super().parts(stage, record)
-        assert isinstance(parts.predictor, SolverPredictor)
-        self._strengthen(parts.predictor.solver)
-        return parts
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
+        method = super().method(timeline, record)
+        assert isinstance(method.refinement, ImplicitSteps)
+        self._strengthened(method.refinement.solver, self.effort)
+        return method
 
-    def first_frame(self, parts: StepParts) -> FirstFrame:
-        settled = Relaxed(iterations=12 * self.effort, contact=self.contact)
-        assert isinstance(settled.parts.refinement, SolverRefinement)
-        self._strengthen(settled.parts.refinement.solver)
-        return settled
-
-    def _strengthen(self, solver: Solver) -> None:
-        solver.tolerance /= self.effort
-        solver.max_iterations *= self.effort
+    @staticmethod
+    def _strengthened(solver: Solver, effort: int) -> Solver:
+        solver.tolerance /= effort
+        solver.max_iterations *= effort
+        return solver
 
 
 def landing(garment: str, triangles: int, motion: str, frames: int) -> dict[str, dict[str, float]]:
@@ -161,8 +153,8 @@ def newton_curve(step: StepPotential, start: Tensor, iterations: int) -> tuple[l
     totals, times = [], []
     began = time.process_time()
 
-    def watch(progress: Progress) -> None:
-        totals.append(progress.total)
+    def watch(iteration: Iteration) -> None:
+        totals.append(iteration.total)
         times.append(1e3 * (time.process_time() - began))
 
     Solver(max_iterations=iterations).minimise(step, start, watch=watch)

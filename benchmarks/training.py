@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from pb4u.training.moving_average import MovingAverage
 
 import pb4u.training.trainer as trainer_module
 from pb4u.geometry.nearest_surface import PosedSurface
@@ -25,6 +24,7 @@ from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import with_settings
 from pb4u.training.distribution import workers
+from pb4u.training.learner import MovingAverage
 from pb4u.training.packed_data import load_training_data
 from pb4u.training.presets import training_preset
 from pb4u.training.progress import Reporter

@@ -14,14 +14,13 @@ import os
 import time
 from pathlib import Path
 
-from pb4u.simulation.solver_simulator import SolverSimulator
-
 from pb4u.evaluation.floors import FLOORS_FILE
 from pb4u.evaluation.metrics import ENERGIES, measure
 from pb4u.garment.library import LEVELS
 from pb4u.scene.catalogue import catalogue_scene, scene_names
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord
+from pb4u.simulation.stepwise_simulator import SolverSimulator
 
 
 def floor_of(name: str, triangles: int, frames: int, recordings: Path | None) -> dict[str, object]:

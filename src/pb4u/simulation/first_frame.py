@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
+from pb4u.physics.solver import Solver
 from pb4u.scene.state import State
 from pb4u.simulation.refinement import SolverRefinement
 from pb4u.simulation.step import StepMethod, take
@@ -45,14 +46,16 @@ class Settled(FirstFrame):
         still: rms displacement of one settling step [m] at which the garments count as settled.
         most_steps: settling steps after which they start anyway; garments fitted to the body take two to four.
         iterations: solver iterations of each.
+        solver: that makes them; one of its own by default.
     """
 
     still: float = 2e-3
     most_steps: int = 12
     iterations: int = 12
+    solver: Solver | None = None
 
     def start(self, timeline: Timeline, method: StepMethod) -> State:
-        settling = StepMethod(refinement=SolverRefinement(self.iterations), contact=method.contact)
+        settling = StepMethod(refinement=SolverRefinement(self.iterations, self.solver), contact=method.contact)
         begun = state = timeline.skinned_state(0)
         for _ in range(self.most_steps):
             settled = take(timeline.settling_from(state), settling)
