@@ -14,6 +14,8 @@ from pb4u.geometry.implicit_surface import Lattice
 
 #: Skin farther than this from a lattice point is only told apart as inside or outside [m].
 _BAND = 0.045
+# Width of the smoothing of hanging cloth along the height [m]: folds finer than this cloth does not take up at rest.
+_SMOOTHING = 0.02
 
 
 def smooth_union(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
@@ -33,7 +35,6 @@ def hanging(
     taper: Callable[[np.ndarray], np.ndarray],
     top: float,
     bottom: float,
-    smoothing: float = 0.02,
 ) -> Sections:
     """Sections of cloth that hangs from everything above it, from height `top` down to `bottom` [m].
 
@@ -43,7 +44,6 @@ def hanging(
         taper: height (n,) -> how far cloth may draw in (positive) or must flare (negative) per metre going down.
         top: nothing above this height holds the cloth.
         bottom: lowest height that is wanted.
-        smoothing: width of the smoothing along the height [m].
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -61,7 +61,7 @@ def hanging(
     first, last = sections.level(bottom - 0.1), sections.level(top)
     cloth[last + 1 :] = cloth[last]
     cloth[:first] = cloth[first]
-    cloth = gaussian_filter1d(cloth, smoothing / step, axis=0, mode="nearest")
+    cloth = gaussian_filter1d(cloth, _SMOOTHING / step, axis=0, mode="nearest")
     local = cloth - sections.centres @ units.T
     local = gaussian_filter1d(local, 1.0, axis=1, mode="wrap")
     return Sections(heights, sections.centres, local)
