@@ -165,7 +165,12 @@ class BodyForm:
         return np.concatenate(points), np.concatenate(normal), np.concatenate(owner)
 
     def sections(self, skin: np.ndarray, centre_x: float | None = 0.0) -> Sections:
-        """Hulls of the horizontal slices of `skin` (vertices,) bool; a level covers the slices next to it too."""
+        """Hulls of the horizontal slices of some skin; a level covers the slices next to it too.
+
+        Args:
+            skin: (vertices,) bool.
+            centre_x: x [m] that the support is measured from; None for the middle of each slice.
+        """
         points, _, owner = self.samples
         points = points[skin[owner]]
         top = int(np.ceil(self.body.vertices[:, 1].max() / _STEP)) + 1

@@ -167,13 +167,13 @@ def require_worn(
 
 def _surface_findings(surface: SourceSurface) -> list[Finding]:
     """Faults of the mesh alone."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
 
     def add(
         code: str, severity: Severity, sentence: str, fix: str, mendable: bool = False, where: np.ndarray | None = None
     ) -> None:
         first = () if where is None else tuple(np.asarray(where).reshape(-1)[:20].tolist())
-        found.append(Finding(code, severity, sentence, fix, mendable, first))
+        findings.append(Finding(code, severity, sentence, fix, mendable, first))
 
     topology, warning = surface.topology, Severity.WARNING
     if len(surface.faces) > MOST_SIMULATED:
@@ -223,24 +223,26 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
     if surface.many_sided:
         fix = "nothing: they are cut to simulate, and `pb4u convert --on source` writes them whole"
         add("polygons", Severity.NOTE, f"{surface.many_sided} faces have four corners or more.", fix)
-    return found
+    return findings
 
 
 def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str) -> list[Finding]:
     """Units, axes and place of (vertices, 3); `mend` is the command to mend them."""
     if fit.is_identity:
         return _far_finding(vertices, body)
-    found = []
+    findings = []
     if fit.unit != "metres":
         sentence = f"The garment is in {fit.unit}: it spans {np.ptp(vertices, axis=0).max():.4g} of them."
-        found.append(Finding("units", Severity.REFUSED, sentence, f"scale it by {UNITS[fit.unit]:g} with {mend}", True))
+        findings.append(
+            Finding("units", Severity.REFUSED, sentence, f"scale it by {UNITS[fit.unit]:g} with {mend}", True)
+        )
     if fit.axes != UPRIGHT:
         sentence = f"The garment is made {fit.axes}; the world is Y up and the body faces +Z."
-        found.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {mend}", True))
+        findings.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {mend}", True))
     if fit.shift.any():
         why = "where it fits best" if fit.searched else "it was made around the body model's own origin"
         sentence = f"The garment has to move {fit.shift[1]:+.3f} m in height to be worn: {why}."
-        found.append(Finding("height", Severity.WARNING, sentence, f"move it with {mend}", True))
+        findings.append(Finding("height", Severity.WARNING, sentence, f"move it with {mend}", True))
     if float(body.misfit(vertices)) > _WORST_MISFIT:
         away = 100 * float(np.median(np.abs(body.signed_distances(vertices))))
         why = "made at another height" if fit.axes == UPRIGHT else fit.axes
@@ -248,8 +250,8 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
             f'The garment is not on the body "{body.name}" as it stands, half of it is {away:.0f} cm away or more: it '
             f"seems to be {why if fit.unit == 'metres' else fit.unit}."
         )
-        found.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {mend}", True))
-    return found + _far_finding(fit.apply(vertices), body)
+        findings.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {mend}", True))
+    return findings + _far_finding(fit.apply(vertices), body)
 
 
 def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
@@ -275,14 +277,14 @@ def _contact_findings(
     used = np.unique(surface.faces)
     moved = fit.apply(surface.source.vertices)
     distances = body.signed_distances(moved[used])
-    found = _penetration_findings(distances, body, mend, used)
+    findings = _penetration_findings(distances, body, mend, used)
     closed = body.is_closed
     measures["penetration_percent"] = 100.0 * float((distances < 0.0).mean()) if closed else None
     measures["penetration_depth_max"] = max(0.0, -float(distances.min())) if closed else None
     if not surface.flipped[0].any() and is_inside_out(moved, surface.faces, body):
         sentence = "All faces look inwards, at the body."
-        found.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
-    return found
+        findings.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
+    return findings
 
 
 def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:

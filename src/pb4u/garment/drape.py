@@ -68,7 +68,15 @@ def hanging(
 
 
 def tube_field(lattice: Lattice, sections: Sections) -> np.ndarray:
-    """Field (nx, ny, nz) of an endless vertical tube with these sections."""
+    """Field of an endless vertical tube.
+
+    Args:
+        lattice: where it is sampled.
+        sections: of the tube.
+
+    Returns:
+        (nx, ny, nz) [m].
+    """
     x, y, z = (axis.reshape(-1) for axis in lattice.axes)
     units = directions()
     support = np.column_stack([np.interp(y, sections.heights, column) for column in sections.support.T])
@@ -89,7 +97,14 @@ def sleeve_field(
     The tube lies lightly on the top of the arm and its ease hangs below.
 
     Args:
+        lattice: where it is sampled.
+        form: measures of the body.
+        arm: the arm.
         ease: place along the arm (n,) -> slack of the tube's radius [m].
+        end: where the sleeve ends along the arm.
+
+    Returns:
+        (nx, ny, nz) [m].
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -133,7 +148,16 @@ def sleeve_field(
 
 
 def cone_chain_field(lattice: Lattice, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Field of the union of the cones between consecutive `centre` (n, 3) with `radius` (n,); capped far away."""
+    """Field of the union of the cones between consecutive discs, capped far away.
+
+    Args:
+        lattice: where it is sampled.
+        centre: (n, 3) centres of the discs [m].
+        radius: (n,) their radii [m].
+
+    Returns:
+        (nx, ny, nz) [m].
+    """
     field = np.full(lattice.shape, 0.1)
     x, y, z = lattice.axes
     reach = radius.max() + 0.1
@@ -158,7 +182,16 @@ def _filled(values: np.ndarray) -> np.ndarray:
 
 
 def skin_field(lattice: Lattice, form: BodyForm, left_out: np.ndarray) -> np.ndarray:
-    """Signed distance to the skin, exact within a few centimetres; +3 cm nearest to the `left_out` skin (vertices,)."""
+    """Signed distance to the skin, exact within a few centimetres.
+
+    Args:
+        lattice: where it is sampled.
+        form: measures of the body.
+        left_out: (vertices,) bool, skin that is not covered: nearest to it the field is +3 cm.
+
+    Returns:
+        (nx, ny, nz) [m].
+    """
     from scipy.ndimage import label
     from scipy.spatial import cKDTree
 

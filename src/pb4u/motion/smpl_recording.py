@@ -145,7 +145,8 @@ def _recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps: flo
         fps: frames per second.
         z_up: whether files of this kind have Z up; the other axis is taken where the pelvis plainly stands on it.
 
-    Raises InputError on wrong shapes, no frames or values that are not finite.
+    Raises:
+        InputError: a shape is wrong, there are no frames or values that are not finite.
     """
     if poses.ndim != 2 or poses.shape[1] not in _FAMILY_OF_WIDTH:
         widths = ", ".join(f"{width} ({family})" for width, family in sorted(_FAMILY_OF_WIDTH.items()))
