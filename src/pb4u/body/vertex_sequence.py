@@ -22,7 +22,7 @@ from pb4u.geometry.triangulation import triangulate
 
 DEFAULT_FPS = 30.0
 MOST_TRIANGLES = 1_000_000
-"""Triangles that a body may have: above it, the search tree of the nearest surface takes seconds a frame."""
+"""Triangles that a body may have; it bounds the search tree that is built each frame, and more are refused."""
 # Extent [m] of the first frame between which coordinates may be metres: a doll's hand, a house.
 _PLAUSIBLE_SIZE = (0.1, 10.0)
 # Frames whose numbers are checked at a time, which bounds the memory of a mapped file.

@@ -27,7 +27,7 @@ _SIDES = {"anny": ("L", "R"), "smpl": ("left", "right")}
 
 #: Number of support directions around the torso or a leg.
 DIRECTIONS = 72
-# Distance [m] between levels of the sections: half the finest mesh of a garment.
+# Distance [m] between levels of the sections: finer detail of the skin does not show in the cloth.
 _STEP = 0.01
 
 

@@ -10,7 +10,7 @@ from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 #: Smallest distance [m] that a built-in garment keeps from the skin at rest.
 SMALLEST_CLEARANCE = 0.004
 
-# Most rounds of pushing; nearly every garment is clear after three or four, and what is left then is a crease.
+# Most rounds of pushing, which end when all is clear; what a crease has no room for is left after them.
 _ROUNDS = 12
 #: Where each face is probed: corners, edge middles, centre, and the centres of the four quarters.
 _PROBES = np.array(

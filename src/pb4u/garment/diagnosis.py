@@ -26,7 +26,7 @@ _WORST_MISFIT = 0.08
 _FAR = 0.05
 # Findings after which nothing is said of what holds the garment up.
 _NOT_WORN = ("far", "inside")
-# Deviation of edge lengths, of their mean, above which they are told as graded: an even mesh has a tenth.
+# Deviation of edge lengths, of their mean, above which they are told as graded; built-in garments have about a tenth.
 _GRADED = 0.35
 # Share of faces with another layer behind them above which the cloth is told as double: a hem or a pocket has less.
 _DOUBLE = 0.2

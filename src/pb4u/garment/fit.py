@@ -15,7 +15,7 @@ from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas
 
 # Vertices of a garment that are looked at to place it, and every how many of them for a first look at its height:
-# hundreds of placements are compared, in about a second.
+# hundreds of placements are compared, and the time grows with both.
 _SAMPLES, _COARSE = 400, 4
 # Step [m] of the first look at heights, less than the width of a dip in the misfit.
 _SHIFT_STEP = 0.03

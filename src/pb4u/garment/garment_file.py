@@ -20,7 +20,7 @@ from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
 from pb4u.geometry.nearest_surface import TriangleSurface
 
 MOST_SIMULATED = 1_000_000
-"""Triangles that a garment may have as it is simulated; beyond it a frame takes minutes and tens of gigabytes."""
+"""Triangles that a garment may have as it is simulated, which bounds time and memory; more are refused."""
 DEFAULT_BODY = "woman"
 # Extent [m] between which a garment's file may be in metres: a sock for a doll, a train of a wedding dress.
 _SMALLEST, _LARGEST = 0.05, 5.0

@@ -19,7 +19,7 @@ from pb4u.geometry.topology import Topology
 _DEEPEST_SHARE = 0.6
 CLEARANCE = 2e-3
 """Distance [m] from the skin to which cloth is pushed out."""
-# Most passes of each kind: both end as soon as nothing is left to push, and a crease without room never lets them.
+# Most passes of each kind: both end when nothing is left to push, which a crease without room would never allow.
 _SMOOTHING_PASSES, _PROJECTION_PASSES = 20, 40
 
 

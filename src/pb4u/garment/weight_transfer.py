@@ -15,15 +15,15 @@ from pb4u.geometry.triangle_mesh import area_weighted_normals
 INFLUENCES = 8
 """Bones that move one garment vertex, at most."""
 
-# Nearest skin vertices that a close garment's weights are the mean of: about two rings of the body's mesh.
+# Nearest skin vertices that a close garment's weights are the mean of; the width of that mean grows with them.
 _NEIGHBOURS = 16
-# Samples around each vertex of a loose garment, a power of two as an even draw needs; twice as many look the same.
+# Samples around each vertex of a loose garment, a power of two as an even draw needs; the cost grows with them.
 _SAMPLES = 256
 # A sample may take skin this much farther than the nearest: the mean hardly moves, in half the time.
 _SLACK = 0.3
 # Vertices sampled at a time, which bounds the memory.
 _SAMPLE_CHUNK = 2048
-# So many edges may join different bones without a tear: the tips of an armpit or of a crotch.
+# So many edges may join different bones before a close garment is taken to be torn, and dressed as a loose one.
 _TEARING_EDGES = 4
 
 

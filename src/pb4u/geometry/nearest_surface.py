@@ -21,7 +21,7 @@ from pb4u.geometry.topology import Topology
 
 # Faces with the nearest centres among which the nearest face is looked for; more are tried where it is not certain.
 _CANDIDATES = 32
-# Distances between points and faces worked out at a time, which bounds the memory to a few hundred megabytes.
+# Distances between points and faces worked out at a time, which bounds the memory.
 _PAIRS_PER_CHUNK = 20_000_000
 
 

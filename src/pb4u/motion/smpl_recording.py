@@ -40,7 +40,7 @@ _POSE_KEYS = ("poses", "pose", "body_pose")
 _TRANSLATION_KEYS = ("trans", "translation", "transl")
 # The files do not tell their rate; it is that of the released VTO sequences.
 _VTO_RATE = 30.0
-# A recorded shape is told where a beta exceeds this, which moves the skin by about a millimetre; so many betas.
+# A recorded shape is told where a beta exceeds this, else it counts as average; so many betas are told.
 _SLIGHT_BETA, _BETAS_TOLD = 0.05, 4
 
 
