@@ -12,7 +12,7 @@ from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface, closest
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import edge_lengths
 
-# Faces with the nearest centres among which one that looks the right way is searched for; beyond them the nearest point stays.
+# Faces with the nearest centres among which one that looks the right way is searched for; else the nearest point stays.
 _CANDIDATES = 24
 
 
