@@ -7,8 +7,7 @@ from cloth_shapes import quad_tube, triangle_tube, tube_garment, with_open_seam
 from pb4u.body.library import load_body
 from pb4u.garment.diagnosis import diagnose
 from pb4u.garment.fit import AXES, RestBody
-from pb4u.garment.push_out import CLEARANCE, push_out
-from pb4u.garment.repair import repair
+from pb4u.garment.repair import CLEARANCE, push_out, repair
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths
 

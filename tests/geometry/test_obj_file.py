@@ -10,7 +10,7 @@ SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 
 def test_order_polygons_and_uv_seams_survive_a_round_trip(tmp_path):
     mesh = quad_tube()
-    write_obj(tmp_path / "tube.obj", mesh, comment="made by a test")
+    write_obj(tmp_path / "tube.obj", mesh)
     again = read_obj(tmp_path / "tube.obj")
     np.testing.assert_allclose(again.vertices, mesh.vertices, atol=1e-8)
     np.testing.assert_array_equal(np.stack(again.polygons), np.stack(mesh.polygons))

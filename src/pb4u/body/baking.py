@@ -18,7 +18,7 @@ GENDER = {"woman": 1.0, "man": 0.0}
 PARAMETERS = ("height", "weight", "muscle")
 # Anny interpolates height between two anchors and weight and muscle between three (0, 0.5, 1).
 _FACTORS = {"height": (0, 1), "weight": (0, 1, 2), "muscle": (0, 1, 2)}
-# Positions are stored in whole steps of this [m] or more: a term reaches 0.16 m in 16 bits, unseen in millimetres.
+# Positions are stored in whole steps of this [m] or more, which bounds the size of the files and their rounding.
 _VERTEX_STEP = 5e-6
 _HAND_BONES = ("wrist", "finger", "metacarpal")
 # For cloth to reach a vertex it must be free so far along its normal [m], and less than this share of its sky hidden.

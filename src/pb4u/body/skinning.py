@@ -45,22 +45,21 @@ def strongest_influences(bones: np.ndarray, weights: np.ndarray, count: int) -> 
     return SkinningWeights(chosen.astype(np.int64), kept.astype(np.float32))
 
 
-def bone_transforms(skeleton: Skeleton, poses: PoseSequence, dtype: torch.dtype = torch.float32) -> Tensor:
+def bone_transforms(skeleton: Skeleton, poses: PoseSequence) -> Tensor:
     """Transforms x -> A x + b of rest positions to world positions.
 
     Args:
         skeleton: the bones at rest.
         poses: how they move.
-        dtype: of the result; computed in float64.
 
     Returns:
-        (frames, bones, 3, 4): A and, in the last column, b [m].
+        (frames, bones, 3, 4) float32: A and, in the last column, b [m].
     """
     rotation = matrix_from_quaternion(torch.from_numpy(poses.rotations))
     joints = torch.from_numpy(joint_positions(skeleton, poses))
     rest = torch.from_numpy(np.ascontiguousarray(skeleton.joints, dtype=np.float64))
     translation = joints - (rotation @ rest[..., None])[..., 0]
-    return torch.cat([rotation, translation[..., None]], dim=-1).to(dtype)
+    return torch.cat([rotation, translation[..., None]], dim=-1).to(torch.float32)
 
 
 def skin(rest_vertices: Tensor, bones: Tensor, weights: Tensor, transforms: Tensor) -> Tensor:

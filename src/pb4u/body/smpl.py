@@ -15,7 +15,7 @@ from pb4u.errors import InputError
 from pb4u.restricted_pickle import load_pickle
 
 BETA_RANGE = (-10.0, 0.0, 10.0)
-"""Lowest, default and highest shape coefficient, in standard deviations; beyond ten no body is human."""
+"""Lowest, default and highest shape coefficient, in standard deviations; others are refused."""
 _MEMBERS = ("v_template", "shapedirs", "posedirs", "J_regressor", "kintree_table", "weights", "f")
 _BODY_JOINTS = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
@@ -34,7 +34,7 @@ JOINT_NAMES: Mapping[str, tuple[str, ...]] = {
     "smplx": (*_BODY_JOINTS, "jaw", "left_eye_smplhf", "right_eye_smplhf", *_FINGERS),
 }
 _HAND_JOINTS = {"left_wrist", "right_wrist", "left_hand", "right_hand", *_FINGERS}
-# Bones that move one vertex at most, which bounds the cost of skinning; the files have four or a few more.
+# Bones that move one vertex at most, which bounds the cost of skinning; the others' shares go to these.
 _MAX_INFLUENCES = 8
 # A SMPL-X file appends 10 or 100 expression directions to its 10 or 300 of shape.
 _SMPLX_EXPRESSIONS = {20: 10, 400: 100}

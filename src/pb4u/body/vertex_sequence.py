@@ -22,7 +22,7 @@ from pb4u.geometry.triangulation import triangulate
 
 DEFAULT_FPS = 30.0
 MOST_TRIANGLES = 1_000_000
-"""Triangles that a body may have: above it, the search tree of the nearest surface takes seconds a frame."""
+"""Triangles that a body may have; it bounds the search tree that is built each frame, and more are refused."""
 # Extent [m] of the first frame between which coordinates may be metres: a doll's hand, a house.
 _PLAUSIBLE_SIZE = (0.1, 10.0)
 # Frames whose numbers are checked at a time, which bounds the memory of a mapped file.
@@ -87,7 +87,14 @@ class VertexSequence(AnimatedBody):
         return torch.from_numpy(np.ascontiguousarray(result))
 
     def resampled(self, fps: float) -> VertexSequence:
-        """The same motion at another frame rate. Raises InputError when `fps` is not positive."""
+        """The same motion at another frame rate.
+
+        Args:
+            fps: frames per second.
+
+        Raises:
+            InputError: it is not positive.
+        """
         if not (np.isfinite(fps) and fps > 0):
             raise InputError(f"{self.name}: cannot play at {fps:g} frames per second; give a positive frame rate.")
         held = round(self.held_start * fps / self.fps)
@@ -112,7 +119,8 @@ def write_vertex_sequence(
         fps: frames per second.
         contact: (vertices,) bool, false where the body neither answers contact nor counts as penetrated; default none.
 
-    Raises InputError when the file cannot be written.
+    Raises:
+        InputError: the file cannot be written.
     """
     buffer = io.BytesIO()
     np.savez(

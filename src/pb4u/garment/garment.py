@@ -27,11 +27,6 @@ class SourceMap:
     triangle: np.ndarray
     barycentric: np.ndarray
 
-    def carry(self, positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-        """Source vertices (..., source vertices, 3) [m] for simulated `positions` (..., vertices, 3) [m]."""
-        corners = positions[..., faces[self.triangle], :]
-        return np.einsum("sk,...skd->...sd", self.barycentric.astype(positions.dtype), corners)
-
 
 @dataclass(frozen=True, eq=False)
 class Garment:

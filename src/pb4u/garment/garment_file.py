@@ -12,28 +12,35 @@ import numpy as np
 
 from pb4u.body.library import body_names
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.garment import Garment
+from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.material import Material
 from pb4u.garment.pins import resolve_pins
-from pb4u.garment.source_map import map_to_nearest, map_to_same
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
+from pb4u.geometry.nearest_surface import TriangleSurface
 
 MOST_SIMULATED = 1_000_000
-"""Triangles that a garment may have as it is simulated."""
+"""Triangles that a garment may have as it is simulated, which bounds time and memory; more are refused."""
 DEFAULT_BODY = "woman"
-SMALLEST, LARGEST = 0.05, 5.0
-"""Extent [m] between which a garment's file may be in metres."""
+# Extent [m] between which a garment's file may be in metres: a sock for a doll, a train of a wedding dress.
+_SMALLEST, _LARGEST = 0.05, 5.0
 
 
 def read_garment(
     path: str | Path, material: Material, triangles: int | None = None, pins: str | Path | Sequence[int] | None = None
 ) -> Garment:
-    """The garment in a mesh file, as its author made it or remeshed to about `triangles` triangles.
+    """The garment in a mesh file; warns of what is left out or looks odd.
 
-    Vertex order, polygons and UVs stay in `Garment.source`. Units and axes are never changed. `pins` are as for
-    `resolve_pins`. Raises InputError when the file cannot be used as it is, saying how to mend it; warns of what is
-    left out or looks odd.
+    Vertex order, polygons and UVs stay in `Garment.source`. Units and axes are never changed.
+
+    Args:
+        path: the file.
+        material: its cloth.
+        triangles: about how many triangles it is remeshed to; None for the mesh as its author made it.
+        pins: which vertices follow the body, as for `resolve_pins`; None for none.
+
+    Raises:
+        InputError: the file cannot be used as it is; says how to mend it.
     """
     path = Path(path)
     if triangles is not None and triangles < 1:
@@ -46,19 +53,40 @@ def read_garment(
     faces = np.where(flip[:, None], surface.faces[:, ::-1], surface.faces)
     corners = surface.corners[surface.kept]
     corners = np.where(flip[:, None], corners[:, ::-1], corners)
-    kept = np.unique(faces)
-    vertices = source.vertices[kept]
-    faces = np.searchsorted(kept, faces)
+    simulated = np.unique(faces)
+    vertices = source.vertices[simulated]
+    faces = np.searchsorted(simulated, faces)
     if triangles is None:
         uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
         garment = Garment(path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces)
-        garment = replace(garment, source=map_to_same(source, kept, vertices, faces))
+        garment = replace(garment, source=_map_to_same(source, simulated, vertices, faces))
     else:
         from pb4u.geometry.remeshing import remesh
 
         vertices, faces = remesh(vertices, faces, triangles)
-        garment = Garment(path.stem, vertices, faces, material, source=map_to_nearest(source, vertices, faces))
+        source_map = SourceMap(source, *_nearest_places(source.vertices, vertices, faces))
+        garment = Garment(path.stem, vertices, faces, material, source=source_map)
     return garment if pins is None else garment.with_pins(resolve_pins(pins, garment))
+
+
+def _map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
+    """Source map of a mesh that holds the `simulated` source vertices, in order; others keep to it."""
+    triangle = np.zeros(len(source.vertices), dtype=np.int64)
+    barycentric = np.zeros((len(source.vertices), 3))
+    corner_of = np.zeros(len(vertices), dtype=np.int64)
+    corner_of[faces.reshape(-1)] = np.arange(faces.size)
+    triangle[simulated], column = np.divmod(corner_of, 3)
+    barycentric[simulated, column] = 1.0
+    left = np.setdiff1d(np.arange(len(source.vertices)), simulated)
+    if len(left):
+        triangle[left], barycentric[left] = _nearest_places(source.vertices[left], vertices, faces)
+    return SourceMap(source, triangle, barycentric)
+
+
+def _nearest_places(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangle (points,) and barycentric coordinates (points, 3) of the nearest points of a mesh to `points`."""
+    hit = TriangleSurface(faces, len(vertices)).at(vertices).nearest(points)
+    return hit.triangle.numpy(), hit.barycentric.numpy()
 
 
 def fix_command(file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY) -> str:
@@ -102,60 +130,55 @@ def _refuse_unusable(path: Path, surface: SourceSurface) -> None:
         raise InputError(f"{path}: none of its {len(surface.all_faces)} faces has an area; export the garment again.")
     if unit := likely_unit(surface.source.vertices[np.unique(surface.faces)]):
         raise InputError(f"{path} {unit}; scale it to metres with {fix_command(path)}.")
-    edges = surface.topology.non_manifold_edges
-    if len(edges):
+    if len(edges := surface.topology.non_manifold_edges):
+        first = ", ".join(f"{a}-{b}" for a, b in edges[:5].tolist())
         raise InputError(
-            f"{path}: {len(edges)} edge(s) are shared by three or more faces, first {_edges(edges)} (vertex pairs, "
-            f"counted from 0); see which faces to delete with {fix_command(path)}."
+            f"{path}: {len(edges)} edge(s) are shared by three or more faces, first {first} (vertex pairs, counted "
+            f"from 0); see which faces to delete with {fix_command(path)}."
         )
 
 
 def likely_unit(vertices: np.ndarray) -> str | None:
     """What a file is written in, as a verb phrase, when its extent cannot be that of a garment in metres."""
     extent = float(np.ptp(vertices, axis=0).max())
-    if SMALLEST <= extent <= LARGEST:
+    if _SMALLEST <= extent <= _LARGEST:
         return None
-    if extent > LARGEST:
+    if extent > _LARGEST:
         unit = "centimetres" if extent <= 250.0 else "millimetres"
         return f"spans {extent:.0f} m as it is, it seems to be in {unit}"
     return f"spans {1000 * extent:.3g} mm as it is, too small for a garment in metres"
 
 
 def _warn_of_oddities(path: Path, surface: SourceSurface) -> None:
-    source = surface.source
-    if surface.many_sided:
-        _warn(
-            f"{path.name}: {surface.many_sided} quads or n-gons are cut into triangles to simulate; "
-            "`pb4u convert --on source` writes them whole."
-        )
-    if repeated := int(surface.repeated.sum()):
-        _warn(f"{path.name}: {repeated} duplicate face(s) left out, first {surface.repeated.argmax()}.")
-    if collapsed := int((surface.collapsed & ~surface.repeated).sum()):
-        _warn(f"{path.name}: {collapsed} face(s) without area left out, first {surface.collapsed.argmax()}.")
-    isolated = surface.topology.isolated_vertices
-    if len(isolated):
-        _warn(
-            f"{path.name}: {len(isolated)} isolated vertices are not simulated, first {isolated[:5].tolist()}; "
-            "in exports they follow the nearest cloth."
-        )
+    isolated, turned = surface.topology.isolated_vertices, int(surface.flipped[0].sum())
+    repeated, collapsed = surface.repeated, surface.collapsed & ~surface.repeated
+    uvs = surface.source.uvs
+    for count, sentence in (
+        (
+            surface.many_sided,
+            "quads or n-gons are cut into triangles to simulate; `pb4u convert --on source` writes them whole",
+        ),
+        (repeated.sum(), f"duplicate face(s) left out, first {repeated.argmax()}"),
+        (collapsed.sum(), f"face(s) without area left out, first {surface.collapsed.argmax()}"),
+        (
+            len(isolated),
+            f"isolated vertices are not simulated, first {isolated[:5].tolist()}; in exports they follow the nearest "
+            "cloth",
+        ),
+        (
+            len(surface.unwelded),
+            f"border vertices lie on others, first {surface.unwelded[:5].tolist()}: a seam that will open; weld it "
+            f"with {fix_command(path)}",
+        ),
+        (turned, "face(s) are turned over against their neighbours; simulated turned"),
+        (0 if uvs is None else (~np.isfinite(uvs)).any(axis=1).sum(), "texture coordinates are not finite"),
+    ):
+        if count:
+            _warn(f"{path.name}: {count} {sentence}.")
     if surface.piece_count > 1:
         _warn(f"{path.name}: the garment is in {surface.piece_count} pieces that nothing holds together.")
-    if len(surface.unwelded):
-        _warn(
-            f"{path.name}: {len(surface.unwelded)} border vertices lie on others, first "
-            f"{surface.unwelded[:5].tolist()}: a seam that will open; weld it with {fix_command(path)}."
-        )
-    flip, orientable = surface.flipped
-    if flip.any():
-        _warn(f"{path.name}: {int(flip.sum())} face(s) are turned over against their neighbours; simulated turned.")
-    if not orientable:
+    if not surface.flipped[1]:
         _warn(f"{path.name}: the cloth has only one side, like a Moebius strip.")
-    if source.uvs is not None and not np.isfinite(source.uvs).all():
-        _warn(f"{path.name}: some texture coordinates are not finite.")
-
-
-def _edges(edges: np.ndarray) -> str:
-    return ", ".join(f"{a}-{b}" for a, b in edges[:5].tolist())
 
 
 def _warn(sentence: str) -> None:

@@ -11,8 +11,10 @@ import numpy as np
 from pb4u.geometry.topology import Topology, connected_labels
 from pb4u.geometry.triangle_mesh import face_cross_products
 
-#: A border loop is not thinned below this many vertices.
-SMALLEST_LOOP = 8
+# A border loop is not thinned below this many vertices: fewer no longer show that it is round.
+_SMALLEST_LOOP = 8
+# Share of the way to the mean of its neighbours that a vertex goes: all of it would swing to and fro.
+_RELAXATION = 0.7
 
 
 def _lengths(vertices: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -39,7 +41,17 @@ def _ragged(starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
 def split_long_edges(
     vertices: np.ndarray, faces: np.ndarray, longest: float, locked: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Halves every edge longer than `longest` [m]; returns vertices, faces and the `locked` flags extended."""
+    """Halves every long edge.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        longest: length above which an edge is halved [m].
+        locked: (vertices,) bool, extended: new vertices are not locked.
+
+    Returns:
+        Vertices, faces and locked flags.
+    """
     mesh = Topology(faces, len(vertices))
     marked = _lengths(vertices, mesh.edges) > longest
     if not marked.any():
@@ -83,13 +95,20 @@ def _vertex_faces(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.
 
 
 def collapse_short_edges(
-    vertices: np.ndarray, faces: np.ndarray, shortest: float, longest: float, locked: np.ndarray, turn: int = 0
+    vertices: np.ndarray, faces: np.ndarray, shortest: float, longest: float, locked: np.ndarray, turn: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """One pass that removes edges shorter than `shortest` [m] where manifoldness, orientation and borders allow it.
+    """One pass that removes short edges where manifoldness, orientation and borders allow it.
 
-    Border vertices slide along the border only, `locked` ones stay, and no edge longer than `longest` [m] is made.
-    Passes with another `turn` try other edges first.
-    Returns vertices, faces, locked flags and the number of edges removed.
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        shortest: length below which an edge is removed [m].
+        longest: no edge longer than this is made [m].
+        locked: (vertices,) bool, those that stay; border vertices slide along the border only.
+        turn: number of the pass: each tries other edges first.
+
+    Returns:
+        Vertices, faces, locked flags and the number of edges removed.
     """
     mesh = Topology(faces, len(vertices))
     lengths = _lengths(vertices, mesh.edges)
@@ -180,7 +199,7 @@ def _independent(
 
 
 def _spare_border_edges(mesh: Topology, wanted: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """(wanted,) bool: border edges that may go without leaving a loop with fewer than `SMALLEST_LOOP` edges."""
+    """(wanted,) bool: border edges that may go without leaving a loop with fewer than `_SMALLEST_LOOP` edges."""
     ends = mesh.edges[mesh.edge_face_counts == 1]
     loop_of = connected_labels(mesh.vertex_count, *ends.T)
     sizes = np.bincount(loop_of[ends[:, 0]])
@@ -189,7 +208,7 @@ def _spare_border_edges(mesh: Topology, wanted: np.ndarray, lengths: np.ndarray)
     sorted_loops = loops[order]
     rank = np.arange(len(order)) - np.searchsorted(sorted_loops, sorted_loops)
     spare = np.empty(len(wanted), dtype=bool)
-    spare[order] = rank < sizes[sorted_loops] - SMALLEST_LOOP
+    spare[order] = rank < sizes[sorted_loops] - _SMALLEST_LOOP
     return spare
 
 
@@ -230,7 +249,15 @@ def _distinct(keys: np.ndarray) -> np.ndarray:
 
 
 def flip_edges(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
-    """One pass that flips edges where it brings valences nearer to 6 (4 on the border), or else fattens triangles."""
+    """One pass that flips edges where it brings valences nearer to 6 (4 on the border), or else fattens triangles.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        Faces and the number of edges flipped.
+    """
     mesh = Topology(faces, len(vertices))
     valence = np.bincount(mesh.edges.reshape(-1), minlength=len(vertices))
     excess = valence - np.where(mesh.border_vertices, 4, 6)
@@ -279,8 +306,17 @@ def flip_edges(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int
     return faces, len(won)
 
 
-def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray, step: float = 0.7) -> np.ndarray:
-    """Moves each vertex towards the mean of its neighbours within the surface; border vertices along the border."""
+def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray) -> np.ndarray:
+    """Moves each vertex towards the mean of its neighbours within the surface; border vertices along the border.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        locked: (vertices,) bool, those that stay.
+
+    Returns:
+        (vertices, 3) [m].
+    """
     mesh = Topology(faces, len(vertices))
     a, b = mesh.edges.T
     border = mesh.border_vertices
@@ -298,7 +334,7 @@ def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray, step: flo
     inward = np.einsum("ij,ij->i", shift, normals)[:, None] * normals
     shift = shift - np.where(border[:, None], 0.0, inward)
     shift[locked] = 0.0
-    return vertices + step * shift
+    return vertices + _RELAXATION * shift
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ READERS = {
 """Suffix -> function of a path that gives its `PolygonMesh`; another format is one more line here."""
 
 MOST_READ = 4_000_000
-"""Triangles that a file may have to be read at all; beyond it, parsing takes minutes and gigabytes of memory."""
+"""Triangles that a file may have to be read at all, which bounds time and memory; larger ones are refused unparsed."""
 # Bytes of an OBJ that are counted at a time.
 _BLOCK = 1 << 24
 

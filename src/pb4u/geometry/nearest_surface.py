@@ -19,7 +19,9 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology
 
+# Faces with the nearest centres among which the nearest face is looked for; more are tried where it is not certain.
 _CANDIDATES = 32
+# Distances between points and faces worked out at a time, which bounds the memory.
 _PAIRS_PER_CHUNK = 20_000_000
 
 
@@ -138,7 +140,14 @@ class PosedSurface:
         return total
 
     def nearest(self, points: Tensor | np.ndarray) -> NearestPoints:
-        """Exact nearest points of the surface to `points` (points, 3) [m]; raises InputError if one is not finite."""
+        """Exact nearest points of the surface.
+
+        Args:
+            points: (points, 3) [m].
+
+        Raises:
+            InputError: one of them is not finite.
+        """
         asked = torch.as_tensor(points).detach()
         queried = asked.to(self.vertices.device, torch.float64)
         if not bool(torch.isfinite(queried).all()):
@@ -223,8 +232,8 @@ class PosedSurface:
         else:
             a, b, c = self._corners
             rows = max(1, _PAIRS_PER_CHUNK // len(a))
-            found = [torch.cdist(part, (a + b + c) / 3.0).min(dim=1) for part in torch.split(queried, rows)]
-            near = torch.cat([f.indices for f in found]), torch.cat([f.values for f in found])
+            nearest = [torch.cdist(part, (a + b + c) / 3.0).min(dim=1) for part in torch.split(queried, rows)]
+            near = torch.cat([n.indices for n in nearest]), torch.cat([n.values for n in nearest])
         original = self.surface._on(self.vertices.device)[4].index_select(0, near[0])
         return original.to(asked.device), near[1].to(asked.device, asked.dtype)
 
@@ -252,10 +261,19 @@ def _closest_of(points: Tensor, faces: Tensor, corners: tuple[Tensor, Tensor, Te
 
 
 def closest_barycentric(points: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
-    """Barycentric coordinates (..., 3) of the point of triangle `a` `b` `c` (..., 3) closest to each of `points`.
+    """Where triangles are closest to points, each to its own.
 
     By Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, 5.1.5); a degenerate
     triangle counts as its edges.
+
+    Args:
+        points: (..., 3) [m].
+        a: (..., 3) first corner of each triangle [m].
+        b: (..., 3) second corner [m].
+        c: (..., 3) third corner [m].
+
+    Returns:
+        (..., 3) barycentric coordinates in the triangle.
     """
     ab, ac, ap = b - a, c - a, points - a
     d1, d2 = (ab * ap).sum(-1), (ac * ap).sum(-1)

@@ -79,19 +79,17 @@ def _scan(path: Path) -> tuple[Lines, Lines, list[FaceLine]]:
     return vertex_lines, uv_lines, face_lines
 
 
-def write_obj(path: Path, mesh: PolygonMesh, comment: str = "") -> None:
+def write_obj(path: Path, mesh: PolygonMesh) -> None:
     """Write a mesh in one step: the file appears whole or not at all.
 
     Args:
         path: the file.
         mesh: what is written, numbers to nine digits.
-        comment: lines for the top of the file.
 
     Raises:
         InputError: the file cannot be written.
     """
-    parts = [f"# {line}\n" for line in comment.splitlines()]
-    parts += [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.vertices.tolist()]
+    parts = [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.vertices.tolist()]
     if mesh.uvs is not None and mesh.polygon_uvs is not None:
         parts += [f"vt {u:.9g} {v:.9g}\n" for u, v in mesh.uvs.tolist()]
         for polygon, corners in zip(mesh.polygons, mesh.polygon_uvs, strict=True):

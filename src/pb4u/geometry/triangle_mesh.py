@@ -8,7 +8,15 @@ from torch import Tensor
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Area-weighted unit vertex normals (..., vertices, 3) of `vertices` (..., vertices, 3) [m]."""
+    """Area-weighted unit vertex normals.
+
+    Args:
+        vertices: (..., vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        (..., vertices, 3); 0 where no face is.
+    """
     a, b, c = (vertices.index_select(-2, faces[:, k]) for k in range(3))
     cross = torch.linalg.cross(b - a, c - a)
     total = torch.zeros_like(vertices)

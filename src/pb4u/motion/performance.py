@@ -103,7 +103,15 @@ def about(axis: str, degrees: Angle, frames: int) -> np.ndarray:
 
 
 def role_rotations(performance: Performance, humanoid: Humanoid) -> np.ndarray:
-    """Role rotations (frames, roles, 4) from the rest pose of the body; legs are solved by inverse kinematics."""
+    """Role rotations of a performance; legs are solved by inverse kinematics.
+
+    Args:
+        performance: what the body does.
+        humanoid: the body.
+
+    Returns:
+        (frames, roles, 4) unit quaternions wxyz from the rest pose of the body.
+    """
     frames = len(performance.hips)
     roles = np.tile([1.0, 0.0, 0.0, 0.0], (frames, len(ROLES), 1))
     pelvis = performance.pelvis.quaternions(frames)

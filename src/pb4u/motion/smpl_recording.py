@@ -40,7 +40,7 @@ _POSE_KEYS = ("poses", "pose", "body_pose")
 _TRANSLATION_KEYS = ("trans", "translation", "transl")
 # The files do not tell their rate; it is that of the released VTO sequences.
 _VTO_RATE = 30.0
-# A recorded shape is told where a beta exceeds this, which moves the skin by about a millimetre; so many betas.
+# A recorded shape is told where a beta exceeds this, else it counts as average; so many betas are told.
 _SLIGHT_BETA, _BETAS_TOLD = 0.05, 4
 
 
@@ -145,7 +145,8 @@ def _recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps: flo
         fps: frames per second.
         z_up: whether files of this kind have Z up; the other axis is taken where the pelvis plainly stands on it.
 
-    Raises InputError on wrong shapes, no frames or values that are not finite.
+    Raises:
+        InputError: a shape is wrong, there are no frames or values that are not finite.
     """
     if poses.ndim != 2 or poses.shape[1] not in _FAMILY_OF_WIDTH:
         widths = ", ".join(f"{width} ({family})" for width, family in sorted(_FAMILY_OF_WIDTH.items()))
