@@ -24,7 +24,7 @@ from pb4u.simulation.step import StepMethod, predictions
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget
 from pb4u.training.curriculum import Curriculum
-from pb4u.training.progress import draw_curve
+from pb4u.training.journal import draw_curve
 from pb4u.training.recovery import TrainingFailedError
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.trainer import RoundEnd, Trainer

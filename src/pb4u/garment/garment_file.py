@@ -64,7 +64,7 @@ def read_garment(
         from pb4u.geometry.remeshing import remesh
 
         vertices, faces = remesh(vertices, faces, triangles)
-        source_map = SourceMap(source, *_nearest_places(source.vertices, vertices, faces))
+        source_map = SourceMap(source, *nearest_places(source.vertices, vertices, faces))
         garment = Garment(path.stem, vertices, faces, material, source=source_map)
     return garment if pins is None else garment.with_pins(resolve_pins(pins, garment))
 
@@ -79,11 +79,11 @@ def _map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarra
     barycentric[simulated, column] = 1.0
     left = np.setdiff1d(np.arange(len(source.vertices)), simulated)
     if len(left):
-        triangle[left], barycentric[left] = _nearest_places(source.vertices[left], vertices, faces)
+        triangle[left], barycentric[left] = nearest_places(source.vertices[left], vertices, faces)
     return SourceMap(source, triangle, barycentric)
 
 
-def _nearest_places(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest_places(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Triangle (points,) and barycentric coordinates (points, 3) of the nearest points of a mesh to `points`."""
     hit = TriangleSurface(faces, len(vertices)).at(vertices).nearest(points)
     return hit.triangle.numpy(), hit.barycentric.numpy()

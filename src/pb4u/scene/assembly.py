@@ -17,12 +17,11 @@ from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.diagnosis import require_worn
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
-from pb4u.garment.garment import Garment
-from pb4u.garment.garment_file import read_garment
+from pb4u.garment.garment import Garment, SourceMap
+from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
-from pb4u.garment.source_map import map_to_nearest
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.remeshing import remesh
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
@@ -306,15 +305,17 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
         return garment
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
     uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
-    before = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+    simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+    places = nearest_places(simulated.vertices, vertices, faces)
     remeshed = replace(
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
-        source=map_to_nearest(before, vertices, faces),
+        source=SourceMap(simulated, *places),
     )  # fmt: skip
     remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))
     if garment.source is None:
         return remeshed
-    return replace(remeshed, source=map_to_nearest(garment.source.source, vertices, faces))
+    author = garment.source.source
+    return replace(remeshed, source=SourceMap(author, *nearest_places(author.vertices, vertices, faces)))
 
 
 def _say_shorter(name: str, available: int, asked: int, fps: float) -> None:

@@ -20,9 +20,9 @@ from pb4u.training.configuration import (
     with_settings,
 )
 from pb4u.training.distribution import Workers, workers
+from pb4u.training.journal import Reporter, collecting, draw_curve, reporter
 from pb4u.training.packed_data import TrainingData, load_training_data, save_training_data
 from pb4u.training.presets import DEFAULT_STEPS, training_preset
-from pb4u.training.progress import Reporter, collecting, draw_curve, reporter
 from pb4u.training.run_folder import CURVE, RunFolder
 from pb4u.training.trainer import Trainer
 

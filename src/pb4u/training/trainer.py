@@ -28,10 +28,10 @@ from pb4u.simulation.timeline import SETTLING_DT
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
+from pb4u.training.journal import Journal, Reporter
 from pb4u.training.learner import Learner
 from pb4u.training.objective import comparable_total, further_losses, mean_energies, step_energies, strain_energy
 from pb4u.training.packed_data import TrainingData
-from pb4u.training.progress import Journal, Reporter
 from pb4u.training.recovery import Recovery
 from pb4u.training.run_folder import RunFolder
 from pb4u.training.validation import Score, Validation, drift_from, is_lost
