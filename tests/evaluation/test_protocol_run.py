@@ -181,12 +181,12 @@ def test_networks_are_run_at_every_depth_and_against_the_floor(tmp_path: Path) -
 
 
 def test_a_run_that_broke_off_is_counted_and_has_no_ratio(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from pb4u.physics import divergence
+    from pb4u.physics.time_step import DivergedError
     from pb4u.simulation import stepwise_simulator
 
     def breaks(state: object) -> object:
         if state.frame == 3:  # type: ignore[attr-defined]
-            raise divergence.DivergedError(state.frame, "it is told to")  # type: ignore[attr-defined]
+            raise DivergedError(state.frame, "it is told to")  # type: ignore[attr-defined]
         return state
 
     file = weights(tmp_path / "net.safetensors")

@@ -17,7 +17,8 @@ from pb4u.evaluation.metrics import measure
 from pb4u.garment.dressing import Placement
 from pb4u.garment.garment import Garment
 from pb4u.physics.bending import Bending, dihedral_angles
-from pb4u.physics.energy_term import TimeStep
+from pb4u.physics.contact.planes import ContactSet
+from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import pack
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.state import State
@@ -206,8 +207,8 @@ def test_hinge_stiffness_gives_our_bending_energy() -> None:
     lengths = np.linalg.norm(folded[hinges[:, 1]] - folded[hinges[:, 0]], axis=1)
     theirs = float((0.5 * stiffness[: len(hinges)] * lengths * angles**2).sum())
     state, nowhere = State(x, torch.zeros_like(x), 0), torch.zeros(3, dtype=x.dtype)
-    step = TimeStep(pack([garment]), state, None, 1 / 30.0, nowhere, nowhere[None])
-    assert theirs == pytest.approx(float(Bending().energies(step, x)), rel=1e-9)
+    step = TimeStep(pack([garment]), state, None, 1 / 30.0, nowhere)
+    assert theirs == pytest.approx(float(Bending().energies(step, ContactSet(), x)), rel=1e-9)
 
 
 def test_wave_speed_of_the_default_cloth() -> None:
