@@ -35,11 +35,15 @@ class Request:
     """What a user asks for.
 
     Args:
-        preset: name of a training. steps, minutes: its budget; the preset's own where neither is given.
-        out: new folder to keep it in. resume: folder to go on with, instead.
+        preset: name of a training.
+        steps: optimiser steps of its budget; the preset's own where neither these nor minutes are given.
+        minutes: wall time of its budget.
+        out: new folder to keep it in.
+        resume: folder to go on with, instead.
         pack: file of training data; collected from the built-in assets without it.
         recordings: folder of CMU files to train on as well.
-        settings: KEY=VALUE changes of the preset. device: "auto", "cpu" or "cuda".
+        settings: KEY=VALUE changes of the preset.
+        device: "auto", "cpu" or "cuda".
     """
 
     preset: str | None = None
