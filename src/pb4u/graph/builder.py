@@ -119,7 +119,7 @@ class GraphBuilder:
                     f"{len(positions)} vertices; it got {'nothing' if given is None else tuple(given.shape)}."
                 )
             chosen.append(given.to(self.dtype))
-        return NodeSet(torch.cat(chosen, dim=1), static.node_types, static.node_owner)
+        return NodeSet(torch.cat(chosen, dim=1), static.node_types, static.node_world)
 
     def _garment_edges(self, kind: str, edges: GarmentEdges, positions: Tensor, step_dt: Tensor) -> EdgeSet:
         vector = positions.index_select(0, edges.senders.index) - positions.index_select(0, edges.receivers.index)
@@ -188,7 +188,7 @@ class GraphBuilder:
         features = self._world_features(-relative_now[order], -relative_next[order], -approach[order], step_dt)
         edges["garment_to_body"] = EdgeSet("world", GARMENT, BODY, garments, bodies, features, "world_edge")
 
-    def _body_nodes(self, velocity: Tensor, normal: Tensor, step_dt: Tensor, owner: Tensor) -> NodeSet:
+    def _body_nodes(self, velocity: Tensor, normal: Tensor, step_dt: Tensor, world: Tensor) -> NodeSet:
         count, absent = len(velocity), velocity.new_full((1,), -1.0)
         columns = {
             "velocity": velocity,
@@ -201,7 +201,7 @@ class GraphBuilder:
         chosen = [columns[name] for name in self.layout.node]
         chosen += [velocity.new_zeros(count, feature.width) for feature in self.layout.extra]
         types = torch.full((count,), int(NodeType.BODY), device=velocity.device)
-        return NodeSet(torch.cat(chosen, dim=1), types, owner)
+        return NodeSet(torch.cat(chosen, dim=1), types, world)
 
     def _near_pairs(self, positions: Tensor, body: Tensor, touchable: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Garment vertex and body vertex, (pairs,) int64 each, of all pairs that the rule joins, world by world."""

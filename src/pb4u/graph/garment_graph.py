@@ -45,6 +45,7 @@ class GarmentGraph:
         edges: by name; "mesh" always, and what a network adds, such as "coarse".
         node_types: (vertices,) int64 `NodeType`.
         node_owner: (vertices,) int64 garment.
+        node_world: (vertices,) int64 world.
         areal_density: (vertices, 1) log areal density mapped to [0, 1].
         vertex_mass: (vertices, 1) log of the vertex mass [kg].
         node_material: (vertices, 3) bending, mu, lambda mapped to [0, 1].
@@ -58,6 +59,7 @@ class GarmentGraph:
     edges: dict[str, GarmentEdges]
     node_types: Tensor
     node_owner: Tensor
+    node_world: Tensor
     areal_density: Tensor
     vertex_mass: Tensor
     node_material: Tensor
@@ -91,6 +93,7 @@ def garment_graph(
         edges={name: _garment_edges(garments, edges, material, dtype) for name, edges in pairs.items()},
         node_types=torch.where(garments.pinned, int(NodeType.PINNED), int(NodeType.GARMENT)),
         node_owner=garments.vertex_garment,
+        node_world=garments.vertex_world,
         areal_density=map_log(density, material_range.density)[:, None].to(dtype),
         vertex_mass=_known_or_mean(mass.log(), garments)[:, None].to(dtype),
         node_material=material.to(dtype),

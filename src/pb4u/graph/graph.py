@@ -29,12 +29,12 @@ class NodeSet:
     Args:
         features: (nodes, columns).
         types: (nodes,) int64 `NodeType`.
-        owner: (nodes,) int64 garment that each node belongs to (the garment that touches it, for a body node).
+        world: (nodes,) int64 world that each node belongs to.
     """
 
     features: Tensor
     types: Tensor
-    owner: Tensor
+    world: Tensor
 
 
 @dataclass(frozen=True, eq=False)

@@ -231,7 +231,7 @@ class AccelerationModel(nn.Module):
 
     @torch.no_grad()
     def gather_statistics(self, graph: Graph, acceleration: Tensor) -> None:
-        """Warm-up: add a step to the statistics; every garment of the graph weighs the same.
+        """Warm-up: add a step to the statistics; every world of the graph weighs the same.
 
         Args:
             graph: with features as they are.
@@ -240,14 +240,14 @@ class AccelerationModel(nn.Module):
         Raises:
             RuntimeError: the statistics are frozen.
         """
-        garments = len(graph.vertex_offsets) - 1
+        most = len(graph.vertex_offsets) - 1
         node_sets = list(graph.nodes.values())
-        owner = torch.cat([node_set.owner for node_set in node_sets])
-        self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), owner, garments)
+        worlds = torch.cat([node_set.world for node_set in node_sets])
+        self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), worlds, most)
         for edge_set in graph.edges.values():
-            edge_owner = graph.nodes[edge_set.receiver_set].owner[edge_set.receivers.index]
-            self._edge_normaliser(edge_set).gather(edge_set.features, edge_owner, garments)
-        self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].owner, garments)
+            edge_worlds = graph.nodes[edge_set.receiver_set].world[edge_set.receivers.index]
+            self._edge_normaliser(edge_set).gather(edge_set.features, edge_worlds, most)
+        self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].world, most)
 
     def normalisers(self) -> tuple[Normaliser, ...]:
         """All there are, in a fixed order: to add their sums over devices."""

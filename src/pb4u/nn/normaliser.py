@@ -57,13 +57,13 @@ class Normaliser(nn.Module):
         return values * self.spread + self.mean
 
     @torch.no_grad()
-    def gather(self, values: Tensor, owner: Tensor, garments: int) -> None:
-        """Add one step to the statistics: each garment its mean and mean square once, however many rows it has.
+    def gather(self, values: Tensor, world: Tensor, most: int) -> None:
+        """Add one step to the statistics: each world its mean and mean square once, however many rows it has.
 
         Args:
             values: (rows, width).
-            owner: (rows,) int64 garment of each row.
-            garments: how many there are; those without a row add nothing.
+            world: (rows,) int64 of each row.
+            most: more than any world's number; numbers without a row add nothing.
 
         Raises:
             RuntimeError: the statistics are frozen.
@@ -72,8 +72,8 @@ class Normaliser(nn.Module):
             raise RuntimeError("The statistics are frozen; they are gathered during warm-up only.")
         rows = values.to(torch.float64)
         stacked = torch.cat([torch.ones_like(rows[:, :1]), rows, rows.square()], dim=1)
-        totals = torch.zeros(garments, stacked.shape[1], dtype=torch.float64, device=rows.device)
-        totals.index_add_(0, owner, stacked)
+        totals = torch.zeros(most, stacked.shape[1], dtype=torch.float64, device=rows.device)
+        totals.index_add_(0, world, stacked)
         present = (totals[:, :1] > 0).to(torch.float64)
         means = totals[:, 1:] / totals[:, :1].clamp_min(1.0)
         self.sums += torch.cat([present, means * present], dim=1).sum(dim=0)
