@@ -1,0 +1,70 @@
+"""Simulations and measurements in several threads at once, as the viewer makes them: none changes another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from ball_scene import ball_scene
+
+import pb4u
+
+THREADS = 2
+
+
+@pytest.fixture
+def two_torch_threads() -> Iterator[None]:
+    """More than one, so that a count left at one shows."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(THREADS)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("two_torch_threads")
+def test_two_simulations_and_two_measurements_at_once_are_those_one_after_another() -> None:
+    scenes = [ball_scene(frames=3, lead_in=0, cells=16, speed=speed) for speed in (0.3, 0.6)]
+    assert all(scene.garments[0].garment.triangle_count == 512 for scene in scenes)
+    trajectories = [pb4u.load_simulator("solver").simulate(scene) for scene in scenes]
+    figures = [pb4u.measure(trajectory) for trajectory in trajectories]
+    under_way = [Event(), Event()]
+
+    def simulated(k: int) -> tuple[Any, int]:
+        again = pb4u.load_simulator("solver").simulate(scenes[k], progress=lambda *_: under_way[k].set())
+        return again, torch.get_num_threads()
+
+    def measured(k: int) -> tuple[Any, int]:
+        assert under_way[k].wait(120)
+        return pb4u.measure(trajectories[k]), torch.get_num_threads()
+
+    with ThreadPoolExecutor(4) as pool:
+        simulating = [pool.submit(simulated, k) for k in range(2)]
+        measuring = [pool.submit(measured, k) for k in range(2)]
+        results = [future.result() for future in (*simulating, *measuring)]
+    for (again, _), expected in zip(results[:2], trajectories, strict=True):
+        for name in ("positions", "velocities", "body_positions"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(expected, name))
+    assert [figure for figure, _ in results[2:]] == figures
+    # A thread takes the count over when it first computes, and keeps it.
+    assert [count for _, count in results] == [THREADS] * 4
+    with ThreadPoolExecutor(1) as fresh:
+        assert fresh.submit(torch.get_num_threads).result() == torch.get_num_threads() == THREADS
+
+
+def test_many_short_lived_packs_in_two_threads_are_measured_as_in_one() -> None:
+    """Twenty bodies and garments in turn, more than were ever kept for the next one to find."""
+    skinning = pb4u.load_simulator("skinning")
+    sizes = (range(2, 12), range(12, 22))
+    trajectories = [[skinning.simulate(ball_scene(frames=1, lead_in=0, cells=n)) for n in part] for part in sizes]
+    expected = [[pb4u.measure(trajectory) for trajectory in part] for part in trajectories]
+
+    def measured(k: int) -> bool:
+        return all([pb4u.measure(t) for t in trajectories[k]] == expected[k] for _ in range(3))
+
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(measured, range(2))) == [True, True]
