@@ -132,6 +132,15 @@ def assemble(specification: SceneSpecification) -> Scene:
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
+    if len(dressed) > 1:
+        apart = "Garments do not feel each other yet: where their layers meet, they pass through one another."
+        notes = (*notes, apart)
+        _say(apart)
+    named = {
+        worn.garment.name: str(each.garment)
+        for worn, each in zip(dressed, specification.garments, strict=True)
+        if isinstance(each.garment, str | Path)
+    }
     return Scene(
         garments=tuple(dressed),
         colliders=(collider,),
@@ -141,6 +150,7 @@ def assemble(specification: SceneSpecification) -> Scene:
         seed=specification.seed,
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
+            "sources": named,
             "body": collider.name,
             "body_shape": dict(body.shape) if isinstance(body, ShapedBody) else {},
             "motion": performance.motion,

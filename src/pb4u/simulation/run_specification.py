@@ -232,13 +232,15 @@ class RunSpecification:
             InputError: something is a loaded object, which has no name to be written.
         """
         path = Path(path)
-        tables = {
-            "format_version": FORMAT_VERSION,
-            "scene": _written(self.scene, _SCENE, path.parent),
-            "garments": [_written(each, _GARMENT, path.parent) for each in self.scene.garments],
-            "run": _written(self, _RUN, path.parent),
-        }
-        replace_file(path, (_HEADING + tomli_w.dumps(tables)).encode())
+        scene = {"format_version": FORMAT_VERSION, "scene": _written(self.scene, _SCENE, path.parent)}
+        garments = [_written(each, _GARMENT, path.parent) for each in self.scene.garments]
+        # One by one: the library writes short tables of a list on a line each, where nobody finds room for an entry.
+        sections = [
+            tomli_w.dumps(scene),
+            *("[[garments]]\n" + tomli_w.dumps(each) for each in garments),
+            tomli_w.dumps({"run": _written(self, _RUN, path.parent)}),
+        ]
+        replace_file(path, (_HEADING + "\n".join(sections)).encode())
         return path
 
 
