@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from pb4u.errors import InputError
-from pb4u.scene.author_mesh import Polygons
-from pb4u.scene.author_mesh import SourceTrack
+from pb4u.scene.author_mesh import Polygons, SourceTrack
 from pb4u.scene.trajectory import FORMAT_VERSION, Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
 
 
