@@ -24,8 +24,9 @@ from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import from_pretrained
+from pb4u.simulation.refinement import Refinement
 from pb4u.simulation.simulator import RunRecord
-from pb4u.simulation.step import Refinement, StepMethod, predictions
+from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_start import start_of
 from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 from pb4u.simulation.timeline import Timeline

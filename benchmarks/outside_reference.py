@@ -16,14 +16,13 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from pb4u.evaluation.metrics import measure
+from pb4u.evaluation.metrics import ENERGIES, measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.simulator import RunRecord
 
-ENERGIES = ("stretch", "bending", "collision", "gravity", "friction", "inertia", "total")
 WARM_UP = 3
 
 
@@ -80,9 +79,8 @@ def main() -> None:
 
             arguments.still.mkdir(parents=True, exist_ok=True)
             write_still(trajectory, arguments.still / f"{model}.png")
-    garment = scene.garments[0].garment
     print(
-        f"{arguments.garment} of {garment.triangle_count} triangles on {arguments.body}, {arguments.motion}, "
+        f"{arguments.garment} of {len(trajectory.faces)} triangles on {arguments.body}, {arguments.motion}, "
         f"{arguments.frames} frames after {scene.lead_in} of lead-in; {platform.processor() or platform.machine()}.\n"
     )
     print(table(columns))

@@ -49,16 +49,16 @@ def main() -> None:
     from pb4u.garment.garment_file import read_garment
     from pb4u.garment.library import build_garment, garment_names
     from pb4u.garment.material import load_material
-    from pb4u.garment.obj_file import write_obj
+    from pb4u.geometry.obj_file import write_obj
     from pb4u.motion.library import load_motion
 
     body = timed("body", lambda: load_body("woman"))
     if options.garment in garment_names():
         built: Garment = timed("garment cut (once)", lambda: build_garment(options.garment, body, options.triangles))
         file = Path(tempfile.mkdtemp()) / "garment.obj"
-        from pb4u.garment.garment import SourceMesh
+        from pb4u.geometry.mesh_file import PolygonMesh
 
-        write_obj(file, SourceMesh(built.vertices, tuple(built.faces)))
+        write_obj(file, PolygonMesh(built.vertices, tuple(built.faces)))
     else:
         file = Path(options.garment)
     worn = timed("garment file read", lambda: read_garment(file, load_material("default")))

@@ -25,10 +25,9 @@ from torch import Tensor
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
-from pb4u.evaluation.metrics import measure
+from pb4u.evaluation.metrics import ENERGIES, measure, strain_percentile
 from pb4u.garment.dressing import SkinnedPlacement
 from pb4u.garment.library import build_garment
-from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.motion.library import load_motion
 from pb4u.physics.contact.response import ContactResponse
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
@@ -47,7 +46,6 @@ from pb4u.simulation.timeline import Timeline
 
 DT = 1.0 / 30.0
 SETTLING_STEPS = 6
-TERMS = (*IncrementalPotential().names, "total")
 
 
 class Case:
@@ -129,7 +127,7 @@ def landing(garment: str, triangles: int, motion: str, frames: int) -> dict[str,
         metrics = measure(Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record)))[
             "metrics"
         ]
-        figures = {name: metrics[name]["mean"] for name in ("strain_p95", *TERMS)}
+        figures = {name: metrics[name]["mean"] for name in ("strain_p95", *ENERGIES)}
         figures["all but gravity"] = metrics["total"]["mean"] - metrics["gravity"]["mean"]
         figures["strain_p95, most"] = metrics["strain_p95"]["max"]
         figures["strain_p95, settled"] = metrics["strain_p95"]["per_frame"][0]
@@ -142,10 +140,9 @@ def landing(garment: str, triangles: int, motion: str, frames: int) -> dict[str,
 def measures(case: Case, step: StepPotential, x: Tensor) -> dict[str, float]:
     planes = step.contact_at(x)
     assert planes is not None
-    strain = face_strains(x, case.garments.faces, case.garments.inverse_rest_shape)
     depth = torch.where(planes.touchable, -planes.distance, 0.0)
     return {
-        "strain_p95": float(weighted_percentile(strain, case.garments.face_areas, 95.0)),
+        "strain_p95": strain_percentile(case.garments, x),
         "penetration_percent": 100.0 * float((depth > 1e-3).double().mean()),
         "depth_mm": 1e3 * max(0.0, float(depth.max())),
         **step.energies(x).floats(),

@@ -24,10 +24,10 @@ from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import with_settings
 from pb4u.training.distribution import workers
+from pb4u.training.journal import Reporter
 from pb4u.training.learner import MovingAverage
 from pb4u.training.packed_data import load_training_data
 from pb4u.training.presets import training_preset
-from pb4u.training.progress import Reporter
 from pb4u.training.trainer import Trainer
 from pb4u.training.windows import Window, WindowLoader
 

@@ -21,9 +21,8 @@ from filelock import FileLock, Timeout
 
 from pb4u.atomic_file import replace_file
 from pb4u.evaluation.floors import ratio, stored_floor
-from pb4u.evaluation.metrics import measure
-from pb4u.evaluation.paper_figures import TERMS
-from pb4u.evaluation.rollout_job import digest
+from pb4u.evaluation.metrics import ENERGIES, measure
+from pb4u.evaluation.rollout import digest
 from pb4u.garment.library import LEVELS
 from pb4u.scene.catalogue import SEEDS, TRAINING_GARMENTS, catalogue_scene
 from pb4u.scene.trajectory import Trajectory
@@ -98,7 +97,7 @@ def roll(model: str, clip: Clip, folder: Path) -> dict[str, Any]:
     return {
         "frames": trajectory.frame_count,
         "diverged": measured["diverged"] or record.failed_at is not None,
-        "energies": {term: metrics[term]["mean"] for term in TERMS},
+        "energies": {term: metrics[term]["mean"] for term in ENERGIES},
         "strain_p95": metrics["strain_p95"]["mean"],
         "inside": metrics["penetration_percent"]["max"],
         "deepest": metrics["penetration_depth_max"]["max"],

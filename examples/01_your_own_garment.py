@@ -19,8 +19,8 @@ import pb4u
 from pb4u.export.selection import on_source
 from pb4u.garment.diagnosis import diagnose
 from pb4u.garment.garment_file import read_source
-from pb4u.garment.obj_file import write_obj
 from pb4u.garment.repair import repair
+from pb4u.geometry.obj_file import write_obj
 
 
 def main() -> None:

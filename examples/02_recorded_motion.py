@@ -29,7 +29,7 @@ def main() -> None:
     crop = None if options.crop is None else (options.crop[0], options.crop[1])
 
     # Any recording is retargeted to any body: only directions of bones are taken from it, not their lengths.
-    motion = pb4u.load_motion(options.recording, crop=crop)
+    motion = pb4u.load_motion(options.recording, crop=crop, arms_away_degrees=options.arms_away)
     print(f"{options.recording}: {motion.duration:.2f} s, {motion.available_frames(30.0)} frames at 30 per second")
     for note in motion.notes:  # what was repaired while reading: a T-pose before the start, flipped joints ...
         print("note:", note)
@@ -41,10 +41,8 @@ def main() -> None:
         scene = pb4u.make_scene(
             options.garment,
             options.body,
-            options.recording,
+            motion,
             triangles=options.triangles,
-            crop=crop,
-            arms_away=options.arms_away,
             lead_in=30,
         )
     trajectory = pb4u.load_simulator(options.model).simulate(scene)

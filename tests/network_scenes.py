@@ -107,9 +107,8 @@ def accelerations(
     steps: int | tuple[int, ...] | None = None,
     dtype: torch.dtype = torch.float64,
     origin: Tensor | None = None,
-    fixed_shapes: bool = False,
 ) -> Tensor:
-    prepared = prepared_for(model, at, steps, dtype, fixed_shapes)
+    prepared = prepared_for(model, at, steps, dtype)
     extra = {
         feature.name: torch.zeros(at.garments.vertex_count, feature.width, dtype=dtype)
         for feature in model.network.layout.extra
@@ -122,7 +121,6 @@ def prepared_for(
     at: Moment,
     steps: int | tuple[int, ...] | None = None,
     dtype: torch.dtype = torch.float64,
-    fixed_shapes: bool = False,
 ) -> PreparedGarments:
-    prepared = model.prepare(at.garments, dtype=dtype, fixed_shapes=fixed_shapes)
+    prepared = model.prepare(at.garments, dtype=dtype)
     return prepared if steps is None else prepared.with_steps(steps)

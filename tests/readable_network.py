@@ -26,8 +26,6 @@ def perceptron(mlp: MLP, *parts: Tensor) -> Tensor:
 
 
 def add_up(messages: Tensor, edges: EdgeSet, count: int) -> Tensor:
-    if edges.mask is not None:
-        messages = messages * edges.mask
     zeros = torch.zeros(count, messages.shape[1], dtype=messages.dtype)
     return zeros.index_add(0, edges.receivers.index, messages)
 

@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from pb4u.evaluation.floors import FLOORS_FILE
-from pb4u.evaluation.metrics import measure
+from pb4u.evaluation.metrics import ENERGIES, measure
 from pb4u.garment.library import LEVELS
 from pb4u.scene.catalogue import catalogue_scene, scene_names
 from pb4u.scene.trajectory import Trajectory
@@ -31,10 +31,7 @@ def floor_of(name: str, triangles: int, frames: int, recordings: Path | None) ->
     measured = measure(trajectory)
     return {
         "triangles": len(trajectory.faces),
-        "energies": {
-            term: measured["metrics"][term]["mean"]
-            for term in ("stretch", "bending", "collision", "gravity", "friction", "inertia", "total")
-        },
+        "energies": {term: measured["metrics"][term]["mean"] for term in ENERGIES},
         "strain_p95": measured["metrics"]["strain_p95"]["mean"],
         "unsolved_steps": record.unsolved,
     }

@@ -19,11 +19,14 @@ __version__ = "0.1.0"
 _HOMES = {
     "Body": "pb4u.body.body_model:ShapedBody",
     "Garment": "pb4u.garment.garment:Garment",
+    "GarmentSpecification": "pb4u.scene.specification:GarmentSpecification",
     "InputError": "pb4u.errors:InputError",
     "Material": "pb4u.garment.material:Material",
     "Motion": "pb4u.motion.motion:Motion",
     "Pb4uError": "pb4u.errors:Pb4uError",
+    "RunSpecification": "pb4u.simulation.run_specification:RunSpecification",
     "Scene": "pb4u.scene.scene:Scene",
+    "SceneSpecification": "pb4u.scene.specification:SceneSpecification",
     "Simulator": "pb4u.simulation.simulator:Simulator",
     "Trajectory": "pb4u.scene.trajectory:Trajectory",
     "build_garment": "pb4u.garment.library:build_garment",
@@ -39,11 +42,14 @@ _HOMES = {
 __all__ = [
     "Body",
     "Garment",
+    "GarmentSpecification",
     "InputError",
     "Material",
     "Motion",
     "Pb4uError",
+    "RunSpecification",
     "Scene",
+    "SceneSpecification",
     "Simulator",
     "Trajectory",
     "build_garment",
@@ -70,8 +76,10 @@ if TYPE_CHECKING:
     from pb4u.motion.motion import Motion
     from pb4u.scene.assembly import make_scene
     from pb4u.scene.scene import Scene
+    from pb4u.scene.specification import GarmentSpecification, SceneSpecification
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.models import load_simulator
+    from pb4u.simulation.run_specification import RunSpecification
     from pb4u.simulation.simulator import Simulator
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+_LISTED = 20
+"""Names that a refusal lists at most: a line or two; the catalogue of scenes has thousands."""
+
 
 class Pb4uError(Exception):
     """The request failed or was refused; the message is one plain sentence saying what, where and how to mend."""
@@ -36,5 +39,6 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
     """
     names = list(known)
     near = get_close_matches(name.lower(), names, n=3, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names)}."
+    rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names[:_LISTED])}{rest}."
     return InputError(f"There is no {kind} {name!r}; {hint}")

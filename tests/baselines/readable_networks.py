@@ -37,7 +37,6 @@ def without(edges: EdgeSet, kept: Tensor) -> EdgeSet:
         senders=incidence(edges.senders.index[kept], edges.senders.node_count),
         receivers=incidence(edges.receivers.index[kept], edges.receivers.node_count),
         features=edges.features[kept],
-        runs=(),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -14,8 +14,7 @@ from tests.baselines.scenes import dented_moment, two_sheets
 from tests.network_scenes import DT, Moment, accelerations, moment, prepared_for, sheet
 
 from pb4u.baselines.contourcraft import ContourCraftConfiguration
-from pb4u.baselines.eslr import EslrConfiguration, GeodesicAttention
-from pb4u.baselines.geodesics import geodesic_landmarks
+from pb4u.baselines.eslr import EslrConfiguration, GeodesicAttention, geodesic_landmarks
 from pb4u.baselines.hood import HoodConfiguration, LevelsByLength
 from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.errors import InputError
@@ -25,6 +24,7 @@ from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.presets.networks import NETWORKS, mgn
 from pb4u.scene.packed import pack
 from pb4u.simulation.checkpoint import TrainingRecord, from_pretrained, save_checkpoint
+from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
 TINY = {
     "mgn": MeshGraphNetConfiguration(width=16, blocks=3),
@@ -122,7 +122,7 @@ def test_hood_reaches_48_mesh_edges(repeats, hops):
     """
     garment = strip(121)
     model = model_of(replace(TINY["hood"], width=8, repeats=repeats))
-    levels = model.network.rest_quantities(pack([garment]))["level"]
+    levels = model.network.derive(pack([garment])).rest["level"]
     near = torch.nonzero(levels == 1)[:, 0]
     middle = near[(near - 4 * 60).abs() < 12].tolist()
     reaches = [reach(model, garment, vertex) for vertex in middle]
@@ -132,7 +132,7 @@ def test_hood_reaches_48_mesh_edges(repeats, hops):
 def test_contourcraft_reaches_16_mesh_edges_a_block():
     garment = strip(141)
     model = model_of(ContourCraftConfiguration(width=8, blocks=3, level=3, radius=0.0))
-    levels = model.network.rest_quantities(pack([garment]))["level"]
+    levels = model.network.derive(pack([garment])).rest["level"]
     on_all = torch.nonzero(levels == 4)[:, 0]
     centre = int(on_all[(on_all - 4 * 70).abs().argmin()])
     felt, _, most = reach(model, garment, centre)
@@ -203,7 +203,7 @@ def test_propagation_steps_are_not_read(name):
 
 @every_method
 def test_runs_of_edges_without_gradients_give_what_whole_edges_give_with_them(name, monkeypatch):
-    monkeypatch.setattr("pb4u.graph.graph.receiver_runs.__defaults__", (100,))
+    monkeypatch.setattr("pb4u.graph.incidence.edge_runs.__defaults__", (100,))
     model, at = model_of(TINY[name]), dented_moment(two_sheets())
     whole = accelerations(model, at)
     with torch.inference_mode():
@@ -277,12 +277,24 @@ def test_what_sees_cloth_near_itself_answers_to_it_and_what_does_not_does_not():
         assert (float(change.detach()) > 1e-6) == feels
 
 
-def test_a_captured_step_is_refused_where_edges_come_and_go():
-    model, at = model_of(TINY["contourcraft"]), moment([sheet(5, 5)])
-    with pytest.raises(InputError, match="fixed shapes"):
-        prepared_for(model, at, fixed_shapes=True)
-    free, fixed = (accelerations(model_of(TINY["hood"]), at, fixed_shapes=fixed) for fixed in (False, True))
-    assert difference(free, fixed) < 1e-12
+@dataclass(frozen=True)
+class Pooling:
+    share: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class PooledConfiguration(MeshGraphNetConfiguration):
+    pooling: tuple[Pooling, ...] = (Pooling(), Pooling(0.25))
+
+
+def test_a_configuration_is_read_with_all_its_parts_once_a_preset_holds_it(monkeypatch):
+    written = configuration_to_json(PooledConfiguration(width=4))
+    with pytest.raises(InputError, match="unknown type"):
+        configuration_from_json(written)
+    monkeypatch.setitem(NETWORKS, "pooled", PooledConfiguration())
+    assert configuration_from_json(written) == PooledConfiguration(width=4)
+    with pytest.raises(InputError, match="describes a Pooling, not a network"):
+        configuration_from_json(written["pooling"][0])
 
 
 def test_senseless_configurations_are_refused():

@@ -9,12 +9,22 @@ from tests.baselines import readable_contours as readable
 from tests.baselines.scenes import dented, two_sheets
 from tests.network_scenes import sheet
 
-from pb4u.baselines.contact_losses import ContourLength, Ramp, Repulsion, squared_contour_length
-from pb4u.baselines.intersection_contours import ContourFinder
-from pb4u.baselines.near_pairs import near_pairs
-from pb4u.baselines.self_proximity import ATTRACTION, REPULSION, SelfProximity, SelfProximityEdges, facing_pairs
+from pb4u.baselines.self_contact import (
+    ATTRACTION,
+    REPULSION,
+    ContourLength,
+    PackProximity,
+    Ramp,
+    Repulsion,
+    SelfContactLoss,
+    SelfProximityEdges,
+    squared_contour_length,
+)
 from pb4u.garment.garment import Garment
-from pb4u.scene.packed import pack
+from pb4u.geometry.proximity.intersection_contours import ContourFinder
+from pb4u.geometry.proximity.near_pairs import near_pairs
+from pb4u.geometry.proximity.self_proximity import SelfProximity, facing_pairs
+from pb4u.scene.packed import PackedGarments, pack
 
 
 def shaken() -> tuple[np.ndarray, np.ndarray]:
@@ -27,6 +37,10 @@ def shaken() -> tuple[np.ndarray, np.ndarray]:
 def dent() -> tuple[np.ndarray, np.ndarray]:
     garment = two_sheets(6, 7)
     return dented(garment, width=0.025), garment.faces
+
+
+def edges_of(packed: PackedGarments) -> SelfProximityEdges:
+    return SelfProximityEdges(PackProximity(packed), 0.03)
 
 
 SHAPES = {"dent": dent, "shaken": shaken}
@@ -84,13 +98,13 @@ def test_vertices_over_faces_equal_the_readable_twin(shape):
 def test_who_has_passed_through_is_attracted_and_everyone_else_repelled():
     garment = two_sheets()
     vertices = dented(garment)
-    proximity = SelfProximity(garment.faces, len(vertices), 0.03)
-    facing = proximity.find(vertices)
+    proximity = SelfProximity(garment.faces, len(vertices))
+    facing = proximity.find(vertices, 0.03)
     half, through = len(vertices) // 2, vertices[:, 1] < 1.0
     of_upper = facing.vertices >= half
-    np.testing.assert_array_equal(facing.attracted[of_upper], through[facing.vertices[of_upper]])
-    assert 0 < facing.attracted.sum() < len(facing.vertices)
-    edges = SelfProximityEdges(pack([garment]), 0.03).find(torch.as_tensor(vertices))
+    np.testing.assert_array_equal(facing.passed[of_upper], through[facing.vertices[of_upper]])
+    assert 0 < facing.passed.sum() < len(facing.vertices)
+    edges = edges_of(pack([garment])).find(torch.as_tensor(vertices))
     for pairs in (edges[REPULSION].numpy(), edges[ATTRACTION].numpy()):
         assert len(pairs) == len(np.unique(pairs, axis=0)) > 0
         assert ((pairs[:, 0] < half) & (pairs[:, 1] >= half)).all()
@@ -99,10 +113,8 @@ def test_who_has_passed_through_is_attracted_and_everyone_else_repelled():
 def test_garments_of_a_pack_are_not_near_each_other():
     lower = two_sheets()
     upper = Garment("upper", lower.vertices + [0.0, 0.004, 0.0], lower.faces, lower.material)
-    together = SelfProximityEdges(pack([lower, upper]), 0.03).find(
-        torch.as_tensor(np.concatenate([lower.vertices, upper.vertices]))
-    )
-    alone = SelfProximityEdges(pack([lower]), 0.03).find(torch.as_tensor(lower.vertices))
+    together = edges_of(pack([lower, upper])).find(torch.as_tensor(np.concatenate([lower.vertices, upper.vertices])))
+    alone = edges_of(pack([lower])).find(torch.as_tensor(lower.vertices))
     count = len(lower.vertices)
     expected = np.concatenate([alone[REPULSION].numpy(), alone[REPULSION].numpy() + count])
     np.testing.assert_array_equal(together[REPULSION].numpy(), expected)
@@ -152,16 +164,16 @@ def test_repulsion_counts_what_comes_within_3_mm_of_the_side_it_was_on():
     packed = pack([garment])
     before = torch.as_tensor(garment.vertices)
     half = len(before) // 2
-    loss = Repulsion(weight=Ramp(0.2, 0.6, 8.0))
+    loss = SelfContactLoss(Repulsion(weight=Ramp(0.2, 0.6, 8.0)), PackProximity(packed))
 
     def at(gap: float, progress: float = 1.0) -> torch.Tensor:
         after = before.clone()
         after[half:, 1] = 1.0 + gap
-        return loss.energies(packed, before, after.requires_grad_(True), progress)[0]
+        return loss.energies(before, after.requires_grad_(True), progress)[0]
 
     assert float(at(0.0031).detach()) == 0.0
     # Every vertex of one sheet over a face of the other, once each way, at the same depth.
-    facing = SelfProximity(garment.faces, len(before), 0.01).find(garment.vertices)
+    facing = SelfProximity(garment.faces, len(before)).find(garment.vertices, 0.01)
     area = packed.vertex_areas[torch.as_tensor(facing.vertices)].sum()
     for gap in (0.002, -0.001):
         torch.testing.assert_close(at(gap), 8.0 * area / 1.6e-4 * (0.003 - gap) ** 3)
@@ -174,8 +186,9 @@ def test_losses_are_given_garment_by_garment():
     after = torch.as_tensor(np.concatenate([still.vertices, dented(through)]))
     before = torch.as_tensor(np.concatenate([still.vertices, through.vertices]))
     packed = pack([still, through])
-    for loss in (ContourLength(), Repulsion()):
-        energies = loss.energies(packed, before, after, 1.0)
+    proximity = PackProximity(packed)
+    for loss in (SelfContactLoss(kind, proximity) for kind in (ContourLength(), Repulsion())):
+        energies = loss.energies(before, after, 1.0)
         assert energies.shape == (2,)
         assert float(energies[0]) == 0.0 < float(energies[1])
-        torch.testing.assert_close(loss.energies(packed, before, after, 0.0), torch.zeros(2, dtype=torch.float64))
+        torch.testing.assert_close(loss.energies(before, after, 0.0), torch.zeros(2, dtype=torch.float64))

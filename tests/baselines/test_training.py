@@ -11,6 +11,7 @@ from tests.training.ball_data import TINY as TINY_TRAINING
 from tests.training.listening import Listener, made
 
 from pb4u.baselines.meshgraphnet import MeshGraphNet, MeshGraphNetConfiguration
+from pb4u.nn.acceleration_model import Derived
 from pb4u.simulation.checkpoint import load_checkpoint
 from pb4u.training.configuration import TrainingConfiguration, training_from_json, training_to_json, with_settings
 
@@ -36,13 +37,17 @@ class Pull:
 
     name = "pull"
 
-    def energies(self, garments, before, after, progress):
-        return 1e6 * ((after[:, 1] - before[:, 1] - 0.02) ** 2).mean()[None] * torch.ones(garments.garment_count)
+    def __init__(self, garments):
+        self.garments = garments
+
+    def energies(self, before, after, progress):
+        pulled = ((after[:, 1] - before[:, 1] - 0.02) ** 2).mean()
+        return 1e6 * pulled[None] * torch.ones(self.garments.garment_count)
 
 
 class PulledNetwork(MeshGraphNet):
-    def further_losses(self):
-        return (Pull(),)
+    def derive(self, garments):
+        return Derived(losses=(Pull(garments),))
 
 
 class PulledConfiguration(MeshGraphNetConfiguration):

@@ -1,12 +1,11 @@
 import numpy as np
 import torch
 
-from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.body.skeleton import PoseSequence, Skeleton, joint_positions
 from pb4u.body.skinning import (
     SkinnedSurface,
     SkinningWeights,
     bone_transforms,
-    joint_positions,
     skin,
     strongest_influences,
 )

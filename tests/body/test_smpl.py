@@ -10,8 +10,7 @@ import scipy.sparse
 import torch
 
 from pb4u.body.library import load_body
-from pb4u.body.skeleton import PoseSequence
-from pb4u.body.skinning import joint_positions
+from pb4u.body.skeleton import PoseSequence, joint_positions
 from pb4u.body.smpl import JOINT_NAMES, SmplBody
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply

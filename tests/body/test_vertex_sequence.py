@@ -238,7 +238,7 @@ def test_a_huge_body_is_refused_before_it_is_parsed(
 ) -> None:
     path = tmp_path / "scan.obj"
     path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"f 1 2 3\n" * 1_000_001)
-    monkeypatch.setattr("pb4u.body.surface_file._read_obj", lambda _: pytest.fail("the file was parsed"))
+    monkeypatch.setattr("pb4u.geometry.obj_file.read_obj", lambda _: pytest.fail("the file was parsed"))
     for asked in (path, tmp_path):
         with pytest.raises(InputError, match=r"scan\.obj has 1,000,001 triangles or more.*decimate it"):
             load_vertex_sequence(asked)

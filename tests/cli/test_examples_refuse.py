@@ -19,6 +19,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
         ("03_choose_a_resolution.py", ("--model", "absent.safetensors"), "no model file absent.safetensors"),
         ("04_change_the_material.py", ("--materials", "absent.json"), "absent.json"),
         ("05_compare_with_the_solver.py", ("--model", "absent.safetensors"), "no model file absent.safetensors"),
+        ("07_scene_file.py", ("--garments", "tshirt", "tshirt"), "tshirt is worn twice"),
         ("06_into_blender.py", ("--trajectory", "absent.npz"), "no trajectory file absent.npz"),
     ],
 )

@@ -13,8 +13,8 @@ from tests.garment.cloth_shapes import saved, triangle_tube
 
 import pb4u as package
 from pb4u.body.library import load_body
-from pb4u.garment.garment import SourceMesh
-from pb4u.garment.obj_file import read_obj
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.obj_file import read_obj
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import SkinningSimulator
@@ -153,7 +153,7 @@ def test_bake_without_its_extra_says_what_for(pb4u: Callable, tmp_path: Path, mo
 def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_path: Path) -> None:
     mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
     extra = (np.array([500, 501, 0]), mesh.polygons[7])
-    file = saved(tmp_path, SourceMesh(mesh.vertices, (*mesh.polygons, *extra)))
+    file = saved(tmp_path, PolygonMesh(mesh.vertices, (*mesh.polygons, *extra)))
     ended = pb4u("check", file, "--fix", tmp_path / "m.obj", "--json", tmp_path / "r.json")
     assert ended.code == 1
     assert "m.obj would still be refused" in ended.err
@@ -168,7 +168,7 @@ def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_pat
 
 def test_a_mend_that_leaves_nothing_ends_with_0(pb4u: Callable, tmp_path: Path) -> None:
     mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
-    file = saved(tmp_path, SourceMesh(100.0 * mesh.vertices, mesh.polygons))
+    file = saved(tmp_path, PolygonMesh(100.0 * mesh.vertices, mesh.polygons))
     ended = pb4u("check", file, "--body", "man", "--fix", tmp_path / "m.obj")
     assert ended.code == 0, ended.err
     assert "refused: The garment is in centimetres" in ended.out

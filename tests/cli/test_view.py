@@ -38,7 +38,7 @@ def test_it_serves_the_page_on_this_machine_only(
             outside.connect((_address_of_this_machine(), port))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pb4u.cli.view.wait", interrupted)
+    monkeypatch.setattr("pb4u.cli.trajectory_verbs.wait", interrupted)
     ended = pb4u("view", saved, saved, "--port", 0, "--no-browser")
     assert ended.code == 0, ended.err
     assert b"<html" in bytes(seen["page"])  # type: ignore[call-overload]

@@ -8,8 +8,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from pb4u.evaluation.rollout import Refused, Rolled
-from pb4u.evaluation.rollout_job import ModelRecord, RolloutJob, SceneRecord, Settings
+from pb4u.evaluation.rollout import Failure, ModelRecord, Rollout, RolloutJob, SceneRecord, Settings
 
 
 def job(motion: str, log: Path | str = "log", model: str = "skinning", **scene: object) -> RolloutJob:
@@ -18,7 +17,7 @@ def job(motion: str, log: Path | str = "log", model: str = "skinning", **scene: 
     return RolloutJob(SceneRecord(motion=motion, **fields), ModelRecord(model, model), Settings())
 
 
-def attempt(asked: RolloutJob) -> Rolled | Refused:
+def attempt(asked: RolloutJob) -> Rollout | Failure:
     """Motions say what happens: "dies-once" and "dies" kill their worker, "refused" comes back as a sentence."""
     motion, log = asked.scene.motion, Path(asked.scene.body)
     begun_before = f"begin {motion}" in noted(log)
@@ -27,9 +26,9 @@ def attempt(asked: RolloutJob) -> Rolled | Refused:
     if motion == "dies" or (motion == "dies-once" and not begun_before):
         os.kill(os.getpid(), signal.SIGKILL)
     if motion == "refused":
-        return Refused("It is refused.", "")
+        return Failure("It is refused.", "")
     note(log, f"end {motion}")
-    return Rolled({"motion": motion, "worker": os.getpid()}, None)
+    return Rollout({"motion": motion, "worker": os.getpid()}, None)
 
 
 def note(log: Path, line: str) -> None:

@@ -9,7 +9,8 @@ import pytest
 import trimesh
 from ball_scene import sheet
 
-from pb4u.evaluation.metrics import measure
+from pb4u.errors import InputError
+from pb4u.evaluation.metrics import ENERGIES, first_diverged, measure
 from pb4u.garment.material import Material
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
@@ -93,3 +94,89 @@ def test_open_body_reports_no_penetration() -> None:
     trajectory = trajectory_of(np.stack([REST + [0, 5.0, 0]] * 2))
     opened = replace(trajectory.header, body_faces=trajectory.header.body_faces[5:])
     assert "penetration_percent" not in measure(replace(trajectory, header=opened))["metrics"]
+
+
+HEAVY = Material(density=0.5, lame_mu=40000.0, lame_lambda=50000.0, bending=2e-4, thickness=1e-3)
+
+
+def two_garments(outer: np.ndarray, inner: np.ndarray) -> tuple[Trajectory, list[Trajectory]]:
+    """A trajectory of two sheets, the inner of another material, and one of each alone."""
+    alone = [trajectory_of(outer), trajectory_of(inner)]
+    alone[1] = replace(alone[1], header=alone[1].header.with_metadata(material=asdict(HEAVY)))
+    header, vertices, triangles = alone[0].header, outer.shape[1], len(alone[0].faces)
+    entries = [
+        {
+            "name": name,
+            "material": asdict(material),
+            "vertices": [g * vertices, (g + 1) * vertices],
+            "triangles": [g * triangles, (g + 1) * triangles],
+            "source": f"{name}.obj",
+        }
+        for g, (name, material) in enumerate([("outer", MATERIAL), ("inner", HEAVY)])
+    ]
+    both = replace(
+        header.with_metadata(garments=entries),
+        faces=np.concatenate([header.faces, header.faces + vertices]),
+        rest_positions=np.tile(header.rest_positions, (2, 1)),
+        pinned=np.tile(header.pinned, 2),
+        vertex_garment=np.repeat(np.arange(2, dtype=np.int32), vertices),
+    )
+    positions = np.concatenate([each.positions for each in alone], axis=1)
+    velocities = np.concatenate([each.velocities for each in alone], axis=1)
+    return Trajectory(both, positions, velocities, alone[0].body_positions), alone
+
+
+def test_each_of_two_garments_is_measured_as_it_is_alone_and_energies_add_up() -> None:
+    # The outer lies stretched on the ball's top, the inner has sunk into it and slides.
+    outer = np.stack([1.1 * REST + [0, 0.2, 0]] * 3)
+    inner = np.stack([0.4 * REST + [0.01 * t, 0.15, 0] for t in range(3)])
+    trajectory, alone = two_garments(outer, inner)
+    measured = measure(trajectory)
+    singles = [measure(each) for each in alone]
+    assert [each["name"] for each in measured["garments"]] == ["outer", "inner"]
+    for each, single in zip(measured["garments"], singles, strict=True):
+        assert set(each["metrics"]) == {*ENERGIES, "strain_p95", "strain_max"}
+        for name, series in each["metrics"].items():
+            assert series["per_frame"] == pytest.approx(single["metrics"][name]["per_frame"], rel=1e-9), name
+    for table in ("metrics", "metrics_paper"):
+        assert measured[table]["collision"]["mean"] > singles[0][table]["collision"]["mean"]
+        for name in ENERGIES:
+            summed = sum(single[table][name]["mean"] for single in singles)
+            assert measured[table][name]["mean"] == pytest.approx(summed, rel=1e-9), (table, name)
+    strains = [single["metrics"]["strain_max"]["mean"] for single in singles]
+    assert measured["metrics"]["strain_max"]["mean"] == pytest.approx(max(strains))
+    inside = [single["metrics"]["penetration_percent"]["mean"] for single in singles]
+    assert measured["metrics"]["penetration_percent"]["mean"] == pytest.approx(sum(inside) / 2)
+
+
+def test_a_run_diverged_where_one_of_its_garments_did() -> None:
+    still = np.stack([REST + [0, 5.0, 0]] * 4)
+    fallen, stretched = still.copy(), still.copy()
+    fallen[2:, :, 1] -= 0.6
+    stretched[1:] *= 1.7
+    centres = np.stack([still.mean(axis=1)] * 2, axis=1)
+    for outer, inner, found in ((still, fallen, [None, 2]), (stretched, fallen, [1, 2]), (still, still, [None, None])):
+        trajectory, _ = two_garments(outer, inner)
+        measured = measure(trajectory, centres)
+        assert [each["diverged_at"] for each in measured["garments"]] == found
+        first = min((t for t in found if t is not None), default=None)
+        assert (measured["diverged"], measured["diverged_at"]) == (first is not None, first)
+        assert first_diverged(trajectory, centres) == first
+    broken = still.copy()
+    broken[3, 0, 1] = np.nan
+    trajectory, _ = two_garments(still, broken)
+    assert [each["diverged_at"] for each in measure(trajectory)["garments"]] == [None, 3]
+
+
+def test_a_file_of_one_garment_reads_as_a_list_of_one() -> None:
+    measured = measure(trajectory_of(np.stack([1.1 * REST + [0, 0.2, 0]] * 2)))
+    (alone,) = measured["garments"]
+    assert alone["metrics"] == {name: measured["metrics"][name] for name in alone["metrics"]}
+    assert set(alone["metrics"]) >= set(ENERGIES)
+
+
+@pytest.mark.parametrize("metadata", [{}, {"garments": [{"name": "skirt"}]}, {"material": "silk"}])
+def test_garments_of_unknown_material_are_refused(metadata: dict) -> None:
+    trajectory = trajectory_of(np.stack([REST] * 2))
+    with pytest.raises(InputError, match="do not say what its garments are made of"):
+        measure(replace(trajectory, header=replace(trajectory.header, metadata=metadata)))

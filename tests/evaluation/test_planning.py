@@ -12,7 +12,7 @@ from pb4u.errors import InputError
 from pb4u.evaluation.floors import stored_floor
 from pb4u.evaluation.planning import Request, plan
 from pb4u.evaluation.protocols import PROTOCOLS
-from pb4u.evaluation.rollout_job import RolloutJob
+from pb4u.evaluation.rollout import RolloutJob
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.model.propagation_control import FixedSteps
 from pb4u.nn.acceleration_model import AccelerationModel

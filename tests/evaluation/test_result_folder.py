@@ -11,7 +11,7 @@ from tests.evaluation.quick_rollouts import job
 from pb4u.errors import InputError, Pb4uError
 from pb4u.evaluation import result_folder
 from pb4u.evaluation.result_folder import ResultFolder
-from pb4u.evaluation.rollout import Refused, Rolled
+from pb4u.evaluation.rollout import Failure, Rollout
 
 JOB = job("walk")
 
@@ -23,7 +23,7 @@ def opened(path: Path, protocol: str = "resolution") -> ResultFolder:
 def kept(path: Path) -> Path:
     with opened(path) as folder:
         folder.write_manifest("resolution", {}, (JOB,))
-        folder.keep(JOB, Rolled({"value": 1.5}, b"frame"))
+        folder.keep(JOB, Rollout({"value": 1.5}, b"frame"))
     return path / "jobs" / f"{JOB.key}.json"
 
 
@@ -65,15 +65,15 @@ def test_what_a_killed_run_had_begun_to_write_is_swept_away(tmp_path: Path) -> N
 
 def test_failures_are_kept_until_they_are_forgotten_or_mended(tmp_path: Path) -> None:
     with opened(tmp_path / "run") as folder:
-        folder.note_failure(JOB, Refused("No garment.", "trace"))
+        folder.note_failure(JOB, Failure("No garment.", "trace"))
     with opened(tmp_path / "run") as folder:
         failure = folder.failure(JOB)
         assert failure is not None
-        assert (failure.job, failure.sentence) == (str(JOB), "No garment.")
+        assert failure == Failure("No garment.", "trace")
         folder.forget_failure(JOB)
         assert folder.failure(JOB) is None
-        folder.note_failure(JOB, Refused("No garment.", "trace"))
-        folder.keep(JOB, Rolled({}, None))
+        folder.note_failure(JOB, Failure("No garment.", "trace"))
+        folder.keep(JOB, Rollout({}, None))
         assert folder.failure(JOB) is None
 
 
@@ -119,4 +119,4 @@ def test_a_disk_that_refuses_is_a_sentence(tmp_path: Path, monkeypatch: pytest.M
     with opened(tmp_path / "run") as folder:
         monkeypatch.setattr(result_folder, "replace_file", full)
         with pytest.raises(Pb4uError, match="No space left on device; what is done is kept"):
-            folder.keep(JOB, Rolled({}, None))
+            folder.keep(JOB, Rollout({}, None))

@@ -14,7 +14,7 @@ import pytest
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
-from pb4u.garment.obj_file import read_obj
+from pb4u.geometry.obj_file import read_obj
 from pb4u.scene.trajectory import Trajectory
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -112,3 +112,12 @@ def test_into_blender(example: Run, tmp_path: Path) -> None:
     if subprocess.run([python, "-c", "import bpy"], capture_output=True).returncode == 0:
         ended = subprocess.run([python, tmp_path / "skirt_in_blender.py"], capture_output=True, text=True)
         assert ended.returncode == 0, ended.stderr
+
+
+def test_scene_file(example: Run, tmp_path: Path) -> None:
+    said = example("07_scene_file.py", "--model", "skinning", *TINY, "--materials", "silk", "wool")
+    assert "scene_silk.toml: 6 frames in silk" in said
+    written = [Trajectory.open(tmp_path / f"scene_{name}.npz").metadata["material"] for name in ("silk", "wool")]
+    assert [material["density"] for material in written] == pytest.approx([0.06, 0.28])
+    assert 'material = "wool"' in (tmp_path / "scene_wool.toml").read_text()
+    assert "pb4u simulate scene_wool.toml" in said

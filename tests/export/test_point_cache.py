@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.export.readers import assert_obj, mdd_frames, pc2_frames
 
-from pb4u.body.point_cache import read_point_cache
+from pb4u.body.vertex_sequence import load_vertex_sequence
 from pb4u.errors import InputError
 from pb4u.export.registry import export
 from pb4u.export.selection import on_source
@@ -25,7 +25,7 @@ def test_mdd_holds_every_vertex_of_every_frame_and_the_times(trajectory: Traject
     times, frames = mdd_frames(tmp_path / "walk.mdd")
     np.testing.assert_array_equal(frames, trajectory.positions)
     np.testing.assert_allclose(times, np.arange(12) / 25, atol=1e-7)
-    assert read_point_cache(tmp_path / "walk.mdd").fps == pytest.approx(25.0, rel=1e-5)
+    assert load_vertex_sequence(tmp_path / "walk.mdd").fps == pytest.approx(25.0, rel=1e-5)
 
 
 @pytest.mark.parametrize("suffix", [".pc2", ".mdd"])

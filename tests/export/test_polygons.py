@@ -11,9 +11,8 @@ import pytest
 
 from pb4u.export.registry import export
 from pb4u.export.selection import on_source
-from pb4u.garment.obj_file import read_obj
-from pb4u.scene.author_mesh import Polygons
-from pb4u.scene.author_mesh import SourceTrack
+from pb4u.geometry.obj_file import read_obj
+from pb4u.scene.author_mesh import Polygons, SourceTrack
 from pb4u.scene.trajectory import Trajectory
 
 POLYGONS = [[4, 2, 0], [1, 3, 4, 0], [0, 1, 2, 3, 4]]

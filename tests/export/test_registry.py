@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from pkgutil import resolve_name
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from tests.export.readers import pc2_frames
 from pb4u.errors import InputError, InputWarning, MissingExtraError
 from pb4u.export.finite_frames import hold_finite
 from pb4u.export.picture import View, render
-from pb4u.export.registry import WRITERS, check_target, export, written_files
+from pb4u.export.registry import FORMATS, WRITERS, check_target, export, written_files
 from pb4u.scene.trajectory import Trajectory
 
 DATA_SUFFIXES = [".npz", ".obj", ".pc2", ".mdd", ".usdc", ".usda", ".usdz", ".glb"]
@@ -36,6 +38,19 @@ def small_disk() -> Iterator[None]:
 def skip_without_usd(suffix: str) -> None:
     if suffix.startswith(".usd"):
         pytest.importorskip("pxr", reason='the "usd" extra is not installed')
+
+
+def test_a_format_is_known_without_importing_its_writer_and_names_functions_that_there_are() -> None:
+    heavy = "{'numpy', 'torch', 'PIL', 'pxr'} & set(sys.modules)"
+    told = subprocess.run(
+        [sys.executable, "-c", f"import sys, pb4u.export.registry as r; print(r.formats_help()); assert not {heavy}"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert all(suffix in told for suffix in WRITERS)
+    for form in FORMATS:
+        assert all(callable(resolve_name(name)) for name in (form.writer, form.check, form.files) if name)
 
 
 def test_an_unknown_suffix_lists_the_known(trajectory: Trajectory, tmp_path: Path) -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.garment.obj_file import write_obj
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.obj_file import write_obj
 
 CLOTH = Material(density=0.2, lame_mu=2e4, lame_lambda=3e4, bending=1e-5)
 
@@ -33,7 +34,7 @@ def tube_arrays(
     return vertices, np.concatenate([quads, quads[:, ::-1] + around], axis=1)
 
 
-def quad_tube(**shape: float) -> SourceMesh:
+def quad_tube(**shape: float) -> PolygonMesh:
     """A tube of quads with a UV seam: one column more of UVs than of vertices."""
     vertices, quads = tube_arrays(**shape)  # type: ignore[arg-type]
     around = int(quads[0, 3])
@@ -42,23 +43,23 @@ def quad_tube(**shape: float) -> SourceMesh:
     u, v = np.meshgrid(np.linspace(0, 1, around + 1), np.linspace(0, 1, rows + 1))
     first = row * (around + 1) + column
     uv_quads = np.stack([first, first + 1, first + around + 2, first + around + 1], axis=1)
-    return SourceMesh(vertices, tuple(quads), np.stack([u.ravel(), v.ravel()], axis=1), tuple(uv_quads))
+    return PolygonMesh(vertices, tuple(quads), np.stack([u.ravel(), v.ravel()], axis=1), tuple(uv_quads))
 
 
-def triangle_tube(**shape: float) -> SourceMesh:
+def triangle_tube(**shape: float) -> PolygonMesh:
     """The same tube of triangles, without UVs."""
     vertices, quads = tube_arrays(**shape)  # type: ignore[arg-type]
-    return SourceMesh(vertices, tuple(np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])))
+    return PolygonMesh(vertices, tuple(np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])))
 
 
-def with_open_seam(mesh: SourceMesh, around: int = 40) -> SourceMesh:
+def with_open_seam(mesh: PolygonMesh, around: int = 40) -> PolygonMesh:
     """A tube of triangles whose last column has border vertices of its own, on top of the first column's."""
     faces = np.stack(mesh.polygons)
     column = faces % around
     wraps = np.ptp(column, axis=1) > 2
     first = np.arange(0, len(mesh.vertices), around)
     faces[wraps] = np.where(column[wraps] == 0, len(mesh.vertices) + faces[wraps] // around, faces[wraps])
-    return SourceMesh(np.concatenate([mesh.vertices, mesh.vertices[first]]), tuple(faces))
+    return PolygonMesh(np.concatenate([mesh.vertices, mesh.vertices[first]]), tuple(faces))
 
 
 def tube_garment(**shape: float) -> Garment:
@@ -67,7 +68,7 @@ def tube_garment(**shape: float) -> Garment:
     return Garment("tube", mesh.vertices, np.stack(mesh.polygons), CLOTH)
 
 
-def saved(folder: Path, mesh: SourceMesh, name: str = "tube.obj") -> Path:
+def saved(folder: Path, mesh: PolygonMesh, name: str = "tube.obj") -> Path:
     """The mesh as a file."""
     path = folder / name
     write_obj(path, mesh)

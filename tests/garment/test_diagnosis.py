@@ -9,9 +9,9 @@ from cloth_shapes import quad_tube, triangle_tube, tube_garment
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.diagnosis import Severity, diagnose, require_worn
-from pb4u.garment.garment import SourceMesh
 from pb4u.garment.library import build_garment
 from pb4u.garment.pins import resolve_pins
+from pb4u.geometry.mesh_file import PolygonMesh
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def finding(diagnosis, code):
 
 def test_a_sound_garment_has_nothing_to_mend(woman):
     shirt = build_garment("tshirt", woman, 600)
-    diagnosis = diagnose(SourceMesh(shirt.vertices, tuple(shirt.faces)), woman)
+    diagnosis = diagnose(PolygonMesh(shirt.vertices, tuple(shirt.faces)), woman)
     assert diagnosis.codes == ()
     assert not diagnosis.is_refused
     assert diagnosis.measures["boundary_loops"] == 4
@@ -54,7 +54,7 @@ def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
 
 def test_support_is_looked_for_where_the_garment_belongs(woman):
     shirt = build_garment("tshirt", woman, 600)
-    low = SourceMesh(100.0 * (shirt.vertices - [0.0, woman.lift, 0.0]), tuple(shirt.faces))
+    low = PolygonMesh(100.0 * (shirt.vertices - [0.0, woman.lift, 0.0]), tuple(shirt.faces))
     assert "units" in diagnose(low, woman).codes
     assert "unsupported" not in diagnose(low, woman).codes
 
@@ -64,7 +64,7 @@ def test_every_fault_of_the_mesh_is_named_with_its_place():
     faces = np.stack(mesh.polygons)
     faces[11] = faces[11][::-1]
     extra = (np.array([500, 501, 0]), faces[7], np.array([9, 9, 10]))
-    diagnosis = diagnose(SourceMesh(np.concatenate([mesh.vertices, [[0, 2, 0.0]]]), (*faces, *extra)))
+    diagnosis = diagnose(PolygonMesh(np.concatenate([mesh.vertices, [[0, 2, 0.0]]]), (*faces, *extra)))
     assert diagnosis.is_refused
     assert diagnosis.findings[0].severity is Severity.REFUSED
     shared = finding(diagnosis, "non-manifold")
@@ -82,7 +82,7 @@ def test_every_fault_of_the_mesh_is_named_with_its_place():
 
 def test_pieces_and_polygons():
     mesh = quad_tube()
-    two = SourceMesh(
+    two = PolygonMesh(
         np.concatenate([mesh.vertices, mesh.vertices * [2.0, 1.0, 2.0]]),
         mesh.polygons + tuple(p + len(mesh.vertices) for p in mesh.polygons),
     )
@@ -95,7 +95,7 @@ def test_a_solidified_shell_is_double(woman):
     mesh = triangle_tube()
     shell = mesh.vertices * [0.985, 1.0, 0.985]
     inner = tuple(p[::-1] + len(mesh.vertices) for p in mesh.polygons)
-    diagnosis = diagnose(SourceMesh(np.concatenate([mesh.vertices, shell]), mesh.polygons + inner))
+    diagnosis = diagnose(PolygonMesh(np.concatenate([mesh.vertices, shell]), mesh.polygons + inner))
     assert "double-layer" in diagnosis.codes
     assert "double-layer" not in diagnose(mesh).codes
 

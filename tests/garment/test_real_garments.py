@@ -10,8 +10,8 @@ from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.diagnosis import diagnose, require_worn
 from pb4u.garment.garment_file import read_garment, read_source
-from pb4u.garment.obj_file import write_obj
 from pb4u.garment.repair import repair
+from pb4u.geometry.obj_file import write_obj
 
 NAMES = (
     "croptop_f_lod1", "longsleeve_m_lod0", "longsleeve_m_lod1", "pants_f_lod0", "pants_f_lod1", "shorts_f_lod0",

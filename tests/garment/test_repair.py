@@ -7,9 +7,8 @@ from cloth_shapes import quad_tube, triangle_tube, tube_garment, with_open_seam
 from pb4u.body.library import load_body
 from pb4u.garment.diagnosis import diagnose
 from pb4u.garment.fit import AXES, RestBody
-from pb4u.garment.garment import SourceMesh
-from pb4u.garment.push_out import CLEARANCE, push_out
-from pb4u.garment.repair import repair
+from pb4u.garment.repair import CLEARANCE, push_out, repair
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths
 
 
@@ -45,7 +44,7 @@ def test_faults_of_the_mesh_are_mended_without_a_body():
     polygons = list(torn.polygons)
     polygons[11] = polygons[11][::-1]
     polygons += [polygons[7], np.array([9, 9, 10])]
-    broken = SourceMesh(np.concatenate([torn.vertices, [[0.0, 0.7, 0.4]]]), tuple(polygons))
+    broken = PolygonMesh(np.concatenate([torn.vertices, [[0.0, 0.7, 0.4]]]), tuple(polygons))
     assert {"unwelded", "duplicate", "degenerate", "orientation"} <= set(diagnose(broken).codes)
     mended, said = repair(broken)
     assert diagnose(mended).codes == ()
@@ -57,7 +56,7 @@ def test_faults_of_the_mesh_are_mended_without_a_body():
 
 def test_a_seam_whose_weld_would_join_three_faces_stays_open():
     vertices = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 1.0]])
-    mesh = SourceMesh(vertices, (np.array([0, 1, 3]), np.array([1, 0, 2]), np.array([4, 5, 6])))
+    mesh = PolygonMesh(vertices, (np.array([0, 1, 3]), np.array([1, 0, 2]), np.array([4, 5, 6])))
     mended, said = repair(mesh)
     assert len(mended.vertices) == 7
     assert "left open" in said[0]

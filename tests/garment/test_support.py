@@ -6,11 +6,10 @@ from cloth_shapes import saved
 
 from pb4u.body.library import load_body
 from pb4u.garment.diagnosis import diagnose
-from pb4u.garment.fit import RestBody
-from pb4u.garment.garment import SourceMesh
+from pb4u.garment.fit import LEAST_AREA, RestBody, is_held_up, resting_area
 from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import build_garment, garment_names
-from pb4u.garment.support import LEAST_AREA, is_held_up, resting_area
+from pb4u.geometry.mesh_file import PolygonMesh
 
 FALLS = {"skirt", "trousers"}
 
@@ -21,7 +20,7 @@ def woman():
 
 
 def source_of(garment):
-    return SourceMesh(garment.vertices, tuple(garment.faces))
+    return PolygonMesh(garment.vertices, tuple(garment.faces))
 
 
 @pytest.mark.parametrize("name", garment_names())

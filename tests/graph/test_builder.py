@@ -11,7 +11,7 @@ from tests.network_scenes import COTTON, DT, moment, placed, sheet
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.triangle_mesh import vertex_normals
-from pb4u.graph.builder import graph_builder
+from pb4u.graph.builder import GraphBuilder
 from pb4u.graph.features import (
     MESH_EDGE_FEATURES,
     NODE_FEATURES,
@@ -20,6 +20,7 @@ from pb4u.graph.features import (
     FeatureLayout,
     total_width,
 )
+from pb4u.graph.garment_graph import garment_graph
 from pb4u.graph.graph import NodeType
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.scene.packed import pack
@@ -29,8 +30,12 @@ def built(at, layout=None, rule=None, **options):
     build_options = {key: options.pop(key) for key in ("origin", "extra") if key in options}
     dt = options.pop("dt", DT)
     layout = layout or FeatureLayout()
-    builder = graph_builder(at.garments, layout, rule or WorldEdgeRule(), torch.float64, **options)
+    builder = builder_of(at.garments, layout, rule or WorldEdgeRule(), **options)
     return builder.build(at.state, at.collider, dt, **build_options)
+
+
+def builder_of(packed, layout, rule, further_edges=None):
+    return GraphBuilder(garment_graph(packed, layout.material_range, torch.float64, further_edges), layout, rule)
 
 
 def columns(features, layout_columns):
@@ -41,20 +46,20 @@ def columns(features, layout_columns):
 
 def test_the_paper_layout_has_11_9_and_with_the_type_20_columns():
     layout = FeatureLayout()
-    assert total_width(layout.node_columns) + 9 == 20
-    assert total_width(layout.mesh_edge_columns) == 11
-    assert total_width(layout.world_edge_columns) == 9
+    assert total_width(layout.columns("node")) + 9 == 20
+    assert total_width(layout.columns("mesh_edge")) == 11
+    assert total_width(layout.columns("world_edge")) == 9
     bare = FeatureLayout(mesh_edge=("direction", "rest_direction", "length_ratio"))
-    assert total_width(bare.mesh_edge_columns) == 7
+    assert total_width(bare.columns("mesh_edge")) == 7
 
 
 def test_every_feature_of_the_tables_can_be_made_in_its_width():
     layout = FeatureLayout(tuple(NODE_FEATURES), tuple(MESH_EDGE_FEATURES), tuple(WORLD_EDGE_FEATURES))
     graph = built(moment([sheet(6, 7)]), layout)
     for node_set in graph.nodes.values():
-        assert node_set.features.shape[1] == total_width(layout.node_columns)
-    assert graph.edges["mesh"].features.shape[1] == total_width(layout.mesh_edge_columns)
-    assert graph.edges["body_to_garment"].features.shape[1] == total_width(layout.world_edge_columns)
+        assert node_set.features.shape[1] == total_width(layout.columns("node"))
+    assert graph.edges["mesh"].features.shape[1] == total_width(layout.columns("mesh_edge"))
+    assert graph.edges["body_to_garment"].features.shape[1] == total_width(layout.columns("world_edge"))
     for table in (NODE_FEATURES, MESH_EDGE_FEATURES, WORLD_EDGE_FEATURES):
         assert all(feature.unit and feature.source and feature.typical > 0 for feature in table.values())
 
@@ -63,14 +68,14 @@ def test_node_features_are_what_they_say():
     at = moment([sheet(6, 7)])
     layout = FeatureLayout(node=tuple(NODE_FEATURES))
     graph = built(at, layout, dt=0.1)
-    garment = columns(graph.nodes["garment"].features, layout.node_columns)
+    garment = columns(graph.nodes["garment"].features, layout.columns("node"))
     torch.testing.assert_close(garment["velocity"], at.state.velocities * 0.1)
     torch.testing.assert_close(garment["normal"], vertex_normals(at.state.positions, at.garments.faces))
     torch.testing.assert_close(garment["dt"], torch.full((42, 1), 3.0, dtype=torch.float64).log())
     torch.testing.assert_close(garment["vertex_mass"][:, 0], at.garments.vertex_masses.log())
     density = torch.tensor(COTTON.density / 0.0434, dtype=torch.float64).log() / torch.tensor(0.7 / 0.0434).log()
     torch.testing.assert_close(garment["areal_density"], density.expand(42, 1), rtol=1e-5, atol=0)
-    body = columns(graph.nodes["body"].features, layout.node_columns)
+    body = columns(graph.nodes["body"].features, layout.columns("node"))
     for name in ("areal_density", "vertex_mass", "material"):
         assert bool((body[name] == -1).all())
     assert set(graph.nodes["body"].types.tolist()) == {NodeType.BODY}
@@ -86,8 +91,8 @@ def test_materials_run_from_0_to_1_over_the_training_range(position):
         at = moment([sheet(5, 5, material=replace(COTTON, **{name: value}))])
         layout = FeatureLayout()
         for features, made in (
-            (built(at).nodes["garment"].features, layout.node_columns),
-            (built(at).edges["mesh"].features, layout.mesh_edge_columns),
+            (built(at).nodes["garment"].features, layout.columns("node")),
+            (built(at).edges["mesh"].features, layout.columns("mesh_edge")),
         ):
             mapped = columns(features, made)["material"][:, position]
             torch.testing.assert_close(mapped, torch.full_like(mapped, expected), atol=1e-9, rtol=0)
@@ -102,7 +107,7 @@ def test_an_isolated_vertex_gets_finite_features_and_the_mean_scale():
     garment = sheet(5, 5)
     vertices = torch.cat([torch.as_tensor(garment.vertices), torch.tensor([[5.0, 5.0, 5.0]])]).numpy()
     packed = pack([Garment("sheet", vertices, garment.faces, garment.material)])
-    builder = graph_builder(packed, FeatureLayout(node=tuple(NODE_FEATURES)), WorldEdgeRule(), torch.float64)
+    builder = builder_of(packed, FeatureLayout(node=tuple(NODE_FEATURES)), WorldEdgeRule())
     for part in ("areal_density", "vertex_mass", "node_material", "incident_length"):
         assert bool(torch.isfinite(getattr(builder.static, part)).all()), part
     torch.testing.assert_close(builder.static.incident_length[-1], builder.static.incident_length[:-1].mean())
@@ -121,7 +126,7 @@ def test_mesh_edge_features_are_what_they_say():
     at = moment([sheet(5, 6)])
     layout = FeatureLayout(mesh_edge=tuple(MESH_EDGE_FEATURES))
     mesh = built(at, layout).edges["mesh"]
-    made = columns(mesh.features, layout.mesh_edge_columns)
+    made = columns(mesh.features, layout.columns("mesh_edge"))
     s, r = mesh.senders.index, mesh.receivers.index
     now, rest = (x[s] - x[r] for x in (at.state.positions, at.garments.rest_positions))
     torch.testing.assert_close(made["relative_position"], now)
@@ -159,7 +164,7 @@ def test_world_edges_join_the_nearest_body_vertices_in_reach_and_run_both_ways(n
         garment = edges.receivers.index if edges is into else edges.senders.index
         nodes = edges.senders.index if edges is into else edges.receivers.index
         vertex = torch.tensor(of_node)[nodes]
-        made = columns(edges.features, layout.world_edge_columns)
+        made = columns(edges.features, layout.columns("world_edge"))
         torch.testing.assert_close(made["relative_now"], sign * (at.state.positions[garment] - now[vertex]))
         torch.testing.assert_close(made["relative_next"], sign * (at.state.positions[garment] - following[vertex]))
         torch.testing.assert_close(made["distance_now"], made["relative_now"].norm(dim=1, keepdim=True))
@@ -172,21 +177,6 @@ def test_body_vertices_out_of_contact_have_no_edges():
     none = placed(at.collider, bodies=replace(bodies, contact=torch.zeros_like(bodies.contact)))
     assert near > 0
     assert set(built(replace(at, collider=none)).edges) == {"mesh"}
-    masked = built(replace(at, collider=none), fixed_shapes=True).edges["body_to_garment"]
-    assert masked.edge_count == at.garments.vertex_count
-    assert float(masked.mask.sum()) == 0
-
-
-def test_fixed_shapes_keep_their_shapes_wherever_the_body_is():
-    at = moment([sheet(6, 8)])
-    away = replace(at, collider=replace(at.collider, now=at.collider.colliders.pose(at.collider.now.positions + 1.0)))
-    shapes = []
-    for place in (at, away):
-        graph = built(place, rule=WorldEdgeRule(neighbours=2), fixed_shapes=True)
-        shapes.append({name: (s.features.shape, s.receivers.order.shape) for name, s in graph.edges.items()})
-        active = graph.nodes["body"].active
-        assert bool(active.any()) == (place is at)
-    assert shapes[0] == shapes[1]
 
 
 def test_an_extra_feature_arrives_by_name():
@@ -212,9 +202,7 @@ def test_an_unknown_feature_and_a_senseless_world_edge_rule_are_refused():
 def test_edges_that_a_network_adds_carry_the_columns_of_mesh_edges():
     at = moment([sheet(5, 6)])
     pairs = torch.tensor([[0, 12], [3, 29]])
-    builder = graph_builder(
-        at.garments, FeatureLayout(), WorldEdgeRule(), torch.float64, further_edges={"coarse": pairs}
-    )
+    builder = builder_of(at.garments, FeatureLayout(), WorldEdgeRule(), further_edges={"coarse": pairs})
     graph = builder.build(at.state, at.collider, DT)
     coarse = graph.edges["coarse"]
     assert (coarse.kind, coarse.senders.index.tolist(), coarse.receivers.index.tolist()) == (

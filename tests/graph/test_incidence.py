@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from tests.network_scenes import DT, moment, prepared_for, sheet
 
-from pb4u.graph.graph import Graph, receiver_runs
-from pb4u.graph.incidence import incidence
+from pb4u.graph.graph import Graph
+from pb4u.graph.incidence import edge_runs, incidence
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.nn.acceleration_model import AccelerationModel
 
@@ -46,19 +44,10 @@ def test_a_restricted_edge_set_is_that_of_the_kept_garments_alone():
 
 def test_runs_cover_all_edges_once_and_never_part_a_receiver():
     offsets = torch.tensor([0, 3, 3, 10, 11, 30, 31, 31, 40])
-    runs = receiver_runs(offsets, 8)
+    runs = edge_runs(offsets, 8)
     assert [span for run in runs for span in run[0]][::2] == [0, *[run[0][1] for run in runs][:-1]]
     assert runs[0][1][0] == 0
     assert runs[-1] == ((runs[-1][0][0], 40), (runs[-1][1][0], 8))
     for (e0, e1), (n0, n1) in runs:
         assert (int(offsets[n0]), int(offsets[n1])) == (e0, e1)
-    assert receiver_runs(offsets, 40) == ()
-
-
-def test_degrees_leave_masked_edges_out():
-    mesh = graph_of(sheet(3, 3)).edges["mesh"]
-    mask = torch.ones(mesh.edge_count, 1)
-    mask[:2] = 0.0
-    masked = replace(mesh, mask=mask)
-    assert float(mesh.degrees().sum() - masked.degrees().sum()) == 2.0
-    assert float(masked.degrees()[0]) == float(mesh.degrees()[0]) - 2.0
+    assert edge_runs(offsets, 40) == ()

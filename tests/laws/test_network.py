@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import resource
 import subprocess
 import sys
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +14,8 @@ import torch
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 from tests.network_scenes import DT, Moment, accelerations, moment, placed, prepared_for, sheet, sheet_of
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 from pb4u.garment.garment import Garment
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
@@ -191,16 +193,48 @@ def test_a_step_of_the_paper_size_network_at_38_000_triangles_takes_less_than_1_
     assert 0 < int(run.stdout) * 1024 < 2**30
 
 
-def test_memory_while_predicting_does_not_grow_with_the_propagation_steps():
+class LiveBytes(TorchDispatchMode):
+    """Counts the bytes of tensors made while it is active and still alive, and the most there ever were."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now, self.peak = 0, 0
+        self._owners: dict[int, int] = {}
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        result = func(*args, **(kwargs or {}))
+        for tensor in tree_leaves(result):
+            if isinstance(tensor, torch.Tensor) and tensor.untyped_storage().nbytes():
+                memory = tensor.untyped_storage()
+                self._count(memory.data_ptr(), memory.nbytes(), 1)
+                weakref.finalize(tensor, self._count, memory.data_ptr(), memory.nbytes(), -1)
+        self.peak = max(self.peak, self.now)
+        return result
+
+    def _count(self, address: int, size: int, change: int) -> None:
+        """A tensor more or less that shares the memory at an address."""
+        before = self._owners.get(address, 0)
+        self._owners[address] = before + change
+        self.now += size * ((before + change > 0) - (before > 0))
+
+
+def peak_bytes(model: AccelerationModel, at: Moment, steps: int) -> int:
+    prepared = model.prepare(at.garments, steps)
+    graph = prepared.graph(at.state, at.collider, DT)
+    with LiveBytes() as counted:
+        model(graph, prepared)
+    return counted.peak
+
+
+def test_memory_while_predicting_does_not_grow_with_the_propagation_steps_and_while_learning_it_does():
     model = AccelerationModel(replace(pb4u_paper, width=32, blocks=1).network())
-    at = moment([sheet_of(8000)], dtype=torch.float32)
-    peaks = []
-    for steps in (1, 60):
-        prepared = model.prepare(at.garments, steps)
-        with torch.inference_mode():
-            model(prepared.graph(at.state, at.collider, DT), prepared)
-        peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-    assert peaks[1] - peaks[0] < 40_000
+    at = moment([sheet_of(2000)], dtype=torch.float32)
+    latents = 4 * 32 * prepared_for(model, at).builder.static.edges["mesh"].senders.index.shape[0]
+    with torch.no_grad():
+        few, many = (peak_bytes(model, at, steps) for steps in (2, 40))
+    assert few > latents
+    assert many - few < 0.01 * latents
+    assert peak_bytes(model, at, 40) - peak_bytes(model, at, 2) > 38 * latents
 
 
 def test_an_ablation_differs_from_the_paper_in_the_replaced_part_only():

@@ -43,13 +43,12 @@ def weights_gradients(model: AccelerationModel, loss: torch.Tensor) -> dict[str,
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("neighbours", [1, 3])
-@pytest.mark.parametrize("fixed_shapes", [False, True])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_it_equals_its_readable_twin_forward_and_backward(form, neighbours, fixed_shapes, dtype):
+def test_it_equals_its_readable_twin_forward_and_backward(form, neighbours, dtype):
     configuration = replace(TINY, propagation=FORMS[form], world_edges=WorldEdgeRule(neighbours=neighbours))
     model = model_of(configuration, dtype=dtype)
     at = moment([sheet(9, 12), sheet(7, 6, edge=0.02, seed=3)])
-    prepared = prepared_for(model, at, steps=(4, 2), dtype=dtype, fixed_shapes=fixed_shapes)
+    prepared = prepared_for(model, at, steps=(4, 2), dtype=dtype)
     graph = prepared.graph(at.state, at.collider, DT)
     assert graph.edges["garment_to_body"].edge_count > 0
 
@@ -79,23 +78,16 @@ def test_gradients_reach_the_state_as_the_twin_says():
 
 
 def test_runs_of_edges_without_gradients_give_what_whole_edges_give_with_them(monkeypatch):
-    monkeypatch.setattr("pb4u.graph.graph.receiver_runs.__defaults__", (100,))
+    monkeypatch.setattr("pb4u.graph.incidence.edge_runs.__defaults__", (100,))
     model = model_of(TINY)
     at = moment([sheet(9, 12), sheet(15, 6, edge=0.02, seed=3)])
     prepared = prepared_for(model, at, steps=(4, 2))
     graph = prepared.graph(at.state, at.collider, DT)
-    assert len(graph.edges["mesh"].runs) > 5
+    assert len(graph.edges["mesh"].receivers.runs) > 5
     whole = model(graph, prepared)
     with torch.inference_mode():
         in_runs = model(graph, prepared)
     assert (whole - in_runs).abs().max() < 1e-12 * whole.abs().max()
-
-
-def test_fixed_shapes_change_nothing_but_the_shapes():
-    model = model_of(TINY)
-    at = moment([sheet(9, 12), sheet(7, 6, edge=0.02, seed=3)])
-    free, fixed = accelerations(model, at), accelerations(model, at, fixed_shapes=True)
-    assert (free - fixed).abs().max() < 1e-12 * free.abs().max()
 
 
 def test_result_and_gradients_are_the_same_to_the_last_bit_every_time():
@@ -185,4 +177,3 @@ def test_without_a_body_near_it_runs_on_the_garment_alone():
     far = replace(body, now=body.colliders.pose(body.now.positions + 5.0))
     alone = accelerations(model, replace(with_far_body, collider=None))
     assert torch.equal(accelerations(model, replace(with_far_body, collider=far)), alone)
-    assert torch.allclose(accelerations(model, replace(with_far_body, collider=far), fixed_shapes=True), alone)

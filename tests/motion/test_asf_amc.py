@@ -13,7 +13,7 @@ from pb4u.motion.library import load_motion
 
 def test_knee_turns_about_its_own_axis(acclaim):
     amc = acclaim(pose={"ltibia": [90.0]})
-    recording = read_amc(amc, find_asf(amc))
+    recording = read_amc(amc)
     shin = recording.poses.rotations[0, recording.skeleton.index("ltibia")]
     # A flexed knee carries the shin backwards: it hung down before.
     np.testing.assert_allclose(rotate(shin, np.array([0.0, -1.0, 0.0])), [0.0, 0.0, -1.0], atol=1e-3)
@@ -21,7 +21,7 @@ def test_knee_turns_about_its_own_axis(acclaim):
 
 def test_rest_pose_has_vertical_legs_and_no_rotation(acclaim):
     amc = acclaim()
-    recording = read_amc(amc, find_asf(amc))
+    recording = read_amc(amc)
     joints = recording.skeleton.joints
     leg = joints[recording.skeleton.index("lfoot")] - joints[recording.skeleton.index("lfemur")]
     assert abs(leg[0]) < 1e-9
@@ -33,10 +33,10 @@ def test_rest_pose_has_vertical_legs_and_no_rotation(acclaim):
 
 def test_radians_and_degrees_agree(acclaim):
     amc = acclaim(pose={"ltibia": [90.0]})
-    degrees = read_amc(amc, find_asf(amc)).poses.rotations
+    degrees = read_amc(amc).poses.rotations
     text = amc.read_text().replace(":DEGREES", ":RADIANS").replace("90.0", str(np.pi / 2))
     amc.write_text(text)
-    np.testing.assert_allclose(read_amc(amc, find_asf(amc)).poses.rotations, degrees, atol=1e-9)
+    np.testing.assert_allclose(read_amc(amc).poses.rotations, degrees, atol=1e-9)
 
 
 def test_trial_finds_the_only_skeleton_of_its_folder(acclaim):

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pb4u.body.skinning import joint_positions
+from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
-from pb4u.motion.ground import lowest_heights
 from pb4u.motion.lead_in import lead_in
 from pb4u.motion.library import load_motion
-from pb4u.motion.retargeting import heading
+from pb4u.motion.retargeting import heading, lowest_heights
 
 
 @pytest.mark.parametrize("name", ["walk", "run", "squat", "turn", "dance"])

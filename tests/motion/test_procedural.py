@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pb4u.body.skinning import joint_positions
+from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between
-from pb4u.motion.ground import lowest_heights
 from pb4u.motion.library import load_motion, motion_names
+from pb4u.motion.retargeting import lowest_heights
 
 CLIPS = motion_names()
 GROUNDED = [name for name in CLIPS if name not in ("jump", "run")]

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pb4u.body.skinning import joint_positions
+from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, conjugate, multiply, rotate
-from pb4u.motion.ground import lowest_heights
 from pb4u.motion.library import load_motion
-from pb4u.motion.retargeting import heading
+from pb4u.motion.retargeting import heading, lowest_heights
 
 SAMPLE = ("01/01_01", "05/05_20", "14/14_20", "16/16_35", "29/29_25", "49/49_02", "91/91_01", "127/127_04")
 TO_WORLD = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])

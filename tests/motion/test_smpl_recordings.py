@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from pb4u.body.skinning import joint_positions
+from pb4u.body.skeleton import joint_positions
 from pb4u.body.vertex_sequence import write_vertex_sequence
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, from_axis_angle, rotate

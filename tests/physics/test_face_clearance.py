@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from ball_scene import ball_scene
 
-from pb4u.physics.contact.clearance import FaceClearance
+from pb4u.physics.contact.face_clearance import FaceClearance
 from pb4u.physics.contact.planes import clearances
 from pb4u.scene.state import State
 from pb4u.simulation.timeline import Timeline

@@ -1,19 +1,29 @@
-"""What `make_scene` says of a garment that nothing holds up."""
+"""What `make_scene` makes of names, files and loaded objects, and what it says of a garment that nothing holds up."""
 
 from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from tests.garment.cloth_shapes import saved
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
-from pb4u.errors import InputWarning
-from pb4u.garment.garment import SourceMesh
+from pb4u.body.vertex_sequence import VertexSequence
+from pb4u.errors import InputError, InputWarning
+from pb4u.garment.garment import Garment
+from pb4u.garment.garment_file import read_garment
 from pb4u.garment.library import build_garment
-from pb4u.scene.assembly import make_scene
+from pb4u.garment.material import MATERIALS
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.nearest_surface import TriangleSurface
+from pb4u.motion.library import load_motion
+from pb4u.scene.assembly import assemble, make_scene
+from pb4u.scene.scene import Scene
+from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +34,7 @@ def woman() -> ShapedBody:
 def exported(name: str, body: ShapedBody, folder: Path) -> Path:
     """A built-in garment as a file, which has no pins."""
     garment = build_garment(name, body, 600)
-    return saved(folder, SourceMesh(garment.vertices, tuple(garment.faces)), f"{name}.obj")
+    return saved(folder, PolygonMesh(garment.vertices, tuple(garment.faces)), f"{name}.obj")
 
 
 @pytest.mark.parametrize("name", ["skirt", "trousers"])
@@ -54,3 +64,117 @@ def test_a_built_in_skirt_is_pinned_and_not_told(woman: ShapedBody) -> None:
         warnings.simplefilter("error")
         scene = make_scene("skirt", woman, triangles=600, frames=2, lead_in=0)
     assert scene.garments[0].garment.pinned.any()
+
+
+def assert_same(one: Scene, other: Scene) -> None:
+    """Equal to the bit: garments, where skinning carries them, the body, and all numbers."""
+    assert (one.frames, one.lead_in, one.fps, one.seed) == (other.frames, other.lead_in, other.fps, other.seed)
+    assert one.labels == other.labels
+    assert one.notes == other.notes
+    for a, b in zip(one.garments, other.garments, strict=True):
+        assert a.garment.material == b.garment.material
+        for part in ("vertices", "faces", "pinned"):
+            np.testing.assert_array_equal(getattr(a.garment, part), getattr(b.garment, part))
+        np.testing.assert_array_equal(
+            a.placement.positions(0, one.total_frames), b.placement.positions(0, one.total_frames)
+        )
+    for body, its in zip(one.colliders, other.colliders, strict=True):
+        np.testing.assert_array_equal(body.positions(0, one.total_frames), its.positions(0, one.total_frames))
+
+
+def test_names_loaded_objects_and_a_specification_make_the_same_scene() -> None:
+    rest: dict[str, Any] = {"frames": 3, "lead_in": 2, "fps": 24.0, "seed": 3}
+    named = make_scene(
+        "skirt", "man", "dance", triangles=500, material="silk", pins="hem", body_shape={"height": 0.7}, **rest
+    )
+    worn = GarmentSpecification("skirt", "silk", "hem", 500)
+    scene = SceneSpecification((worn,), body="man", body_shape={"height": 0.7}, motion="dance", **rest)
+    assert_same(named, assemble(scene))
+    assert named.labels["body_shape"]["height"] == 0.7
+    body = load_body("man", {"height": 0.7})
+    garment = build_garment("skirt", body, 500).with_material(MATERIALS["silk"])
+    loaded = make_scene(garment, body, load_motion("dance", seed=3), pins="hem", **rest)
+    assert_same(named, loaded)
+
+
+def test_several_garments_are_worn_inner_first(woman: ShapedBody, tmp_path: Path) -> None:
+    file = exported("skirt", woman, tmp_path)
+    loaded = build_garment("cardigan", woman, 500)
+    scene = make_scene(
+        ["tanktop", file, loaded], woman, "dance", triangles=[400, None, 600], material=["silk", "denim", None],
+        pins=[None, "waist", None], frames=2, lead_in=1,
+    )  # fmt: skip
+    assert scene.labels["garment"] == "tanktop+skirt+cardigan"
+    garments = [dressed.garment for dressed in scene.garments]
+    assert [garment.material for garment in garments] == [MATERIALS[n] for n in ("silk", "denim", "default")]
+    assert [bool(garment.pinned.any()) for garment in garments] == [False, True, False]
+    for garment, wanted in zip(garments, (400, 600, 600), strict=True):
+        assert abs(garment.triangle_count / wanted - 1) < 0.05
+    alone = make_scene("tanktop", woman, "dance", triangles=400, material="silk", frames=2, lead_in=1)
+    np.testing.assert_array_equal(
+        scene.garments[0].placement.positions(0, 3), alone.garments[0].placement.positions(0, 3)
+    )
+
+
+def test_what_is_given_once_holds_for_all_garments_that_leave_it_open(woman: ShapedBody) -> None:
+    inner = GarmentSpecification("tanktop", material="silk")
+    scene = make_scene([inner, "skirt"], woman, triangles=400, material="wool", pins=[0, 1], frames=1, lead_in=0)
+    garments = [dressed.garment for dressed in scene.garments]
+    assert [garment.material for garment in garments] == [MATERIALS["silk"], MATERIALS["wool"]]
+    assert [np.flatnonzero(garment.pinned).tolist() for garment in garments] == [[0, 1], [0, 1]]
+    with pytest.raises(InputError, match="list for material has 3 entries for 2 garments"):
+        make_scene(["tanktop", "skirt"], woman, material=["silk", "wool", "wool"])
+
+
+def test_a_loaded_garment_keeps_its_material_until_another_is_given(woman: ShapedBody) -> None:
+    garment = build_garment("tshirt", woman, 500).with_material(MATERIALS["denim"])
+    for given, expected in ((None, "denim"), ("silk", "silk"), (MATERIALS["wool"], "wool")):
+        scene = make_scene(garment, woman, material=given, frames=1, lead_in=0)
+        assert scene.garments[0].garment.material == MATERIALS[expected]
+        np.testing.assert_array_equal(scene.garments[0].garment.vertices, garment.vertices)
+
+
+@pytest.mark.parametrize("from_file", [False, True])
+def test_a_loaded_garment_is_remeshed_with_its_pins_and_its_author_s_mesh(
+    woman: ShapedBody, tmp_path: Path, from_file: bool
+) -> None:
+    garment: Garment = build_garment("skirt", woman, 900)
+    if from_file:
+        garment = read_garment(exported("skirt", woman, tmp_path), MATERIALS["silk"], pins="waist")
+    worn = make_scene(garment, woman, triangles=400, frames=1, lead_in=0).garments[0].garment
+    assert abs(worn.triangle_count / 400 - 1) < 0.05
+    assert worn.material == garment.material
+    # It is the same surface, held at the same border, and knows the author's vertices.
+    near = TriangleSurface(garment.faces, len(garment.vertices)).at(garment.vertices).nearest(worn.vertices)
+    assert np.linalg.norm(near.positions.numpy() - worn.vertices, axis=1).max() < 0.01
+    waist = max(worn.topology.boundary_loops, key=lambda loop: float(worn.vertices[loop, 1].mean()))
+    assert set(np.flatnonzero(worn.pinned)) == set(waist.tolist())
+    author = garment.vertices if garment.source is None else garment.source.source.vertices
+    assert worn.source is not None
+    np.testing.assert_array_equal(worn.source.source.vertices, author)
+    corners = worn.vertices[worn.faces[worn.source.triangle]]
+    np.testing.assert_allclose(np.einsum("vk,vkd->vd", worn.source.barycentric, corners), author, atol=0.02)
+
+
+def test_what_conflicts_with_a_loaded_object_is_refused(woman: ShapedBody) -> None:
+    dance = load_motion("dance")
+    for given, says in (
+        ({"body_shape": {"height": 0.7}}, "woman is a body already loaded"),
+        ({"motion": dance, "crop": (0, 9)}, "dance is a motion already loaded, so crop"),
+        ({"motion": dance, "arms_away": 5.0}, "dance is a motion already loaded, so arms_away"),
+        ({"motion": object()}, "motion must be a name, a path or a Motion"),
+        ({"material": object()}, "material must be a name, a path or a Material"),
+        ({"garment": object()}, "garment must be a name, a path or a Garment"),
+        ({"body": object()}, "must be a shaped body or a vertex sequence"),
+    ):
+        with pytest.raises(InputError, match=says):
+            make_scene(**{"garment": "tshirt", "body": woman, "triangles": 400, "frames": 1, **given})
+
+
+def test_a_sequence_tells_of_a_loaded_motion_that_it_does_not_perform(woman: ShapedBody) -> None:
+    positions = np.repeat(woman.vertices[None], 3, axis=0)
+    body = VertexSequence("moving", positions, woman.faces, 30.0, woman.contact)
+    garment = build_garment("tshirt", woman, 400)
+    with pytest.warns(InputWarning, match="the motion dance is not used"):
+        scene = make_scene(garment, body, load_motion("dance"), lead_in=0)
+    assert (scene.frames, scene.labels["motion"]) == (3, "moving")

@@ -21,7 +21,8 @@ from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures, local_origin
-from pb4u.simulation.step import FreeFlight, StepMethod, StepStart, predictions, take
+from pb4u.simulation.step import StepMethod, predictions, take
+from pb4u.simulation.step_start import FreeFlight, StepStart
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 from pb4u.simulation.timeline import Timeline
 

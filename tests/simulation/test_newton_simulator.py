@@ -22,7 +22,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import pack
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.state import State
-from pb4u.simulation.newton_material import hinge_stiffness, membrane_stiffness, wave_speed
+from pb4u.simulation.newton_cloth import hinge_stiffness, membrane_stiffness, wave_speed
 
 newton_installed = pytest.mark.skipif(find_spec("newton") is None, reason='the "newton" extra is not installed')
 

@@ -17,8 +17,9 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
+from pb4u.simulation.network_pass import Network
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
-from pb4u.simulation.step import Network, StepMethod, take
+from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.stepwise_simulator import SolverSimulator, StepwiseSimulator
 from pb4u.simulation.timeline import Timeline
 

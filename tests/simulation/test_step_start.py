@@ -18,8 +18,8 @@ from pb4u.presets.networks import network_preset
 from pb4u.scene.packed import ColliderFrame, pack, pack_colliders
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
-from pb4u.simulation.step import FreeFlight, StepMethod, take
-from pb4u.simulation.step_start import CarriedStart, start_of
+from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.step_start import CarriedStart, FreeFlight, start_of
 
 SHARES = (0.25, 0.5, 0.75, 1.0)
 DT = 1.0 / 30.0

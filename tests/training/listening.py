@@ -11,7 +11,7 @@ from tests.training.ball_data import ball_data
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import TrainingConfiguration, training_to_json
 from pb4u.training.distribution import Workers
-from pb4u.training.progress import Reporter
+from pb4u.training.journal import Reporter
 from pb4u.training.run_folder import RunFolder
 from pb4u.training.trainer import Trainer
 from pb4u.training.validation import Score

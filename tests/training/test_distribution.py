@@ -16,7 +16,7 @@ from tests.training.ball_data import TINY, ball_data
 from pb4u.errors import InputError
 from pb4u.training.budget import Budget
 from pb4u.training.distribution import Workers, workers
-from pb4u.training.progress import Reporter
+from pb4u.training.journal import Reporter
 from pb4u.training.trainer import Trainer
 
 CONFIGURATION = replace(

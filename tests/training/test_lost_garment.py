@@ -6,9 +6,9 @@ import pytest
 import torch
 from tests.training.ball_data import sheet
 
-from pb4u.evaluation.divergence import DIVERGED_DISTANCE
+from pb4u.evaluation.metrics import DIVERGED_DISTANCE, strain_percentile
 from pb4u.scene.packed import pack
-from pb4u.training.validation import SUNK, drift_from, is_lost, strain_percentile
+from pb4u.training.validation import SUNK, drift_from, is_lost
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from pb4u.simulation.step import StepMethod, predictions
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget
 from pb4u.training.curriculum import Curriculum
-from pb4u.training.progress import draw_curve
+from pb4u.training.journal import draw_curve
 from pb4u.training.recovery import TrainingFailedError
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.trainer import RoundEnd, Trainer
@@ -105,7 +105,7 @@ def test_predictions_that_are_not_finite_are_not_learnt_from() -> None:
     before = [p.detach().clone() for p in trainer.model.parameters()]
     lost = State(state.positions * torch.nan, state.velocities, state.frame + 1)
     lost.positions.requires_grad_(True)
-    assert not trainer.learn(course.window.timeline.step_from(state), lost)
+    assert not trainer.learn(course.prepared, course.window.timeline.step_from(state), lost)
     assert all(torch.equal(a, b) for a, b in zip(before, trainer.model.parameters(), strict=True))
 
 

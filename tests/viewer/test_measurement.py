@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import os
 import threading
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,17 +15,17 @@ import pytest
 from tests.viewer.clips import header, trajectory
 
 from pb4u.errors import InputError
-from pb4u.evaluation.metrics import measure
+from pb4u.evaluation.metrics import Ruler, measure
 from pb4u.scene.trajectory import Trajectory
-from pb4u.viewer.chart import chart_data
 from pb4u.viewer.clip import GrowingClip, RecordedClip
-from pb4u.viewer.delivery import deliver
-from pb4u.viewer.measurement import Measurement
+from pb4u.viewer.export_panel import deliver
+from pb4u.viewer.plot_panel import Measurement, chart_data
 
 
 def test_measurements_are_those_of_the_command_line() -> None:
     made = trajectory(4, lost=(2,), widen=0.01)
-    measurement = Measurement(RecordedClip(made, "a"), lambda: None)
+    measurement = Measurement(RecordedClip(made, "a"))
+    measurement.start()
     assert measurement.join(30.0)
     expected = measure(made)["metrics"]
     for name in ("stretch", "total", "strain_p95", "penetration_percent"):
@@ -30,14 +33,19 @@ def test_measurements_are_those_of_the_command_line() -> None:
     assert np.isnan(measurement.series("stretch")[2])
 
 
-def test_measuring_can_be_ended() -> None:
+def test_measuring_can_be_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     one, go_on = threading.Event(), threading.Event()
 
-    def advanced() -> None:
-        one.set()
-        go_on.wait(10.0)
+    class Slow(Ruler):
+        def frame(self, t: int) -> tuple[dict[str, float], dict[str, float]]:
+            measured = super().frame(t)
+            one.set()
+            go_on.wait(10.0)
+            return measured
 
-    measurement = Measurement(RecordedClip(trajectory(8), "a"), advanced)
+    monkeypatch.setattr("pb4u.viewer.plot_panel.Ruler", Slow)
+    measurement = Measurement(RecordedClip(trajectory(8), "a"))
+    measurement.start()
     assert one.wait(10.0)
     measurement.cancel()
     go_on.set()
@@ -48,7 +56,8 @@ def test_measuring_can_be_ended() -> None:
 
 def test_what_cannot_be_measured_says_so() -> None:
     clip = GrowingClip(header().with_metadata(material={"density": 1.0}), 2, "bare")
-    measurement = Measurement(clip, lambda: None)
+    measurement = Measurement(clip)
+    measurement.start()
     assert measurement.join(10.0)
     assert measurement.failure is not None
 
@@ -78,6 +87,23 @@ def test_an_export_is_the_file_and_can_be_kept(tmp_path: Path) -> None:
     assert kept.read_bytes() == content
     assert Trajectory.open(kept).frame_count == 3
     assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_two_windows_may_keep_the_same_name_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both would write the same file beside the one to be replaced, if they met there."""
+    meeting, written = threading.Barrier(2), os.fsync
+
+    def meet(descriptor: int) -> None:
+        with contextlib.suppress(threading.BrokenBarrierError):
+            meeting.wait(1.0)
+        written(descriptor)
+
+    monkeypatch.setattr("pb4u.atomic_file.os.fsync", meet)
+    clip = RecordedClip(trajectory(3), "walk")
+    with ThreadPoolExecutor(2) as windows:
+        kept = [future.result() for future in [windows.submit(deliver, clip, ".obj", tmp_path) for _ in range(2)]]
+    assert kept[0][2] == kept[1][2]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"walk_000{t}.obj" for t in range(3)]
 
 
 def test_several_files_come_as_one_archive() -> None:

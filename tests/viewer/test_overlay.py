@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ import trimesh
 from tests.viewer.clips import frame, header, trajectory, tube
 
 from pb4u.errors import InputError
+from pb4u.garment.garment import Garment
+from pb4u.garment.material import load_material
+from pb4u.scene.packed import pack
 from pb4u.scene.trajectory import Trajectory
 from pb4u.viewer.clip import RecordedClip
-from pb4u.viewer.colour_scale import ColourScale
-from pb4u.viewer.coloured_mesh import ColouredMesh
-from pb4u.viewer.overlay import OVERLAYS, Penetration, Strain, UpdateScale
+from pb4u.viewer.overlay import OVERLAYS, ColourScale, Penetration, Strain, UpdateScale
+from pb4u.viewer.surface import coloured_glb
 
 
 def test_strain_of_a_widened_tube_is_its_widening() -> None:
@@ -47,7 +50,26 @@ def test_update_scale_is_the_mean_edge_at_a_vertex_over_the_reference() -> None:
     at = (edges == 40).any(axis=1)
     lengths = np.linalg.norm(points[edges[at, 0]] - points[edges[at, 1]], axis=1)
     assert overlay.values(0)[40] == pytest.approx(lengths.mean() / 0.015, rel=1e-5)
-    assert "K = 2 by the paper's rule" in overlay.note  # floor(0.225 m / 0.11 m)
+    assert "K = 2 by the paper's rule" in overlay.notes[0]  # floor(0.225 m / 0.11 m)
+
+
+def test_every_garment_has_its_own_propagation_steps() -> None:
+    """Two tubes packed, the outer one twice as large in every direction, so that its edges are twice as long."""
+    points, faces = tube(0.20, 0.8, 1.3, lids=False)
+    inner, outer = (
+        Garment(name, size * points, faces, load_material("default"), np.zeros(len(points), dtype=bool))
+        for name, size in (("inner", 1.0), ("outer", 2.0))
+    )
+    overlay = UpdateScale(RecordedClip(trajectory(2), "a"))
+    alone = overlay.notes[0].split("mean edge ")[1]
+    overlay = UpdateScale(RecordedClip(trajectory(2), "a"))
+    overlay.ruler = SimpleNamespace(garments=pack([inner, outer]))  # type: ignore[assignment]
+    first, second = overlay.notes
+    assert first.startswith("a, inner: K = 2 by the paper's rule")
+    assert first.endswith(alone)
+    assert second.startswith("a, outer: K = 1 by the paper's rule")
+    values = overlay.values(0)
+    np.testing.assert_allclose(values[len(points) :], 2 * values[: len(points)], rtol=1e-6)
 
 
 def test_painted_frames_are_kept() -> None:
@@ -73,7 +95,7 @@ def test_colours_run_between_the_ends_and_stay_there() -> None:
 def test_a_coloured_mesh_is_read_back_by_another_reader() -> None:
     points, colours = frame(0).positions, np.full((len(frame(0).positions), 4), 255, dtype=np.uint8)
     colours[7] = (10, 20, 30, 255)
-    data = ColouredMesh(header().faces, len(points)).glb(points, colours)
+    data = coloured_glb(points, colours, header().faces)
     mesh = trimesh.load(trimesh.util.wrap_as_stream(data), file_type="glb", process=False, force="mesh")
     np.testing.assert_array_equal(mesh.vertices, points)
     np.testing.assert_array_equal(mesh.faces, header().faces)
@@ -89,6 +111,6 @@ def test_a_coloured_mesh_is_read_back_by_another_reader() -> None:
 
 def test_every_overlay_paints_or_does_not() -> None:
     clip = RecordedClip(trajectory(2), "a")
-    painted = {name for name, overlay in OVERLAYS.items() if overlay(clip).painted}
+    painted = {name for name, overlay in OVERLAYS.items() if overlay(clip).scale is not None}
     assert painted == {"strain", "penetration", "K and update scale"}
     assert [name for name, overlay in OVERLAYS.items() if overlay.wireframe] == ["wireframe"]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 
-from pb4u.viewer.playback_clock import PlaybackClock
+from pb4u.viewer.view_state import PlaybackClock
 
 
 class Time:
@@ -96,3 +98,28 @@ def test_it_waits_just_until_the_next_frame(clock: PlaybackClock, time: Time) ->
     assert clock.wait == pytest.approx(0.75 / 30.0)
     clock.speed = 0.5
     assert clock.wait == pytest.approx(1.5 / 30.0)
+
+
+def test_a_thread_that_reads_does_not_undo_what_another_sets() -> None:
+    """The page reads the clock while a user seeks: the read begins before the seek and ends after it."""
+    reading, sought = threading.Event(), threading.Event()
+
+    class Rate(float):
+        """Frames per second that the reader stops at, in the middle of its calculation."""
+
+        def __rmul__(self, seconds: float) -> float:
+            if threading.current_thread() is reader:
+                reading.set()
+                sought.wait(10.0)
+            return seconds * float(self)
+
+    clock = PlaybackClock(lambda: 1.0)
+    clock.load(fps=Rate(30.0), frame_count=60)
+    clock.play()
+    reader = threading.Thread(target=lambda: clock.frame)
+    reader.start()
+    assert reading.wait(10.0)
+    clock.pause_at(40)
+    sought.set()
+    reader.join(10.0)
+    assert clock.frame == 40

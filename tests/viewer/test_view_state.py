@@ -8,8 +8,7 @@ from tests.viewer.clips import frame, header, trajectory
 
 from pb4u.errors import InputError
 from pb4u.viewer.clip import GrowingClip, RecordedClip
-from pb4u.viewer.playback_clock import PlaybackClock
-from pb4u.viewer.view_state import ViewState
+from pb4u.viewer.view_state import PlaybackClock, ViewState
 
 
 def test_two_clips_share_one_timeline_in_seconds() -> None:
@@ -27,8 +26,8 @@ def test_lost_frames_are_held_and_named() -> None:
     state.load((clip,))
     np.testing.assert_array_equal(clip.garment(4), clip.garment(2))
     assert not np.array_equal(clip.garment(5), clip.garment(2))
-    assert state.held(4) == ["Frame 4 of b.npz is not finite: the last whole frame before it is shown."]
-    assert state.held(5) == []
+    assert state.held(4) == ("Frame 4 of b.npz is not finite: the last whole frame before it is shown.",)
+    assert state.held(5) == ()
     assert np.isnan(clip.trajectory().positions[3]).any()
 
 
@@ -50,3 +49,17 @@ def test_a_growing_clip_is_a_trajectory_at_any_time() -> None:
     assert made.frame_count == 3
     np.testing.assert_array_equal(made.positions[2], frame(2).positions)
     np.testing.assert_array_equal(clip.body(1), frame(1).body_positions)
+
+
+def test_a_frozen_state_stays_while_the_other_goes_on() -> None:
+    seconds = [0.0]
+    state = ViewState(PlaybackClock(lambda: seconds[0]))
+    state.load((RecordedClip(trajectory(8), "a"),))
+    state.clock.play()
+    seconds[0] = 0.1
+    frozen = state.frozen()
+    seconds[0] = 0.2
+    state.overlay = "strain"
+    assert (frozen.clock.frame, frozen.clock.playing, frozen.overlay) == (3, True, "shaded")
+    assert state.clock.frame == 6
+    assert frozen.picture != state.picture == state.frozen().picture

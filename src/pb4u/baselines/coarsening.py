@@ -7,30 +7,38 @@ decides nothing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pb4u.baselines.mesh_memory import MeshMemory
-
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-_REMEMBERED = 64
+REMEMBERED = 64
+"""Garments whose levels are worth keeping: more than a training's wardrobe holds, some megabytes."""
 
 
 def coarse_levels(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> list[np.ndarray]:
     """The undirected edges (edges, 2) int64 of `count` levels; an edge of level l spans 2^(l + 1) mesh edges or fewer.
 
     Args:
-        edges: (edges, 2) of the mesh, which may have several pieces.
+        edges: (edges, 2) int64 of the mesh, which may have several pieces.
         rest_positions: (vertices, 3) [m]; they only decide between vertices that are equally central.
         count: number of levels; the last may be without edges.
     """
-    return _memory.recall(edges, rest_positions, count)
+    graph = _graph(edges, len(rest_positions))
+    centres = graph_centres(graph, rest_positions)
+    levels = []
+    for _ in range(count):
+        graph = _coarser(graph, centres)
+        rows, columns = graph.nonzero()
+        kept = rows < columns
+        levels.append(np.column_stack([rows[kept], columns[kept]]).astype(np.int64))
+    return levels
 
 
-def level_labels(levels: list[np.ndarray], vertex_count: int) -> np.ndarray:
+def level_labels(levels: Sequence[np.ndarray], vertex_count: int) -> np.ndarray:
     """(vertices,) int64 how many levels a vertex has edges on: 0 for one of the mesh alone."""
     labels = np.zeros(vertex_count, dtype=np.int64)
     for number, edges in enumerate(levels, start=1):
@@ -70,18 +78,6 @@ def hops_from(graph: csr_matrix, source: int) -> np.ndarray:
         start, (stop, depth) = stop, (1 + int(np.searchsorted(parents, stop)), depth + 1)
         hops[order[start:stop]] = depth
     return hops
-
-
-def _coarse_levels(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> list[np.ndarray]:
-    graph = _graph(edges, len(rest_positions))
-    centres = graph_centres(graph, rest_positions)
-    levels = []
-    for _ in range(count):
-        graph = _coarser(graph, centres)
-        rows, columns = graph.nonzero()
-        kept = rows < columns
-        levels.append(np.column_stack([rows[kept], columns[kept]]).astype(np.int64))
-    return levels
 
 
 def _coarser(graph: csr_matrix, centres: list[int]) -> csr_matrix:
@@ -162,6 +158,3 @@ def _further_than_two(pairs: csr_matrix, graph: csr_matrix) -> csr_matrix:
     """Those of `pairs` that are more than two edges of `graph` apart."""
     near = _either(graph, graph @ graph)
     return _without_diagonal(pairs - pairs.multiply(near))
-
-
-_memory = MeshMemory(_coarse_levels, _REMEMBERED)

@@ -7,20 +7,21 @@ network, and its results are not theirs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from pb4u.baselines.encode_process_decode import MESH_GRAPH_LAYOUT, EncodeProcessDecode, require_scipy
-from pb4u.baselines.geodesics import geodesic_landmarks
+from pb4u.baselines.meshgraphnet import MESH_GRAPH_LAYOUT
+from pb4u.baselines.rest_meshes import MeshMemory, require_scipy
 from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import GARMENT, Graph
-from pb4u.graph.world_edges import WorldEdgeRule
-from pb4u.nn.acceleration_model import NetworkConfiguration
+from pb4u.nn.acceleration_model import Derived, NetworkConfiguration
+from pb4u.nn.encode_process_decode import EncodeProcessDecode
 from pb4u.nn.interaction_block import InteractionBlock
 from pb4u.nn.mlp import MLP, SplitMLP
 from pb4u.nn.segment import gather, segment_sum
@@ -29,29 +30,28 @@ from pb4u.scene.packed import PackedGarments
 LANDMARKS, GEODESICS = "landmarks", "geodesics"
 _BIAS_WIDTH = 16
 _ROWS_PER_PIECE = 4096
+"""Vertices that attend at once: with 256 landmarks and 4 heads their scores take 17 MB in float32."""
+_REMEMBERED = 16
+"""Garments whose distances are kept: at 38,000 triangles and 256 landmarks they take 20 MB each."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EslrConfiguration(NetworkConfiguration):
-    """A reconstruction of ESLR.
+    """A reconstruction of ESLR; what is not listed is as in `NetworkConfiguration`.
 
     Args:
-        width: of all latents and hidden layers.
         layers: each one message passing beside one attention.
         landmarks: vertices of a garment that attention runs over; 0 for no attention at all.
         heads: of attention; they divide the width.
         geodesic_scale: length that geodesic distances are measured in [m].
         layout: the columns read.
-        world_edges: which body vertices a garment vertex sees.
     """
 
-    width: int = 128
     layers: int = 8
     landmarks: int = 256
     heads: int = 4
     geodesic_scale: float = 0.1
     layout: FeatureLayout = field(default_factory=lambda: MESH_GRAPH_LAYOUT)
-    world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -71,8 +71,10 @@ class Eslr(EncodeProcessDecode):
 
     def __init__(self, configuration: EslrConfiguration) -> None:
         require_scipy("ESLR")
-        super().__init__(configuration, ("mesh",))
+        super().__init__(configuration)
         self.configuration = configuration
+        self._landmarks = MeshMemory(geodesic_landmarks, _REMEMBERED)
+        self.decoder = MLP(configuration.width, configuration.width, 3, norm=False)
         self.layers = nn.ModuleList(_Layer(configuration) for _ in range(configuration.layers))
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
@@ -82,20 +84,17 @@ class Eslr(EncodeProcessDecode):
             nodes, edges = layer(nodes, edges, graph)
         return self.decoder(nodes[GARMENT])
 
-    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
+    def derive(self, garments: PackedGarments) -> Derived:
         count = self.configuration.landmarks
         if count == 0:
-            return {}
+            return Derived()
         landmarks, distances = [], []
         for garment in range(garments.garment_count):
-            start, stop = garments.vertex_offsets[garment : garment + 2]
-            edges = garments.edges[garments.edge_garment == garment].cpu().numpy() - start
-            rest = garments.rest_positions[start:stop].to(torch.float64).cpu().numpy()
-            chosen, away = geodesic_landmarks(edges, rest, count)
+            chosen, away = self._landmarks.of(garments, garment, count)
             landmarks.append(torch.from_numpy(chosen))
             distances.append(torch.from_numpy(away) / self.configuration.geodesic_scale)
         device = garments.device
-        return {LANDMARKS: torch.stack(landmarks).to(device), GEODESICS: torch.cat(distances).to(device)}
+        return Derived(rest={LANDMARKS: torch.stack(landmarks).to(device), GEODESICS: torch.cat(distances).to(device)})
 
 
 class _Layer(nn.Module):
@@ -182,3 +181,38 @@ class _Attention(nn.Module):
 
     def _split(self, values: Tensor) -> Tensor:
         return values.view(len(values), self.heads, -1).transpose(0, 1)
+
+
+def geodesic_landmarks(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Farthest-point landmarks (count,) int64 and shortest ways along edges to them (vertices, count) float32 [m].
+
+    The first is the vertex farthest from the middle, each next the one farthest from those before, so that every piece
+    gets one while they last. A way that does not exist counts twice the longest that does. Where there are fewer
+    vertices than landmarks, the rest of the landmarks are -1 and infinitely far.
+
+    Args:
+        edges: (edges, 2) int64 of the mesh.
+        rest_positions: (vertices, 3) [m].
+        count: number of landmarks.
+    """
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    vertex_count = len(rest_positions)
+    lengths = np.linalg.norm(rest_positions[edges[:, 0]] - rest_positions[edges[:, 1]], axis=1)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    ways = csr_matrix((np.tile(lengths, 2), (both[:, 0], both[:, 1])), shape=(vertex_count, vertex_count))
+    landmarks = np.full(count, -1, dtype=np.int64)
+    distances = np.full((vertex_count, count), np.inf)
+    nearest = np.full(vertex_count, np.inf)
+    offset = np.linalg.norm(rest_positions - rest_positions.mean(axis=0), axis=1)
+    following = int(np.argmax(offset))
+    for number in range(min(count, vertex_count)):
+        landmarks[number] = following
+        distances[:, number] = dijkstra(ways, directed=True, indices=following)
+        nearest = np.minimum(nearest, distances[:, number])
+        farthest = np.flatnonzero(nearest == nearest.max())
+        following = int(farthest[np.argmax(offset[farthest])])
+    used = distances[:, : min(count, vertex_count)]
+    used[~np.isfinite(used)] = 2.0 * used[np.isfinite(used)].max()
+    return landmarks, distances.astype(np.float32)

@@ -1,31 +1,25 @@
-"""HOOD: a mesh and two coarse levels, gone up and down like the strokes of a U (Grigorev et al. 2023; reference 4)."""
+"""HOOD: a mesh and two coarse levels, from fine to coarse and back (Grigorev et al. 2023; reference 4)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
-from pb4u.baselines.coarsening import coarse_levels, level_labels
-from pb4u.baselines.encode_process_decode import (
-    LEVEL,
-    MESH_GRAPH_LAYOUT,
-    EncodeProcessDecode,
-    packed_pairs,
-    require_scipy,
-    with_edges,
-)
+from pb4u.baselines.coarsening import REMEMBERED, coarse_levels
+from pb4u.baselines.meshgraphnet import MESH_GRAPH_LAYOUT
+from pb4u.baselines.rest_meshes import MeshMemory, packed_levels, require_scipy
 from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
-from pb4u.graph.graph import BODY, GARMENT, Graph
-from pb4u.graph.world_edges import WorldEdgeRule
-from pb4u.nn.acceleration_model import NetworkConfiguration
+from pb4u.graph.graph import GARMENT, Graph
+from pb4u.nn.acceleration_model import Derived, NetworkConfiguration
+from pb4u.nn.encode_process_decode import LEVEL, EncodeProcessDecode
 from pb4u.nn.interaction_block import InteractionBlock
+from pb4u.nn.mlp import MLP
 from pb4u.scene.packed import PackedGarments
 
 NEAR, FAR = "coarse_near", "coarse_far"
@@ -34,7 +28,7 @@ SCHEDULE = (("mesh", NEAR), (NEAR, FAR), (FAR,), (NEAR, FAR), ("mesh", NEAR))
 
 
 class LevelChoice(Protocol):
-    """Asked which two coarse levels a garment uses."""
+    """A rule for the two coarse levels that a garment uses."""
 
     def levels(self, mean_edge_length: float) -> tuple[int, int]:
         """The near and the far one, for a mean rest edge length [m]; an edge of level l spans 2^(l + 1) mesh edges."""
@@ -45,7 +39,8 @@ class LevelsByHops:
     """HOOD's own: the same levels at every resolution, so that they shrink in metres as meshes get finer.
 
     Args:
-        near, far: levels, counted from 0.
+        near: the finer level, counted from 0.
+        far: the coarser one.
     """
 
     near: int = 0
@@ -61,10 +56,11 @@ class LevelsByHops:
 
 @dataclass(frozen=True)
 class LevelsByLength:
-    """Levels whose edges are about so long at every resolution; our own, not published.
+    """Levels whose edges are about as long in metres at every resolution; our own, not published.
 
     Args:
-        near, far: lengths [m] of coarse edges; HOOD's at the 15 mm of its training meshes by default.
+        near: length of the finer level's edges [m]; HOOD's at the 15 mm of its training meshes by default.
+        far: length of the coarser level's edges [m].
     """
 
     near: float = 0.03
@@ -82,21 +78,17 @@ class LevelsByLength:
 
 @dataclass(frozen=True, kw_only=True)
 class HoodConfiguration(NetworkConfiguration):
-    """A HOOD.
+    """A HOOD; what is not listed is as in `NetworkConfiguration`.
 
     Args:
-        width: of all latents and hidden layers.
         repeats: blocks of each of the five stages; 3 in the paper, 15 blocks together.
         choice: which coarse levels.
         layout: the columns read; coarse edges have those of mesh edges.
-        world_edges: which body vertices a garment vertex sees.
     """
 
-    width: int = 128
     repeats: int = 3
     choice: LevelsByHops | LevelsByLength = field(default_factory=LevelsByHops)
     layout: FeatureLayout = field(default_factory=lambda: MESH_GRAPH_LAYOUT)
-    world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
 
     def network(self) -> Hood:
         """A network of this configuration with fresh weights."""
@@ -109,79 +101,59 @@ class Hood(EncodeProcessDecode):
     def __init__(self, configuration: HoodConfiguration) -> None:
         require_scipy("HOOD")
         super().__init__(configuration, ("mesh", NEAR, FAR), levels=3)
-        self.configuration = configuration
         self.choice: LevelChoice = configuration.choice
+        self._levels = MeshMemory(coarse_levels, REMEMBERED)
+        width = configuration.width
+        self.decoder = MLP(width, width, 3, norm=False)
         self.schedule = tuple(kinds for kinds in SCHEDULE for _ in range(configuration.repeats))
-        self.blocks = nn.ModuleList(InteractionBlock(configuration.width, (*kinds, "world")) for kinds in self.schedule)
+        self.blocks = nn.ModuleList(InteractionBlock(width, (*kinds, "world")) for kinds in self.schedule)
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
         """Normalised accelerations (garment vertices, 3); `steps` is not read."""
         nodes, edges = self.encode(graph)
-        views = {kinds: _on_level(with_edges(graph, (*kinds, "world")), _depth(kinds)) for kinds in SCHEDULE}
-        put_aside: list[dict[str, Tensor]] = []
+        masks = [_level_masks(graph, depth) for depth in range(3)]
+        saved: list[dict[str, Tensor]] = []
         for index, (kinds, block) in enumerate(zip(self.schedule, self.blocks, strict=True)):
             depth = _depth(kinds)
-            if depth > len(put_aside):
-                put_aside.append(_world_latents(graph, edges))
-            elif depth < len(put_aside):
-                edges = edges | put_aside.pop()
+            if depth > len(saved):
+                saved.append(_world_latents(graph, edges))
+            elif depth < len(saved):
+                edges = edges | saved.pop()
             last = index == len(self.blocks) - 1
-            nodes, changed = block(nodes, edges, views[kinds], receivers=(GARMENT,) if last else None)
+            nodes, changed = block(nodes, edges, graph, (GARMENT,) if last else None, masks[depth])
             edges = edges | changed
         return self.decoder(nodes[GARMENT])
 
-    def further_edges(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        chosen = [_chosen_levels(garments, garment, self.choice) for garment in range(garments.garment_count)]
-        offsets = garments.vertex_offsets
-        return {
-            name: packed_pairs([torch.from_numpy(levels[place]) for levels in chosen], offsets, garments.edges)
-            for place, name in enumerate((NEAR, FAR))
-        }
-
-    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        offsets = garments.vertex_offsets
-        labels = [
-            level_labels(_chosen_levels(garments, garment, self.choice), offsets[garment + 1] - offsets[garment])
-            for garment in range(garments.garment_count)
-        ]
-        return {LEVEL: torch.from_numpy(np.concatenate(labels)).to(garments.device)}
-
-
-def garment_levels(garments: PackedGarments, garment: int, count: int) -> list[np.ndarray]:
-    """The edges (edges, 2) of the first `count` coarse levels of one garment of a pack, numbered within it."""
-    start, stop = garments.vertex_offsets[garment : garment + 2]
-    edges = garments.edges[garments.edge_garment == garment].cpu().numpy() - start
-    rest = garments.rest_positions[start:stop].to(torch.float64).cpu().numpy()
-    return coarse_levels(edges, rest, count)
-
-
-def _chosen_levels(garments: PackedGarments, garment: int, choice: LevelChoice) -> list[np.ndarray]:
-    near, far = choice.levels(garments.mean_edge_lengths[garment])
-    levels = garment_levels(garments, garment, far + 1)
-    return [levels[near], levels[far]]
+    def derive(self, garments: PackedGarments) -> Derived:
+        chosen = []
+        for garment, length in enumerate(garments.mean_edge_lengths):
+            near, far = self.choice.levels(length)
+            levels = self._levels.of(garments, garment, far + 1)
+            chosen.append([levels[near], levels[far]])
+        edges, labels = packed_levels(garments, chosen, (NEAR, FAR))
+        return Derived(edges=edges, rest={LEVEL: labels})
 
 
 def _depth(kinds: Sequence[str]) -> int:
-    """How many levels are left behind where these kinds of edges are the ones processed."""
+    """The finest level that these kinds of edges belong to, where the mesh is level 0."""
     return ("mesh", NEAR, FAR).index(kinds[0])
 
 
 def _world_latents(graph: Graph, edges: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Latents of world edges as they are before a stage on a coarser level, which the way up takes back."""
+    """Latents of world edges before a stage on a coarser level, taken back once it has ended."""
     latents = {name: edges[name] for name, edge_set in graph.edges.items() if edge_set.kind == "world"}
     # While gradients are off, blocks write over the latents they are given.
     return latents if torch.is_grad_enabled() else {name: values.clone() for name, values in latents.items()}
 
 
-def _on_level(graph: Graph, depth: int) -> Graph:
-    """The graph with the world edges of vertices on level `depth` (0 for the mesh); the others' are masked."""
-    if depth == 0 or BODY not in graph.nodes:
-        return graph
+def _level_masks(graph: Graph, depth: int) -> dict[str, Tensor]:
+    """(edges, 1) by edge set: 0 for world edges of garment vertices not on level `depth`, where the mesh is level 0."""
+    if depth == 0:
+        return {}
     on_level = (graph.rest[LEVEL] >= depth)[:, None]
-    edges = dict(graph.edges)
+    masks = {}
     for name, edge_set in graph.edges.items():
         if edge_set.kind == "world":
             garment_end = edge_set.receivers if edge_set.receiver_set == GARMENT else edge_set.senders
-            mask = on_level[garment_end.index].to(edge_set.features)
-            edges[name] = replace(edge_set, mask=mask if edge_set.mask is None else mask * edge_set.mask.to(mask))
-    return replace(graph, edges=edges)
+            masks[name] = on_level[garment_end.index].to(edge_set.features)
+    return masks

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.body.body_model import BodyModel, ShapedBody, complete_parameters
-from pb4u.body.skeleton import Skeleton
+from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 
@@ -24,10 +23,17 @@ _MEMBERS = (
 
 
 def shape_basis(offsets: np.ndarray, term_basis: np.ndarray) -> np.ndarray:
-    """Coefficients (terms,) of the shape terms at `offsets` (parameters,) from the default shape.
+    """Coefficients of the shape terms of a body.
 
     Anny is linear in each parameter on either side of its default, so each parameter contributes a factor 1, d or
-    max(d, 0), and `term_basis` (terms, parameters) in {0, 1, 2} says which: products of these span its shapes exactly.
+    max(d, 0): products of these span its shapes exactly.
+
+    Args:
+        offsets: (parameters,) d, how far each parameter is from its default.
+        term_basis: (terms, parameters) in {0, 1, 2}, which factor each parameter contributes to each term.
+
+    Returns:
+        (terms,) float64.
     """
     factors = np.stack([np.ones_like(offsets), offsets, np.maximum(offsets, 0.0)])
     return np.prod(factors[term_basis, np.arange(len(offsets))], axis=1)
@@ -36,8 +42,14 @@ def shape_basis(offsets: np.ndarray, term_basis: np.ndarray) -> np.ndarray:
 class BakedBody(BodyModel):
     """A body with a few shape parameters, read from a file that `baking.bake` wrote.
 
-    Raises InputError when the file is not such a file.
+    Args:
+        path: the .npz.
+
+    Raises:
+        InputError: it is not such a file.
     """
+
+    family = "anny"
 
     def __init__(self, path: str | Path) -> None:
         path = Path(path)
@@ -80,24 +92,10 @@ class BakedBody(BodyModel):
     def shape_parameters(self) -> Mapping[str, tuple[float, float, float]]:
         return {name: tuple(row) for name, row in zip(self._names, self._ranges.tolist(), strict=True)}
 
-    def shaped(self, **parameters: float) -> ShapedBody:
-        """The body with these shape parameters. Raises InputError on an unknown name or a value out of range."""
-        complete = complete_parameters(self.name, self.shape_parameters, parameters)
-        offsets = np.array(list(complete.values())) - self._ranges[:, 1]
+    def rest(self, parameters: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        offsets = np.array(list(parameters.values())) - self._ranges[:, 1]
         coefficients = shape_basis(offsets, self._term_basis)
         used = np.flatnonzero(coefficients)
         scale = (coefficients * self._term_vertex_steps)[used]
         vertices = np.einsum("t,tvc->vc", scale, self._term_vertices[used])
-        joints = np.einsum("t,tbc->bc", coefficients, self._term_joints)
-        lift = np.array([0.0, -vertices[:, 1].min(), 0.0])
-        return ShapedBody(
-            name=self.name,
-            family="anny",
-            vertices=vertices + lift,
-            faces=self.faces,
-            skeleton=Skeleton(self.bone_names, self.bone_parents, joints + lift),
-            weights=self.weights,
-            contact=self.contact,
-            shape=complete,
-            lift=float(lift[1]),
-        )
+        return vertices, np.einsum("t,tbc->bc", coefficients, self._term_joints)

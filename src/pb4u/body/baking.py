@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
+from pb4u.atomic_file import replace_file
 from pb4u.body.anny_body import AnnyBody
 from pb4u.body.baked_body import BUILT_IN, FORMAT_VERSION, shape_basis
-from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import MissingExtraError
 
 GENDER = {"woman": 1.0, "man": 0.0}
 PARAMETERS = ("height", "weight", "muscle")
 # Anny interpolates height between two anchors and weight and muscle between three (0, 0.5, 1).
 _FACTORS = {"height": (0, 1), "weight": (0, 1, 2), "muscle": (0, 1, 2)}
+# Positions are stored in whole steps of this [m] or more, which bounds the size of the files and their rounding.
 _VERTEX_STEP = 5e-6
 _HAND_BONES = ("wrist", "finger", "metacarpal")
 # For cloth to reach a vertex it must be free so far along its normal [m], and less than this share of its sky hidden.
@@ -25,10 +27,16 @@ _HIDDEN = 0.95
 
 
 def bake(out_folder: str | Path | None = None) -> list[Path]:
-    """Write one file per built-in body into `out_folder` (default: the package) and return their paths.
+    """Write one file per built-in body; the same version of Anny gives the same files, byte for byte.
 
-    The same version of Anny gives the same files, byte for byte. Raises MissingExtraError when the "anny" extra is not
-    installed.
+    Args:
+        out_folder: where, the package itself by default.
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        MissingExtraError: the "anny" extra is not installed.
     """
     if find_spec("anny") is None:
         raise MissingExtraError("anny", "Baking a body")
@@ -43,27 +51,27 @@ def _bake_one(anny: AnnyBody, name: str, path: Path) -> Path:
     vertices, joints = _shape_terms(anny, GENDER[name], term_basis.astype(np.int64))
     steps = np.maximum(_VERTEX_STEP, np.abs(vertices).max(axis=(1, 2)) / 32000)
     quantised = np.rint(vertices / steps[:, None, None]).astype(np.int64)
-    rest = anny.rest({"gender": GENDER[name], "age": 0.67})
+    vertices_at_rest, _ = anny.rest({"gender": GENDER[name], "age": 0.67})
     weights = anny.weights
-    part = path.with_name(path.name + ".part")
-    with part.open("wb") as file:
-        np.savez_compressed(
-            file,
-            format_version=np.int64(FORMAT_VERSION),
-            parameter_names=np.array(PARAMETERS),
-            parameter_ranges=np.array([anny.shape_parameters[key] for key in PARAMETERS]),
-            term_basis=term_basis,
-            term_vertices=np.diff(quantised, axis=1, prepend=0).astype(np.int32),
-            term_vertex_steps=steps,
-            term_joints=joints,
-            faces=anny.faces.astype(np.uint16),
-            bone_names=np.array(anny.bone_names),
-            bone_parents=anny.bone_parents.astype(np.int16),
-            weight_bones=weights.bones.astype(np.uint8),
-            weights=np.rint(weights.weights * 65535.0).astype(np.uint16),
-            contact=reachable(rest.vertices, anny.faces) & ~hands(anny.bone_names, weights),
-        )
-    part.replace(path)
+    of_hand = np.array([bone.startswith(_HAND_BONES) for bone in anny.bone_names])
+    file = io.BytesIO()
+    np.savez_compressed(
+        file,
+        format_version=np.int64(FORMAT_VERSION),
+        parameter_names=np.array(PARAMETERS),
+        parameter_ranges=np.array([anny.shape_parameters[key] for key in PARAMETERS]),
+        term_basis=term_basis,
+        term_vertices=np.diff(quantised, axis=1, prepend=0).astype(np.int32),
+        term_vertex_steps=steps,
+        term_joints=joints,
+        faces=anny.faces.astype(np.uint16),
+        bone_names=np.array(anny.bone_names),
+        bone_parents=anny.bone_parents.astype(np.int16),
+        weight_bones=weights.bones.astype(np.uint8),
+        weights=np.rint(weights.weights * 65535.0).astype(np.uint16),
+        contact=reachable(vertices_at_rest, anny.faces) & (weights.share_of(of_hand) <= 0.5),
+    )
+    replace_file(path, file.getvalue())
     return path
 
 
@@ -80,27 +88,26 @@ def _shape_terms(anny: AnnyBody, gender: float, term_basis: np.ndarray) -> tuple
         anny.rest({"gender": gender, "age": 0.67, **dict(zip(PARAMETERS, sample.tolist(), strict=True))})
         for sample in samples
     ]
-    vertices = np.einsum("ts,svc->tvc", inverse, np.stack([rest.vertices for rest in rests]))
-    joints = np.einsum("ts,sbc->tbc", inverse, np.stack([rest.joints for rest in rests]))
+    vertices = np.einsum("ts,svc->tvc", inverse, np.stack([vertices for vertices, _ in rests]))
+    joints = np.einsum("ts,sbc->tbc", inverse, np.stack([joints for _, joints in rests]))
     return vertices, joints
 
 
-def hands(bone_names: tuple[str, ...], weights: SkinningWeights) -> np.ndarray:
-    """(vertices,) bool: moved mostly by the wrist or the fingers."""
-    of_hand = np.array([name.startswith(_HAND_BONES) for name in bone_names])
-    return np.where(of_hand[weights.bones], weights.weights, 0.0).sum(axis=1) > 0.5
-
-
 def reachable(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(vertices,) bool: not inside other skin and not in a cavity such as the mouth.
+    """Which vertices cloth can reach: not inside other skin and not in a cavity such as the mouth.
 
     A vertex is inside where the winding number just outside of it is 1 or more, and in a cavity where other skin
     hides nearly all of its sky.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64, counter-clockwise seen from outside.
+
+    Returns:
+        (vertices,) bool.
     """
-    try:
-        import igl
-    except ImportError as error:
-        raise MissingExtraError("anny", "Baking a body") from error
+    import igl
+
     normals = igl.per_vertex_normals(vertices, faces)
     inside = igl.fast_winding_number(vertices, faces, vertices + _CLEARANCE * normals) > 0.5
     occlusion = igl.ambient_occlusion(vertices, faces, vertices + 1e-4 * normals, normals, 200)

@@ -20,9 +20,15 @@ from pb4u.errors import InputError
 def complete_parameters(
     body: str, ranges: Mapping[str, tuple[float, float, float]], given: Mapping[str, float]
 ) -> dict[str, float]:
-    """`given` over the defaults of `ranges`, name -> (lowest, default, highest), in the order of `ranges`.
+    """Every shape parameter, in the order of `ranges`.
 
-    Raises InputError on an unknown name or a value out of range.
+    Args:
+        body: name of the body, for messages.
+        ranges: name -> (lowest, default, highest).
+        given: those that differ from the default.
+
+    Raises:
+        InputError: a name is unknown or a value out of range.
     """
     known = ", ".join(f"{key} ({low:g} to {high:g})" for key, (low, _, high) in list(ranges.items())[:12])
     for key, value in given.items():
@@ -36,9 +42,27 @@ def complete_parameters(
 
 
 class BodyModel(ABC):
-    """A family of bodies; `shaped` picks one member."""
+    """A family of bodies; `shaped` picks one member.
+
+    Attributes:
+        name: what the user called it.
+        family: which bone names it has: "anny", "smpl", "smplh" or "smplx".
+        faces: (faces, 3) int64, counter-clockwise seen from outside.
+        bone_names: names of the bones, parents before children.
+        bone_parents: (bones,) int64, -1 for the root.
+        weights: skinning weights of the vertices.
+        contact: (vertices,) bool, see `ShapedBody`.
+        pose_offsets: see `ShapedBody`.
+    """
 
     name: str
+    family: str
+    faces: np.ndarray
+    bone_names: tuple[str, ...]
+    bone_parents: np.ndarray
+    weights: SkinningWeights
+    contact: np.ndarray
+    pose_offsets: np.ndarray | None = None
 
     @property
     @abstractmethod
@@ -46,8 +70,40 @@ class BodyModel(ABC):
         """Name -> (lowest, default, highest) of each shape parameter."""
 
     @abstractmethod
+    def rest(self, parameters: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """The body at rest in the world's axes, at the height that the model gives it.
+
+        Args:
+            parameters: every shape parameter by name.
+
+        Returns:
+            Vertices (vertices, 3) and joints (bones, 3), float64 [m].
+        """
+
     def shaped(self, **parameters: float) -> ShapedBody:
-        """The body with these shape parameters. Raises InputError on an unknown name or a value out of range."""
+        """One member of the family, standing on the ground.
+
+        Args:
+            **parameters: shape parameters by name; left out, the default of each.
+
+        Raises:
+            InputError: a name is unknown or a value out of range.
+        """
+        complete = complete_parameters(self.name, self.shape_parameters, parameters)
+        vertices, joints = self.rest(complete)
+        lift = np.array([0.0, -vertices[:, 1].min(), 0.0])
+        return ShapedBody(
+            name=self.name,
+            family=self.family,
+            vertices=vertices + lift,
+            faces=self.faces,
+            skeleton=Skeleton(self.bone_names, self.bone_parents, joints + lift),
+            weights=self.weights,
+            contact=self.contact,
+            shape=complete,
+            pose_offsets=self.pose_offsets,
+            lift=float(lift[1]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +158,7 @@ class PosedBody(AnimatedBody):
         self.rest_vertices = body.vertices
         self.fps = poses.fps
         self.name = body.name
-        self._carried: tuple[np.ndarray, SkinningWeights, SkinnedSurface] | None = None
+        self._worn: tuple[np.ndarray, SkinningWeights, SkinnedSurface] | None = None
 
     @property
     def frame_count(self) -> int:
@@ -119,11 +175,21 @@ class PosedBody(AnimatedBody):
         return self._surface.positions(self.transforms[start:stop])
 
     def skin(self, rest_vertices: np.ndarray, weights: SkinningWeights, start: int, stop: int) -> Tensor:
-        """Any surface (vertices, 3) carried by this body's bones: (stop - start, vertices, 3) float32 [m]."""
-        if self._carried is None or self._carried[0] is not rest_vertices or self._carried[1] is not weights:
+        """Any other surface moved by the bones of this body.
+
+        Args:
+            rest_vertices: (vertices, 3) where it is when the body rests [m].
+            weights: the bones of each vertex.
+            start: first frame.
+            stop: frame after the last.
+
+        Returns:
+            (stop - start, vertices, 3) float32 [m].
+        """
+        if self._worn is None or self._worn[0] is not rest_vertices or self._worn[1] is not weights:
             surface = SkinnedSurface(rest_vertices, weights, self.body.skeleton.bone_count)
-            self._carried = (rest_vertices, weights, surface)
-        return self._carried[2].positions(self.transforms[start:stop])
+            self._worn = (rest_vertices, weights, surface)
+        return self._worn[2].positions(self.transforms[start:stop])
 
     @cached_property
     def _surface(self) -> SkinnedSurface:
@@ -141,5 +207,5 @@ class PosedBody(AnimatedBody):
             local = rotations[:, parents].transpose(-1, -2) @ rotations[:, 1:]
             features = (local - torch.eye(3)).flatten(1)
             offsets = (features @ directions).view(len(transforms), -1, 3)
-            result[first : first + SkinnedSurface.CHUNK] += self._surface.carried(offsets, transforms)
+            result[first : first + SkinnedSurface.CHUNK] += self._surface.turned(offsets, transforms)
         return result

@@ -4,21 +4,35 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping
-from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
+from pkgutil import resolve_name
+from typing import NamedTuple
 
-from pb4u.body.anny_body import AnnyBody
 from pb4u.body.baked_body import BUILT_IN, BakedBody
 from pb4u.body.body_model import BodyModel, ShapedBody
-from pb4u.body.point_cache import CACHE_SUFFIXES
-from pb4u.body.smpl import SmplBody
-from pb4u.body.surface_file import SURFACE_SUFFIXES
-from pb4u.body.vertex_sequence import VertexSequence, load_vertex_sequence
-from pb4u.errors import InputError
+from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence
+from pb4u.errors import InputError, unknown_name
 
-_ANNY = "anny"
-_SUFFIXES = (".npz", ".pkl", *SURFACE_SUFFIXES, *CACHE_SUFFIXES)
+
+class _Format(NamedTuple):
+    """A kind of body file: a function of its path gives a `BodyModel` or a `VertexSequence`."""
+
+    reader: str
+    suffixes: tuple[str, ...]
+    # An .npz is of this kind where it has one of these; none for a kind that its suffix alone tells.
+    members: tuple[str, ...] = ()
+
+
+_FOLDER = "/"
+# The first that fits; another format is one more line here.
+_FORMATS = (
+    _Format("pb4u.body.baked_body:BakedBody", (".npz",), ("term_basis",)),
+    _Format("pb4u.body.smpl:SmplBody", (".npz",), ("v_template", "shapedirs", "kintree_table")),
+    _Format("pb4u.body.smpl:SmplBody", (".pkl",)),
+    _Format("pb4u.body.vertex_sequence:load_vertex_sequence", (".npz", *SUFFIXES, _FOLDER)),
+)
+_MODELS = {"anny": "pb4u.body.anny_body:AnnyBody"}
 
 
 def body_names() -> tuple[str, ...]:
@@ -34,17 +48,19 @@ def load_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None
             moving surface as `load_vertex_sequence` reads it.
         shape: shape parameters by name; a moving surface has none.
 
-    Raises InputError on an unknown name, a file that cannot be used, or a shape parameter that does not fit.
+    Raises:
+        InputError: the name is unknown, the file cannot be used, or a shape parameter does not fit.
     """
     given = dict(shape or {})
-    if str(name_or_path) in BUILT_IN:
-        return _built_in(str(name_or_path), tuple(sorted(given.items())))
-    model = _model(str(name_or_path))
-    if model is not None:
-        return model.shaped(**given)
+    name = str(name_or_path)
+    if name in BUILT_IN:
+        return _built_in(name, tuple(sorted(given.items())))
+    body: BodyModel | VertexSequence = resolve_name(_MODELS[name])() if name in _MODELS else _read(Path(name_or_path))
+    if isinstance(body, BodyModel):
+        return body.shaped(**given)
     if given:
-        raise InputError(f"{name_or_path} is a moving surface without shape parameters; leave out {', '.join(given)}.")
-    return load_vertex_sequence(name_or_path)
+        raise InputError(f"{name} is a moving surface without shape parameters; leave out {', '.join(given)}.")
+    return body
 
 
 @lru_cache(maxsize=8)
@@ -53,31 +69,23 @@ def _built_in(name: str, shape: tuple[tuple[str, float], ...]) -> ShapedBody:
     return BakedBody.built_in(name).shaped(**dict(shape))
 
 
-def _model(name: str) -> BodyModel | None:
-    """The model of a name or file; None where the file is a moving surface."""
-    if name == _ANNY:
-        return AnnyBody()
-    path = Path(name)
+def _read(path: Path) -> BodyModel | VertexSequence:
+    suffix, names = path.suffix.lower(), (*BUILT_IN, *_MODELS)
+    suffixes = {known for format_ in _FORMATS for known in format_.suffixes}
     if not path.exists():
-        raise InputError(_unknown(name))
-    suffix = path.suffix.lower()
-    if suffix == ".pkl":
-        return SmplBody(path)
-    if suffix != ".npz" or path.is_dir():
-        return None
-    try:
-        members = {Path(member).stem for member in zipfile.ZipFile(path).namelist()}
-    except (OSError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not a readable .npz ({error}).") from error
-    if "term_basis" in members:
-        return BakedBody(path)
-    return SmplBody(path) if members & {"v_template", "shapedirs", "kintree_table"} else None
-
-
-def _unknown(name: str) -> str:
-    names = (*BUILT_IN, _ANNY)
-    if Path(name).suffix.lower() in _SUFFIXES or "/" in name:
-        return f'There is no body file "{name}"; check the path, or use one of the names {", ".join(names)}.'
-    near = get_close_matches(name.lower(), names, n=2, cutoff=0.4)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"the built-in ones are {', '.join(names)}."
-    return f'There is no body called "{name}"; {hint}'
+        if suffix in suffixes or path.name != str(path):
+            raise InputError(
+                f'There is no body file "{path}"; check the path, or use one of the names {", ".join(names)}.'
+            )
+        raise unknown_name("body", str(path), names)
+    suffix = _FOLDER if path.is_dir() else suffix
+    members: set[str] = set()
+    if suffix == ".npz":
+        try:
+            with zipfile.ZipFile(path) as archive:
+                members = {Path(member).stem for member in archive.namelist()}
+        except (OSError, zipfile.BadZipFile) as error:
+            raise InputError(f"{path}: not a readable .npz ({error}).") from error
+    fitting = (f for f in _FORMATS if suffix in f.suffixes and (not f.members or members & set(f.members)))
+    # What is of no known kind is refused by the reader of the last one, which lists the kinds.
+    return resolve_name(next(fitting, _FORMATS[-1]).reader)(path)

@@ -1,10 +1,12 @@
-"""A skeleton at rest, and sequences of poses of it."""
+"""A skeleton at rest, sequences of poses of it, and forward kinematics."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+
+from pb4u.geometry.rotation import multiply, rotate
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,3 +51,38 @@ class PoseSequence:
 
     def __len__(self) -> int:
         return len(self.rotations)
+
+
+def world_rotations(local: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """World rotations of bones that are given from their parents.
+
+    Args:
+        local: (frames, bones, 4) unit quaternions wxyz.
+        parents: (bones,) index of each parent, before the bone itself; -1 for the root.
+
+    Returns:
+        (frames, bones, 4) unit quaternions wxyz.
+    """
+    world = np.empty_like(local)
+    for bone, parent in enumerate(parents.tolist()):
+        world[:, bone] = local[:, bone] if parent < 0 else multiply(world[:, parent], local[:, bone])
+    return world
+
+
+def joint_positions(skeleton: Skeleton, poses: PoseSequence) -> np.ndarray:
+    """World positions of the joints, by forward kinematics.
+
+    Args:
+        skeleton: the bones at rest.
+        poses: how they move.
+
+    Returns:
+        (frames, bones, 3) [m].
+    """
+    positions = np.empty((len(poses), skeleton.bone_count, 3))
+    positions[:, 0] = poses.root_positions
+    for bone, parent in enumerate(skeleton.parents.tolist()):
+        if parent >= 0:
+            offset = skeleton.joints[bone] - skeleton.joints[parent]
+            positions[:, bone] = positions[:, parent] + rotate(poses.rotations[:, parent], offset)
+    return positions

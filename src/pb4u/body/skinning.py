@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.body.skeleton import PoseSequence, Skeleton, joint_positions
 from pb4u.geometry.rotation import matrix_from_quaternion
 
 
@@ -24,6 +24,10 @@ class SkinningWeights:
     bones: np.ndarray
     weights: np.ndarray
 
+    def share_of(self, bones: np.ndarray) -> np.ndarray:
+        """(vertices,) share of each vertex's motion that the bones marked in (bones,) bool have."""
+        return (self.weights * bones[self.bones]).sum(axis=1)
+
 
 def strongest_influences(bones: np.ndarray, weights: np.ndarray, count: int) -> SkinningWeights:
     """The `count` largest weights of each vertex, scaled to sum to 1.
@@ -31,7 +35,7 @@ def strongest_influences(bones: np.ndarray, weights: np.ndarray, count: int) -> 
     Args:
         bones: (vertices, influences) bone indices.
         weights: (vertices, influences) weights, in any order.
-        count: influences to keep, at most as many as there are.
+        count: influences to keep at most.
     """
     count = min(count, int((weights > 0).sum(axis=1).max()))
     order = np.argsort(-weights, axis=1, kind="stable")[:, :count]
@@ -41,26 +45,21 @@ def strongest_influences(bones: np.ndarray, weights: np.ndarray, count: int) -> 
     return SkinningWeights(chosen.astype(np.int64), kept.astype(np.float32))
 
 
-def joint_positions(skeleton: Skeleton, poses: PoseSequence) -> np.ndarray:
-    """World positions (frames, bones, 3) [m] of the joints, by forward kinematics."""
-    from pb4u.geometry.rotation import rotate
+def bone_transforms(skeleton: Skeleton, poses: PoseSequence) -> Tensor:
+    """Transforms x -> A x + b of rest positions to world positions.
 
-    positions = np.empty((len(poses), skeleton.bone_count, 3))
-    positions[:, 0] = poses.root_positions
-    for bone, parent in enumerate(skeleton.parents.tolist()):
-        if parent >= 0:
-            offset = skeleton.joints[bone] - skeleton.joints[parent]
-            positions[:, bone] = positions[:, parent] + rotate(poses.rotations[:, parent], offset)
-    return positions
+    Args:
+        skeleton: the bones at rest.
+        poses: how they move.
 
-
-def bone_transforms(skeleton: Skeleton, poses: PoseSequence, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Transforms (frames, bones, 3, 4) that carry rest positions to world positions: x -> A x + b."""
+    Returns:
+        (frames, bones, 3, 4) float32: A and, in the last column, b [m].
+    """
     rotation = matrix_from_quaternion(torch.from_numpy(poses.rotations))
     joints = torch.from_numpy(joint_positions(skeleton, poses))
     rest = torch.from_numpy(np.ascontiguousarray(skeleton.joints, dtype=np.float64))
     translation = joints - (rotation @ rest[..., None])[..., 0]
-    return torch.cat([rotation, translation[..., None]], dim=-1).to(dtype)
+    return torch.cat([rotation, translation[..., None]], dim=-1).to(torch.float32)
 
 
 def skin(rest_vertices: Tensor, bones: Tensor, weights: Tensor, transforms: Tensor) -> Tensor:
@@ -82,7 +81,7 @@ def skin(rest_vertices: Tensor, bones: Tensor, weights: Tensor, transforms: Tens
 
 
 class SkinnedSurface:
-    """A surface carried by bones: linear blend skinning as one sparse product.
+    """A surface skinned to bones: linear blend skinning as one sparse product.
 
     sum_b w_b (A_b x + t_b) is linear in the bone transforms, so a matrix (vertices, 4 bones) with the entries
     w_b (x, 1) maps the stacked transforms of any number of frames to positions, without a blended transform for
@@ -121,7 +120,7 @@ class SkinnedSurface:
             result[start : start + self.CHUNK] = moved.reshape(len(moved), -1, 3).transpose(1, 0, 2)
         return torch.from_numpy(result)
 
-    def carried(self, offsets: Tensor, transforms: Tensor) -> Tensor:
+    def turned(self, offsets: Tensor, transforms: Tensor) -> Tensor:
         """Offsets (frames, vertices, 3) from the rest surface, turned with it by `transforms` (frames, bones, 3, 4)."""
         rotations = transforms[..., :3].to(torch.float32).numpy().transpose(1, 0, 2, 3)
         blended = self._weights @ rotations.reshape(self._weights.shape[1], -1)

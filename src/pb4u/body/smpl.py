@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pb4u.body.body_model import BodyModel, ShapedBody, complete_parameters
-from pb4u.body.skeleton import Skeleton
-from pb4u.body.skinning import SkinningWeights, strongest_influences
+from pb4u.body.body_model import BodyModel
+from pb4u.body.skinning import strongest_influences
 from pb4u.errors import InputError
 from pb4u.restricted_pickle import load_pickle
 
 BETA_RANGE = (-10.0, 0.0, 10.0)
+"""Lowest, default and highest shape coefficient, in standard deviations; others are refused."""
 _MEMBERS = ("v_template", "shapedirs", "posedirs", "J_regressor", "kintree_table", "weights", "f")
 _BODY_JOINTS = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
@@ -35,22 +34,10 @@ JOINT_NAMES: Mapping[str, tuple[str, ...]] = {
     "smplx": (*_BODY_JOINTS, "jaw", "left_eye_smplhf", "right_eye_smplhf", *_FINGERS),
 }
 _HAND_JOINTS = {"left_wrist", "right_wrist", "left_hand", "right_hand", *_FINGERS}
+# Bones that move one vertex at most, which bounds the cost of skinning; the others' shares go to these.
 _MAX_INFLUENCES = 8
 # A SMPL-X file appends 10 or 100 expression directions to its 10 or 300 of shape.
 _SMPLX_EXPRESSIONS = {20: 10, 400: 100}
-
-
-@dataclass(frozen=True, eq=False)
-class _Members:
-    """The arrays of a model file, checked against each other: V vertices, J joints, B betas, P pose features."""
-
-    template: np.ndarray
-    shape_directions: np.ndarray
-    pose_offsets: np.ndarray
-    joint_regressor: Any
-    parents: np.ndarray
-    weights: np.ndarray
-    faces: np.ndarray
 
 
 class SmplBody(BodyModel):
@@ -59,90 +46,60 @@ class SmplBody(BodyModel):
     At rest it stands in the T-pose of its file, feet on y = 0; that is the pose that garments are fitted to.
     Its shape parameters are beta0, beta1, ..; expressions are left at zero.
 
-    Raises InputError when the file is not such a model; a .pkl is read without running anything in it.
+    Args:
+        path: the .npz or .pkl; a .pkl is read without running anything in it.
+
+    Raises:
+        InputError: the file is not such a model.
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.name = Path(path).stem
-        self._members = _read(Path(path))
-        joints = len(self._members.parents)
-        self.family = next(family for family, names in JOINT_NAMES.items() if len(names) == joints)
-        self.faces = self._members.faces
-        self.weights = strongest_influences(
-            np.broadcast_to(np.arange(joints), self._members.weights.shape), self._members.weights, _MAX_INFLUENCES
-        )
-        self.contact = ~self._hands(self.weights)
+        path = Path(path)
+        raw = _load(path)
+        arrays = {key: raw[key] if hasattr(raw[key], "tocsr") else np.asarray(raw[key]) for key in _MEMBERS}
+        vertices, joints = (arrays["v_template"].shape or (0,))[0], (arrays["kintree_table"].shape or (0,))[-1]
+        families = [family for family, names in JOINT_NAMES.items() if len(names) == joints]
+        if not families:
+            raise InputError(f"{path} has {joints} joints; SMPL has 24, SMPL-H 52 and SMPL-X 55.")
+        _require_shapes(path, arrays, vertices, joints)
+        self.name, self.family = path.stem, families[0]
+        self.bone_names, self.bone_parents = JOINT_NAMES[self.family], _parents(path, arrays["kintree_table"][0])
+        self._template = _finite(path, "v_template", arrays["v_template"])
+        directions = _finite(path, "shapedirs", arrays["shapedirs"])
+        count = directions.shape[2]
+        self._directions = directions[:, :, : count - (self.family == "smplx") * _SMPLX_EXPRESSIONS.get(count, 0)]
+        self._regressor = arrays["J_regressor"]
+        if hasattr(self._regressor, "tocsr"):
+            self._regressor = self._regressor.tocsr().astype(np.float64)
+            _finite(path, "J_regressor", self._regressor.data)
+        else:
+            self._regressor = _finite(path, "J_regressor", self._regressor)
+        self.pose_offsets = _finite(path, "posedirs", arrays["posedirs"]).astype(np.float32)
+        weights = _finite(path, "weights", arrays["weights"])
+        if (weights < 0).any() or (weights.sum(axis=1) < 1e-6).any():
+            raise InputError(f'{path}: "weights" has negative or empty rows; download the model again.')
+        self.weights = strongest_influences(np.broadcast_to(np.arange(joints), weights.shape), weights, _MAX_INFLUENCES)
+        faces = arrays["f"]
+        if faces.dtype.kind not in "iu" or not len(faces) or faces.min() < 0 or faces.max() >= vertices:
+            raise InputError(f'{path}: "f" must hold vertex numbers from 0 to {vertices - 1}.')
+        self.faces = faces.astype(np.int64)
+        of_hand = np.array([name in _HAND_JOINTS for name in self.bone_names])
+        self.contact = self.weights.share_of(of_hand) <= 0.5
 
     @property
     def shape_parameters(self) -> Mapping[str, tuple[float, float, float]]:
-        return {f"beta{k}": BETA_RANGE for k in range(self._members.shape_directions.shape[2])}
+        return {f"beta{k}": BETA_RANGE for k in range(self._directions.shape[2])}
 
-    def shaped(self, **parameters: float) -> ShapedBody:
-        """The body with these betas. Raises InputError on an unknown name or a value out of range."""
-        complete = complete_parameters(self.name, self.shape_parameters, parameters)
-        members = self._members
-        vertices = members.template + members.shape_directions @ np.array(list(complete.values()))
-        joints = np.asarray(members.joint_regressor @ vertices)
-        lift = np.array([0.0, -vertices[:, 1].min(), 0.0])
-        return ShapedBody(
-            name=self.name,
-            family=self.family,
-            vertices=vertices + lift,
-            faces=self.faces,
-            skeleton=Skeleton(JOINT_NAMES[self.family], members.parents, joints + lift),
-            weights=self.weights,
-            contact=self.contact,
-            shape=complete,
-            pose_offsets=members.pose_offsets,
-            lift=float(lift[1]),
-        )
-
-    def _hands(self, weights: SkinningWeights) -> np.ndarray:
-        of_hand = np.array([name in _HAND_JOINTS for name in JOINT_NAMES[self.family]])
-        return np.where(of_hand[weights.bones], weights.weights, 0.0).sum(axis=1) > 0.5
-
-
-def _read(path: Path) -> _Members:
-    raw = _load(path)
-    arrays = {key: raw[key] if hasattr(raw[key], "tocsr") else np.asarray(raw[key]) for key in _MEMBERS}
-    vertices, joints = (arrays["v_template"].shape or (0,))[0], (arrays["kintree_table"].shape or (0,))[-1]
-    if joints not in [len(names) for names in JOINT_NAMES.values()]:
-        raise InputError(f"{path} has {joints} joints; SMPL has 24, SMPL-H 52 and SMPL-X 55.")
-    expected: dict[str, tuple[int | None, ...]] = {
-        "v_template": (vertices, 3),
-        "shapedirs": (vertices, 3, None),
-        "posedirs": (vertices, 3, 9 * (joints - 1)),
-        "J_regressor": (joints, vertices),
-        "kintree_table": (2, joints),
-        "weights": (vertices, joints),
-        "f": (None, 3),
-    }
-    for key, shape in expected.items():
-        found = tuple(arrays[key].shape)
-        if len(found) != len(shape) or any(n is not None and n != m for n, m in zip(shape, found, strict=True)):
-            wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            raise InputError(f'{path}: "{key}" has shape {found}; with {vertices} vertices it needs ({wanted}).')
-    numbers = {key: _finite(path, key, arrays[key]) for key in ("v_template", "shapedirs", "posedirs", "weights")}
-    directions = numbers["shapedirs"]
-    if joints == len(JOINT_NAMES["smplx"]):
-        directions = directions[:, :, : directions.shape[2] - _SMPLX_EXPRESSIONS.get(directions.shape[2], 0)]
-    return _Members(
-        template=numbers["v_template"],
-        shape_directions=directions,
-        pose_offsets=numbers["posedirs"].astype(np.float32),
-        joint_regressor=_regressor(path, arrays["J_regressor"]),
-        parents=_parents(path, arrays["kintree_table"][0]),
-        weights=_weights(path, numbers["weights"]),
-        faces=_faces(path, arrays["f"], vertices),
-    )
+    def rest(self, parameters: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        vertices = self._template + self._directions @ np.array(list(parameters.values()))
+        return vertices, np.asarray(self._regressor @ vertices)
 
 
 def _load(path: Path) -> Mapping[str, Any]:
     if path.suffix.lower() == ".pkl":
-        raw = load_pickle(path)
-        if not isinstance(raw, dict):
-            raise InputError(f"{path} holds a {type(raw).__name__}, not the members of an SMPL model.")
-        members = raw
+        members = load_pickle(path)
+        if not isinstance(members, dict):
+            raise InputError(f"{path} holds a {type(members).__name__}, not the members of an SMPL model.")
     else:
         try:
             with np.load(path, allow_pickle=False) as archive:
@@ -152,6 +109,23 @@ def _load(path: Path) -> Mapping[str, Any]:
     if missing := [key for key in _MEMBERS if key not in members]:
         raise InputError(f"{path}: not an SMPL, SMPL-H or SMPL-X model, it lacks {', '.join(missing)}.")
     return members
+
+
+def _require_shapes(path: Path, arrays: Mapping[str, Any], vertices: int, joints: int) -> None:
+    expected: dict[str, tuple[int | None, ...]] = {
+        "v_template": (vertices, 3),
+        "shapedirs": (vertices, 3, None),
+        "posedirs": (vertices, 3, 9 * (joints - 1)),
+        "J_regressor": (joints, vertices),
+        "kintree_table": (2, joints),
+        "weights": (vertices, joints),
+        "f": (None, 3),
+    }
+    for key, wanted in expected.items():
+        shape = tuple(arrays[key].shape)
+        if len(shape) != len(wanted) or any(n is not None and n != m for n, m in zip(wanted, shape, strict=True)):
+            told = ", ".join("any" if n is None else str(n) for n in wanted)
+            raise InputError(f'{path}: "{key}" has shape {shape}; with {vertices} vertices it needs ({told}).')
 
 
 def _finite(path: Path, key: str, values: np.ndarray) -> np.ndarray:
@@ -164,15 +138,6 @@ def _finite(path: Path, key: str, values: np.ndarray) -> np.ndarray:
     return numbers
 
 
-def _regressor(path: Path, regressor: Any) -> Any:
-    """The regressor (joints, vertices), sparse where the file has it so."""
-    if hasattr(regressor, "tocsr"):
-        sparse = regressor.tocsr().astype(np.float64)
-        _finite(path, "J_regressor", sparse.data)
-        return sparse
-    return _finite(path, "J_regressor", np.asarray(regressor))
-
-
 def _parents(path: Path, row: np.ndarray) -> np.ndarray:
     """(joints,) int64, -1 for the root, which the files write as -1 or 2^32 - 1."""
     parents = np.asarray(row, dtype=np.float64).astype(np.int64)
@@ -180,15 +145,3 @@ def _parents(path: Path, row: np.ndarray) -> np.ndarray:
     if (parents[1:] < 0).any() or (parents[1:] >= np.arange(1, len(parents))).any():
         raise InputError(f'{path}: in "kintree_table" a joint comes before its parent; download the model again.')
     return parents
-
-
-def _weights(path: Path, weights: np.ndarray) -> np.ndarray:
-    if (weights < 0).any() or (weights.sum(axis=1) < 1e-6).any():
-        raise InputError(f'{path}: "weights" has negative or empty rows; download the model again.')
-    return weights
-
-
-def _faces(path: Path, faces: np.ndarray, vertices: int) -> np.ndarray:
-    if faces.dtype.kind not in "iu" or not len(faces) or faces.min() < 0 or faces.max() >= vertices:
-        raise InputError(f'{path}: "f" must hold vertex numbers from 0 to {vertices - 1}.')
-    return faces.astype(np.int64)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import re
+import struct
 import warnings
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +15,23 @@ from torch import Tensor
 
 from pb4u.atomic_file import replace_file
 from pb4u.body.animated_body import AnimatedBody
-from pb4u.body.point_cache import CACHE_SUFFIXES, read_point_cache
-from pb4u.body.surface_file import SURFACE_SUFFIXES, read_frames, read_surface, refuse_too_many
 from pb4u.errors import InputError, InputWarning
+from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
+from pb4u.geometry.obj_file import read_obj_vertices
+from pb4u.geometry.triangulation import triangulate
 
 DEFAULT_FPS = 30.0
+MOST_TRIANGLES = 1_000_000
+"""Triangles that a body may have; it bounds the search tree that is built each frame, and more are refused."""
+# Extent [m] of the first frame between which coordinates may be metres: a doll's hand, a house.
 _PLAUSIBLE_SIZE = (0.1, 10.0)
+# Frames whose numbers are checked at a time, which bounds the memory of a mapped file.
 _CHECKED_FRAMES = 64
+_MESH_SUFFIXES = (".obj", ".ply")
+SUFFIXES = (*_MESH_SUFFIXES, ".pc2", ".mdd")
+_PC2_MAGIC = b"POINTCACHE2\0"
+_PC2_HEADER = struct.Struct("<12siiffi")
+_MDD_HEADER = struct.Struct(">ii")
 
 
 class VertexSequence(AnimatedBody):
@@ -75,7 +87,14 @@ class VertexSequence(AnimatedBody):
         return torch.from_numpy(np.ascontiguousarray(result))
 
     def resampled(self, fps: float) -> VertexSequence:
-        """The same motion at another frame rate. Raises InputError when `fps` is not positive."""
+        """The same motion at another frame rate.
+
+        Args:
+            fps: frames per second.
+
+        Raises:
+            InputError: it is not positive.
+        """
         if not (np.isfinite(fps) and fps > 0):
             raise InputError(f"{self.name}: cannot play at {fps:g} frames per second; give a positive frame rate.")
         held = round(self.held_start * fps / self.fps)
@@ -100,7 +119,8 @@ def write_vertex_sequence(
         fps: frames per second.
         contact: (vertices,) bool, false where the body neither answers contact nor counts as penetrated; default none.
 
-    Raises InputError when the file cannot be written.
+    Raises:
+        InputError: the file cannot be written.
     """
     buffer = io.BytesIO()
     np.savez(
@@ -119,21 +139,24 @@ def write_vertex_sequence(
 def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSequence:
     """Read an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd point cache of the same name.
 
+    Warns where the body is not closed or seems to be Z up.
+
     Args:
         path: the file or folder; of an OBJ and its cache, either.
         fps: frames per second of the file, over what the file says; 30 where neither tells.
 
-    Raises InputError on a file that cannot be used. Warns where the body is not closed or seems to be Z up.
+    Raises:
+        InputError: the file cannot be used.
     """
     path = Path(path)
     contact: np.ndarray | None = None
     file_fps: float | None = None
     if path.is_dir():
-        vertices, faces = read_frames(_frame_files(path))
+        vertices, faces = _read_folder(path)
     elif path.suffix.lower() == ".npz":
         vertices, faces, file_fps, contact = _read_npz(path)
-    elif path.suffix.lower() in (*SURFACE_SUFFIXES, *CACHE_SUFFIXES):
-        vertices, faces, file_fps = _read_surface_and_cache(path)
+    elif path.suffix.lower() in SUFFIXES:
+        vertices, faces, file_fps = _read_mesh_and_cache(path)
     else:
         raise InputError(
             f"{path}: a moving body is an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd beside it."
@@ -145,15 +168,51 @@ def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSe
     return sequence
 
 
-def _frame_files(folder: Path) -> list[Path]:
-    """Surface files of a folder in natural order: frame2 before frame10."""
-    found = [p for p in folder.iterdir() if p.suffix.lower() in SURFACE_SUFFIXES and not p.name.startswith(".")]
-    if not found:
+def _refuse_large(path: Path, triangles: int) -> None:
+    if triangles > MOST_TRIANGLES:
+        raise InputError(
+            f"{path} has {triangles:,} triangles or more, and {MOST_TRIANGLES:,} are the most that a body may have; "
+            "decimate it in the program it comes from."
+        )
+
+
+def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (vertices, 3) float64 and triangles (faces, 3) int64 of a mesh file."""
+    mesh = read_mesh(path, partial(_refuse_large, path))
+    return mesh.vertices, np.concatenate(mesh.polygons)[triangulate(mesh.vertices, mesh.polygons)[0]]
+
+
+def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (frames, vertices, 3) float32 of the files of one topology in a folder, and its triangles (faces, 3)."""
+    files = [p for p in folder.iterdir() if p.suffix.lower() in _MESH_SUFFIXES and not p.name.startswith(".")]
+    if not files:
         raise InputError(f"{folder} holds no .obj or .ply files; give a folder with one file per frame.")
-    kinds = {p.suffix.lower() for p in found}
-    if len(kinds) > 1:
+    if len({p.suffix.lower() for p in files}) > 1:
         raise InputError(f"{folder} holds both .obj and .ply files; keep one kind per folder.")
-    return sorted(found, key=lambda p: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", p.stem)])
+    # Natural order: frame2 before frame10.
+    files.sort(key=lambda p: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", p.stem)])
+    first, faces = _read_surface(files[0])
+    _, first_faces = _read_frame(files[0])
+    frames = np.empty((len(files), *first.shape), dtype=np.float32)
+    frames[0] = first
+    for index, path in enumerate(files[1:], 1):
+        vertices, own_faces = _read_frame(path)
+        if len(vertices) != len(first) or own_faces != first_faces:
+            same = len(vertices) == len(first)
+            difference = "other faces than" if same else f"{len(vertices)} vertices, not the number of"
+            raise InputError(
+                f"{path} has {difference} {files[0].name}: all frames need one topology, export them from one mesh."
+            )
+        frames[index] = vertices
+    return frames, faces
+
+
+def _read_frame(path: Path) -> tuple[np.ndarray, list[bytes] | bytes]:
+    """Vertices (vertices, 3), and what is equal between files with the same faces."""
+    if path.suffix.lower() == ".obj":
+        return read_obj_vertices(path)
+    mesh = read_with_trimesh(path)
+    return mesh.vertices, np.stack(mesh.polygons).tobytes()
 
 
 def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndarray | None]:
@@ -187,30 +246,68 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndar
     return vertices.astype(np.float32), faces.astype(np.int64), fps, None if contact is None else contact.astype(bool)
 
 
-def _read_surface_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | None]:
+def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | None]:
     beside = {p.suffix.lower(): p for p in sorted(path.parent.glob("*")) if p.stem == path.stem and p.is_file()}
-    if path.suffix.lower() in CACHE_SUFFIXES:
+    if path.suffix.lower() in _CACHES:
         surface, cache = beside.get(".obj"), path
         if surface is None:
             raise InputError(f"{path}: a point cache has no faces; put the mesh beside it as {path.stem}.obj.")
     else:
-        surface, cache = path, next((beside[suffix] for suffix in CACHE_SUFFIXES if suffix in beside), path)
-    vertices, faces = read_surface(surface)
+        surface, cache = path, next((beside[suffix] for suffix in _CACHES if suffix in beside), path)
+    vertices, faces = _read_surface(surface)
     if cache == surface:
         return vertices[None].astype(np.float32), faces, None
-    points = read_point_cache(cache)
-    if points.positions.shape[1] != len(vertices):
+    positions, fps = _CACHES[cache.suffix.lower()](cache)
+    if positions.shape[1] != len(vertices):
         raise InputError(
-            f"{cache} moves {points.positions.shape[1]} points and {surface.name} has {len(vertices)} vertices; "
+            f"{cache} moves {positions.shape[1]} points and {surface.name} has {len(vertices)} vertices; "
             "export both from one mesh."
         )
-    return points.positions, faces, points.fps
+    return positions, faces, fps
+
+
+def _read_pc2(path: Path) -> tuple[np.ndarray, float | None]:
+    """Positions (frames, points, 3) float32, mapped from the file, and frames per second where it tells."""
+    with path.open("rb") as file:
+        header = file.read(_PC2_HEADER.size)
+    if len(header) < _PC2_HEADER.size or not header.startswith(_PC2_MAGIC):
+        raise InputError(f'{path}: not a PC2 point cache, it does not begin with "POINTCACHE2"; export it again.')
+    _, _, points, _, _, frames = _PC2_HEADER.unpack(header)
+    # Its sample rate counts samples per frame of a scene whose frame rate the file does not hold.
+    return _map_points(path, _PC2_HEADER.size, frames, points, "<f4"), None
+
+
+def _read_mdd(path: Path) -> tuple[np.ndarray, float | None]:
+    with path.open("rb") as file:
+        header = file.read(_MDD_HEADER.size)
+        if len(header) < _MDD_HEADER.size:
+            raise InputError(f"{path}: not an MDD point cache, it ends in its header; export it again.")
+        frames, points = _MDD_HEADER.unpack(header)
+        times = np.frombuffer(file.read(4 * frames), dtype=">f4") if 0 < frames < 10**7 else np.zeros(0, dtype=">f4")
+    positions = _map_points(path, _MDD_HEADER.size + 4 * max(frames, 0), frames, points, ">f4")
+    duration = float(times[-1] - times[0])
+    return positions, (frames - 1) / duration if duration > 0 else None
+
+
+def _map_points(path: Path, offset: int, frames: int, points: int, dtype: str) -> np.ndarray:
+    if frames < 1 or points < 1:
+        raise InputError(f"{path} holds {frames} frames of {points} points; export it again.")
+    needed, size = offset + 12 * frames * points, path.stat().st_size
+    if size < needed:
+        raise InputError(
+            f"{path} is cut short: {frames} frames of {points} points need {needed} bytes and it has {size}; "
+            "export or copy it again."
+        )
+    return np.memmap(path, dtype=dtype, mode="r", offset=offset, shape=(frames, points, 3))
+
+
+_CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
 
 
 def _refuse_unusable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     if not len(faces):
         raise InputError(f"{path} has no faces; a body needs a surface.")
-    refuse_too_many(path, len(faces))
+    _refuse_large(path, len(faces))
     if faces.min() < 0 or faces.max() >= vertices.shape[1]:
         raise InputError(f"{path}: a face names a vertex out of range, there are {vertices.shape[1]}.")
     for start in range(0, len(vertices), _CHECKED_FRAMES):

@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import SHAPE_EXAMPLES, BodyShape, check_json_target, check_writable, progress_bar, write_json
-from pb4u.errors import InputError
+from pb4u.cli.console import (
+    BodyShape,
+    JsonFlag,
+    ShapeFlag,
+    check_json_target,
+    check_writable,
+    progress_bar,
+    write_json,
+)
+from pb4u.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
     from pb4u.garment.material import Material
-
-_Json = Annotated[
-    str | None, typer.Option(metavar="FILE|-", help="Write what was written as JSON; '-' is standard output.")
-]
 
 group = typer.Typer(
     help="List the built-in bodies, motions, garments, materials and models; write any of them to a file."
 )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.add_typer(group, name="assets")
-
-
 @group.callback(invoke_without_command=True)
 def assets(
     context: typer.Context,
-    json: Annotated[
-        str | None, typer.Option(help="Write the list as JSON to a file, or to standard output for '-'.")
-    ] = None,
+    json: JsonFlag = None,
 ) -> None:
     """List the built-in bodies, motions, garments, materials and models; write any of them to a file."""
     if context.invoked_subcommand:
@@ -111,14 +107,11 @@ def write(
         ),
     ],
     body: Annotated[str, typer.Option(help="Body that a garment is cut for, or that performs a motion.")] = "woman",
-    body_shape: Annotated[
-        BodyShape | None,
-        typer.Option(parser=BodyShape.parse, metavar="KEY=VALUE,..", help=f"Shape of that body, {SHAPE_EXAMPLES}."),
-    ] = None,
+    body_shape: ShapeFlag = None,
     triangles: Annotated[int | None, typer.Option(help="Triangles of a garment.")] = None,
     frames: Annotated[int, typer.Option(help="Frames of a motion.")] = 60,
     fps: Annotated[float, typer.Option(help="Frames per second of a motion.")] = 30.0,
-    json: _Json = None,
+    json: JsonFlag = None,
 ) -> None:
     """Write one built-in asset to a file."""
     from pb4u.body.body_model import ShapedBody
@@ -130,8 +123,7 @@ def write(
     expected = {**dict.fromkeys(garment_names(), ".obj"), **dict.fromkeys(body_names(), ".obj")}
     expected |= {**dict.fromkeys(motion_names(), ".npz"), **dict.fromkeys(MATERIALS, ".json")}
     if name not in expected:
-        near = ", ".join(get_close_matches(name, expected)) or "what `pb4u assets` lists"
-        raise InputError(f"There is no built-in asset {name!r}; did you mean {near}?")
+        raise unknown_name("built-in asset", name, expected)
     if out.suffix.lower() != expected[name]:
         raise InputError(f"{name} is written as {expected[name]}; {out} ends otherwise.")
     check_writable(out, "the asset")
@@ -144,7 +136,7 @@ def write(
         return
     if frames < 1 or not 1.0 <= fps <= 1000.0:
         raise InputError(f"A motion has 1 frame or more at 1 to 1000 per second, not {frames} at {fps:g}.")
-    figure = load_body(name if name in body_names() else body, body_shape)
+    figure = load_body(name if name in body_names() else body, BodyShape.of(body_shape))
     if not isinstance(figure, ShapedBody):
         raise InputError(f"{body} is a sequence of vertices; built-in garments and motions need a body with bones.")
     if name in motion_names():
@@ -155,14 +147,14 @@ def write(
         counts = {"vertices": len(figure.vertices), "triangles": len(figure.faces), "frames": frames, "fps": fps}
         _tell(json, name=name, kind="motion", out=str(out), body=figure.name, **counts)
         return
-    from pb4u.garment.garment import SourceMesh
-    from pb4u.garment.obj_file import write_obj
+    from pb4u.geometry.mesh_file import PolygonMesh
+    from pb4u.geometry.obj_file import write_obj
 
-    kind, mesh = "body", SourceMesh(figure.vertices, tuple(figure.faces))
+    kind, mesh = "body", PolygonMesh(figure.vertices, tuple(figure.faces))
     if name in garment_names():
         garment = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
         uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
-        kind, mesh = "garment", SourceMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+        kind, mesh = "garment", PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
     write_obj(out, mesh)
     counts = {"vertices": len(mesh.vertices), "triangles": len(mesh.polygons)}
     _tell(json, name=name, kind=kind, out=str(out), body=figure.name, **counts)
@@ -187,7 +179,7 @@ def pack(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Replace a field of the preset, as in data.shapes=8."),
     ] = None,
-    json: _Json = None,
+    json: JsonFlag = None,
 ) -> None:
     """Write what a training machine needs: it then needs torch, numpy and safetensors only."""
     from pb4u.training.collection import collect
@@ -220,7 +212,7 @@ def bake(
     folder: Annotated[
         Path | None, typer.Option(help="Folder to write to; default the package's own data folder.")
     ] = None,
-    json: _Json = None,
+    json: JsonFlag = None,
 ) -> None:
     """Rebuild the built-in bodies from Anny (needs the "anny" extra; takes minutes)."""
     from pb4u.body.baking import bake as build

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from pb4u.cli.console import SHAPE_EXAMPLES, BodyShape, FrameRange, check_json_target, check_writable, write_json
-from pb4u.errors import InputError, InputWarning, Pb4uError
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.command("check")(check)
+from pb4u.cli.console import (
+    BodyShape,
+    CropFlag,
+    JsonFlag,
+    ShapeFlag,
+    check_json_target,
+    check_writable,
+    write_json,
+)
+from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name
 
 
 def check(
@@ -27,19 +29,11 @@ def check(
     ] = None,
     garment: Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Built-in garment or mesh file.")] = None,
     body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = "woman",
-    body_shape: Annotated[
-        BodyShape | None,
-        typer.Option(parser=BodyShape.parse, metavar="KEY=VALUE,..", help=f"Shape of the body, {SHAPE_EXAMPLES}."),
-    ] = None,
+    body_shape: ShapeFlag = None,
     motion: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="Motion to read and retarget as well.", show_default=False)
     ] = None,
-    crop: Annotated[
-        FrameRange | None,
-        typer.Option(
-            parser=FrameRange.parse, metavar="A:B", help="Frames A to B-1 of that recording, at its own rate."
-        ),
-    ] = None,
+    crop: CropFlag = None,
     triangles: Annotated[int | None, typer.Option(help="Triangles of a built-in garment.")] = None,
     fix: Annotated[
         Path | None,
@@ -47,9 +41,7 @@ def check(
             metavar="OUT.obj", help="Write the garment with all mended that is safe to mend, to a file of its own."
         ),
     ] = None,
-    json: Annotated[
-        str | None, typer.Option(metavar="FILE|-", help="Write the findings as JSON; '-' is standard output.")
-    ] = None,
+    json: JsonFlag = None,
 ) -> None:
     """Diagnose a garment (and a body and a motion) before simulating; each fault with its fix.
 
@@ -58,6 +50,8 @@ def check(
     from pb4u.body.library import load_body
     from pb4u.garment.library import garment_names
 
+    if file is not None and garment is not None:
+        raise InputError(f"One garment is checked at a time; give {file} or --garment {garment}, not both.")
     given = garment or file
     if given is None and motion is None:
         raise InputError("Nothing to check: give a garment file or name, or --motion.")
@@ -73,7 +67,7 @@ def check(
             InputWarning,
             stacklevel=1,
         )
-    figure = load_body(body, body_shape)
+    figure = load_body(body, BodyShape.of(body_shape))
     report: dict[str, Any] = {}
     refused = False
     if given is not None:
@@ -108,15 +102,14 @@ def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | No
     from pb4u.garment.diagnosis import diagnose
     from pb4u.garment.garment_file import read_source
     from pb4u.garment.library import build_garment, garment_names
-    from pb4u.garment.obj_file import write_obj
     from pb4u.garment.repair import repair
+    from pb4u.geometry.obj_file import write_obj
 
     if name in garment_names():
         built = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
         return {"name": name, **diagnose(built, figure).to_json(), "mended": [], "remaining": None}
     if not Path(name).suffix:
-        near = get_close_matches(name, garment_names()) or list(garment_names())
-        raise InputError(f"No garment is called {name!r}, and it is not a file; did you mean {', '.join(near)}?")
+        raise unknown_name("garment", name, garment_names())
     source = read_source(Path(name))
     found = {"name": name, **diagnose(source, figure, name).to_json(), "mended": [], "remaining": None}
     if fix is not None:

@@ -2,60 +2,49 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import typer
 
-from pb4u.atomic_file import replace_file
+from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError
+from pb4u.export.registry import formats_help, written_files
+from pb4u.progress import Progress, unheard
 
-Progress = Callable[[int, int], None]
-
+Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
-FORMATS = (
-    ".npz .obj .pc2 .mdd .usdc .usda .usdz .glb .png .jpg .gif .mp4. GLB is within 1 mm (else a warning says how far "
-    "off), the other meshes are exact. OBJ is one file a frame, PC2 and MDD come with an .obj; these three hold the "
-    "garment alone. In Blender, set the frame rate to the trajectory's."
-)
+FORMATS = formats_help()
 
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
     """A bar with the time left, on standard error; silent where that is not a terminal."""
     if not sys.stderr.isatty():
-        yield lambda done, total: None
+        yield unheard
         return
+    from rich import progress
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
 
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def write_json(payload: Mapping[str, Any], target: str) -> None:
     """Write `payload` to a file, or to standard output for "-". Non-finite numbers become null."""
-    text = json.dumps(_finite(payload), indent=2)
+    text = json_text(dict(payload), indent=2)
     if target == "-":
         print(text)
         return
@@ -65,8 +54,6 @@ def write_json(payload: Mapping[str, Any], target: str) -> None:
 
 def wrote(targets: Iterable[Path], frames: int) -> str:
     """One line on the files that the export of `frames` frames to `targets` left; long sequences by their ends."""
-    from pb4u.export.registry import written_files
-
     told: list[str] = []
     for target in targets:
         files = [str(file) for file in written_files(target, frames)]
@@ -90,16 +77,6 @@ def check_writable(path: Path, flag: str) -> None:
         raise InputError(f"The folder {path.parent} for {flag} cannot be written to.")
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if value == value and abs(value) != float("inf") else None
-    if isinstance(value, Mapping):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return value
-
-
 class BodyShape(dict[str, float]):
     """Shape parameters of a body by name."""
 
@@ -107,17 +84,30 @@ class BodyShape(dict[str, float]):
     def parse(cls, text: str) -> BodyShape:
         """From `height=0.7,weight=0.4`. Raises BadParameter on anything else."""
         shape = cls()
-        for entry in text.split(","):
-            if not entry.strip():
-                continue
+        for entry in filter(str.strip, text.split(",")):
             key, equals, value = entry.partition("=")
             try:
-                shape[key.strip()] = float(value)
+                shape.add(key.strip(), float(value))
             except ValueError:
                 equals = ""
             if not equals:
                 raise typer.BadParameter(f"it takes KEY=VALUE pairs such as height=0.7,weight=0.4; {entry!r} is none.")
         return shape
+
+    @classmethod
+    def of(cls, flags: Iterable[BodyShape] | None) -> BodyShape:
+        """All that a flag given several times says. Raises BadParameter where two say the same."""
+        shape = cls()
+        for flag in flags or ():
+            for key, value in flag.items():
+                shape.add(key, value)
+        return shape
+
+    def add(self, key: str, value: float) -> None:
+        """Set a parameter. Raises BadParameter where it is set already."""
+        if key in self:
+            raise typer.BadParameter(f"--body-shape gives {key} twice; give it once.")
+        self[key] = value
 
 
 class FrameRange(NamedTuple):
@@ -133,3 +123,22 @@ class FrameRange(NamedTuple):
         if colon and first.strip().isdecimal() and stop.strip().isdecimal() and int(first) < int(stop):
             return cls(int(first), int(stop))
         raise typer.BadParameter(f"a range is A:B, frame A to frame B-1 with 0 <= A < B, such as 30:120; not {text!r}.")
+
+
+ShapeFlag: TypeAlias = Annotated[
+    list[BodyShape] | None,
+    typer.Option(
+        "--body-shape",
+        parser=BodyShape.parse,
+        metavar="KEY=VALUE,..",
+        help=f"Shape of the body, {SHAPE_EXAMPLES}. Repeatable.",
+    ),
+]
+CropFlag: TypeAlias = Annotated[
+    FrameRange | None,
+    typer.Option(parser=FrameRange.parse, metavar="A:B", help="Frames A to B-1 of a recording, at its own rate."),
+]
+JsonFlag: TypeAlias = Annotated[
+    str | None,
+    typer.Option(metavar="FILE|-", help="Write the result as JSON to a file; '-' is standard output."),
+]

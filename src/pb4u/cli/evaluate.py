@@ -4,36 +4,16 @@ from __future__ import annotations
 
 import shutil
 import sys
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import check_json_target, progress_bar, write_json
+from pb4u.cli.console import Switch, check_json_target, progress_bar, write_json
 from pb4u.errors import InputError, Pb4uError
 
 if TYPE_CHECKING:
-    from pb4u.evaluation.crew import Crew
-
-
-class Switch(str, Enum):
-    """On or off."""
-
-    on = "on"
-    off = "off"
-
-
-class Floors(str, Enum):
-    """Where the solver's results for the ratios come from."""
-
-    run = "run"
-    stored = "stored"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.command("evaluate")(evaluate)
+    from pb4u.evaluation.worker_pool import WorkerPool
 
 
 def evaluate(
@@ -72,11 +52,12 @@ def evaluate(
         ),
     ] = None,
     refine: Annotated[int, typer.Option(metavar="N", help="Solver iterations after each step of a network.")] = 0,
-    contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = Switch.off,
+    contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = "off",
     device: Annotated[str, typer.Option(help="Where networks compute: auto, cpu or cuda.")] = "auto",
     floors: Annotated[
-        Floors, typer.Option(help="run the solver on scenes whose floor is not stored, or take what is stored.")
-    ] = Floors.run,
+        Literal["run", "stored"],
+        typer.Option(help="run the solver on scenes whose floor is not stored, or take what is stored."),
+    ] = "run",
     workers: Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")] = 1,
     ray: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
@@ -95,8 +76,8 @@ def evaluate(
     Killed at any instant, the same command goes on where it was. Other flags with the same --out narrow or extend it.
     """
     from pb4u.evaluation.planning import Request
-    from pb4u.evaluation.session import PAGE, PLOTS
-    from pb4u.evaluation.session import evaluate as run
+    from pb4u.evaluation.protocol_run import evaluate as run
+    from pb4u.evaluation.report import PAGE, PLOTS
 
     check_json_target(json)
     if workers < 1:
@@ -106,22 +87,18 @@ def evaluate(
     request = Request(
         protocol=protocol, models=_names(models), garments=_names(garments), motions=_names(motions),
         bodies=_names(bodies), levels=_names(levels), steps=_counts(propagation_steps), frames=frames, lead_in=lead_in,
-        recordings=recordings, refine=refine, contact=contact is Switch.on, device=device,
-        floors=floors is Floors.run,
+        recordings=recordings, refine=refine, contact=contact == "on", device=device,
+        floors=floors == "run",
     )  # fmt: skip
 
-    def crew() -> Crew:
-        if ray is not None:
-            from pb4u.evaluation.ray_crew import RayCrew
+    def pool() -> WorkerPool:
+        from pb4u.evaluation.worker_pool import LocalPool, RayPool
 
-            return RayCrew(ray, workers)
-        from pb4u.evaluation.crew import LocalCrew
-
-        return LocalCrew(workers)
+        return LocalPool(workers) if ray is None else RayPool(ray, workers)
 
     folder = out or Path(f"evaluate_{protocol}")
     results = run(
-        request, folder, crew, retry, say=lambda line: print(f"pb4u: {line}", file=sys.stderr), progress=progress_bar
+        request, folder, pool, retry, say=lambda line: print(f"pb4u: {line}", file=sys.stderr), progress=progress_bar
     )
     if plots is not None:
         plots.mkdir(parents=True, exist_ok=True)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-
-from pb4u.cli.console import check_json_target, write_json
+from pb4u.cli.console import JsonFlag, check_json_target, write_json
 
 _EXTRAS = {
     "anny": "anny",
@@ -21,15 +19,8 @@ _EXTRAS = {
 }
 
 
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.command("info")(info)
-
-
 def info(
-    json: Annotated[
-        str | None, typer.Option(help="Write this as JSON to a file, or to standard output for '-'.")
-    ] = None,
+    json: JsonFlag = None,
 ) -> None:
     """Show versions, the device, threads and which optional parts are installed."""
     check_json_target(json)

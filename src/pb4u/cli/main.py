@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from pb4u import __version__
-from pb4u.cli import assets, check, convert, evaluate, info, simulate, train, view
+from pb4u.cli import assets, check, evaluate, info, simulate, train, trajectory_verbs
 from pb4u.errors import InputWarning, Pb4uError
 
 app = typer.Typer(
@@ -22,8 +22,17 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for verb in (simulate, view, check, convert, train, evaluate, assets, info):
-    verb.register(app)
+for verb in (
+    simulate.simulate,
+    trajectory_verbs.view,
+    check.check,
+    trajectory_verbs.convert,
+    train.train,
+    evaluate.evaluate,
+    info.info,
+):
+    app.command()(verb)
+app.add_typer(assets.group, name="assets")
 
 
 def _tell_version(asked: bool) -> None:

@@ -1,27 +1,30 @@
-"""`pb4u simulate`: a garment on a moving body, to files."""
+"""`pb4u simulate`: garments on a moving body, to files."""
 
 from __future__ import annotations
 
-import math
 import warnings
-from enum import Enum
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from pb4u.cli.console import (
     FORMATS,
-    SHAPE_EXAMPLES,
     BodyShape,
-    FrameRange,
+    CropFlag,
+    ShapeFlag,
+    Switch,
     check_json_target,
+    check_writable,
     progress_bar,
     write_json,
     wrote,
 )
-from pb4u.cli.divergence import diverged_at
-from pb4u.errors import InputError, InputWarning, Pb4uError
+from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name
+from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+from pb4u.simulation.run_specification import Device, FirstFrameChoice, RunSpecification
 
 if TYPE_CHECKING:
     from pb4u.scene.scene import Scene
@@ -29,98 +32,153 @@ if TYPE_CHECKING:
     from pb4u.simulation.simulator import RunRecord, Simulator
 
 
-class Switch(str, Enum):
-    """On or off."""
+class GarmentValue(NamedTuple):
+    """A value for one garment by name, or for whichever its place says."""
 
-    on = "on"
-    off = "off"
+    garment: str | None
+    value: Any
 
+    @classmethod
+    def parse(cls, text: str) -> GarmentValue:
+        """From `VALUE` or `NAME=VALUE`."""
+        name, equals, value = text.partition("=")
+        return cls(name.strip(), value.strip()) if equals and not Path(text).exists() else cls(None, text)
 
-class Device(str, Enum):
-    """Where networks and newton compute."""
-
-    auto = "auto"
-    cpu = "cpu"
-    cuda = "cuda"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.command("simulate")(simulate)
+    @classmethod
+    def parse_count(cls, text: str) -> GarmentValue:
+        """From `N` or `NAME=N`. Raises BadParameter where N is no whole number."""
+        name, value = cls.parse(text)
+        try:
+            return cls(name, int(value))
+        except ValueError:
+            raise typer.BadParameter(f"it takes a whole number or NAME=N; {text!r} is neither.") from None
 
 
 def simulate(
-    garment: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME|FILE", help="Built-in garment, or a mesh file in metres that fits the body at rest."
+    scene: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="SCENE.toml",
+            help="Scene file to run, as --save-scene writes it. Flags win over it: --garment replaces all its garments "
+            "with their materials, pins and triangles, --body its shape too, --motion its crop too.",
+            show_default=False,
         ),
-    ] = "tshirt",
-    body: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME|FILE", help="woman, man, anny (extra), SMPL-family model file, or a sequence of vertices."
-        ),
-    ] = "woman",
-    body_shape: Annotated[
-        BodyShape | None,
-        typer.Option(parser=BodyShape.parse, metavar="KEY=VALUE,..", help=f"Shape of the body, {SHAPE_EXAMPLES}."),
     ] = None,
+    garment: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Built-in garment, or a mesh file in metres that fits the body at rest. Repeatable, inner first. "
+            f"Default: {GarmentSpecification.garment}.",
+        ),
+    ] = None,
+    body: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="woman, man, anny (extra), SMPL-family model file, or a sequence of vertices. "
+            f"Default: {SceneSpecification.body}.",
+        ),
+    ] = None,
+    body_shape: ShapeFlag = None,
     motion: Annotated[
         str | None,
         typer.Option(
             metavar="NAME|FILE",
             help="Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl. Default: walk, or the sequence's own.",
-            show_default=False,
         ),
     ] = None,
-    fps: Annotated[float, typer.Option(help="Frames per second; networks run at their own.")] = 30.0,
-    lead_in: Annotated[
-        int, typer.Option(help="Frames from the rest pose into the motion, simulated but not written.")
-    ] = 30,
-    keep_lead_in: Annotated[bool, typer.Option("--keep-lead-in", help="Write the lead-in frames as well.")] = False,
-    crop: Annotated[
-        FrameRange | None,
-        typer.Option(parser=FrameRange.parse, metavar="A:B", help="Frames A to B-1 of a recording, at its own rate."),
+    fps: Annotated[
+        float | None,
+        typer.Option(help=f"Frames per second; networks run at their own. Default: {SceneSpecification.fps:g}."),
     ] = None,
-    arms_away: Annotated[float, typer.Option(help="Hold hanging arms this many degrees away from the torso.")] = 0.0,
-    pins: Annotated[
-        str | None,
+    lead_in: Annotated[
+        int | None,
         typer.Option(
-            metavar="NAME|FILE",
+            help="Frames from the rest pose into the motion, simulated but not written. "
+            f"Default: {SceneSpecification.lead_in}."
+        ),
+    ] = None,
+    keep_lead_in: Annotated[
+        bool | None,
+        typer.Option("--keep-lead-in/--drop-lead-in", help="Write the lead-in frames as well. Default: drop."),
+    ] = None,
+    crop: CropFlag = None,
+    arms_away: Annotated[
+        float | None, typer.Option(help="Hold hanging arms this many degrees away from the torso. Default: 0.")
+    ] = None,
+    pins: Annotated[
+        list[GarmentValue] | None,
+        typer.Option(
+            parser=GarmentValue.parse,
+            metavar="[NAME=]PINS",
             help="Vertices that follow the body: none, waist (highest border), hem (lowest), loop:N (border with the "
-            "N-th most vertices), or a file of indices. Default: the garment's own.",
+            "N-th most vertices), or a file of indices. Once for all garments, once a garment in their order, or as "
+            "NAME=PINS. Default: the garment's own.",
         ),
     ] = None,
     triangles: Annotated[
-        int | None, typer.Option(help="Triangles to simulate; default the file's own, or 2,500 of a built-in garment.")
+        list[GarmentValue] | None,
+        typer.Option(
+            parser=GarmentValue.parse_count,
+            metavar="[NAME=]N",
+            help="Triangles to simulate, given as --pins is. Default: the file's own, or 2,500 of a built-in garment.",
+        ),
     ] = None,
     material: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="Built-in material or a JSON file in SI units.")
-    ] = "default",
+        list[GarmentValue] | None,
+        typer.Option(
+            parser=GarmentValue.parse,
+            metavar="[NAME=]MATERIAL",
+            help="Built-in material or a JSON file in SI units, given as --pins is. Default: default.",
+        ),
+    ] = None,
     frames: Annotated[
-        int | None, typer.Option(help="Frames to write; default the whole recording, or 60 of a built-in motion.")
+        int | None, typer.Option(help="Frames to write. Default: the whole recording, or 60 of a built-in motion.")
     ] = None,
     model: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME|FILE",
             help="solver, skinning, newton, or a network by name or .safetensors file. Default: pb4u-small.",
         ),
-    ] = "auto",
+    ] = None,
     propagation_steps: Annotated[
-        int | None, typer.Option(metavar="K", help="Override the number of propagation steps of a network.")
+        int | None,
+        typer.Option(metavar="K", help="Propagation steps of a network. Default: as many as the mesh calls for."),
     ] = None,
     passes: Annotated[
         int | None,
         typer.Option(help="How often a network is asked in each step. Default: its own number, or 1 with --refine."),
     ] = None,
-    refine: Annotated[int, typer.Option(metavar="N", help="Solver iterations after each step of a network.")] = 5,
-    contact: Annotated[Switch, typer.Option(help="Push the garment out of the body after each step.")] = Switch.on,
+    refine: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help=f"Solver iterations after each step of a network. Default: {RunSpecification.refine}.",
+        ),
+    ] = None,
+    contact: Annotated[
+        Switch | None, typer.Option(help="Push the garment out of the body after each step. Default: on.")
+    ] = None,
     device: Annotated[
-        Device, typer.Option(help="Where a network or newton computes; the solver always runs on the CPU.")
-    ] = Device.auto,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
+        Device | None,
+        typer.Option(help="Where a network or newton computes; the solver always runs on the CPU. Default: auto."),
+    ] = None,
+    first_frame: Annotated[
+        FirstFrameChoice | None,
+        typer.Option(
+            help="How frame 0 is made: settled by the solver, or in one long step of the method itself, as in the "
+            "paper. Default: auto, which is settled wherever the solver takes part."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help=f"Seed of everything random. Default: {SceneSpecification.seed}.")
+    ] = None,
+    save_scene: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Also write a scene file, to run the same again: `pb4u simulate FILE`."),
+    ] = None,
     out: Annotated[
         list[Path] | None,
         typer.Option(
@@ -133,43 +191,96 @@ def simulate(
         typer.Option(metavar="FILE|-", help="Write counts, timing and metrics as JSON; '-' is standard output."),
     ] = None,
 ) -> None:
-    """Simulate a garment on a moving body. Without options: the T-shirt on a walk, animated, in this folder."""
+    """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder."""
+    described = RunSpecification() if scene is None else RunSpecification.open(scene)
+    run = replace(
+        described,
+        scene=replace(
+            described.scene,
+            garments=_dressed(described.scene.garments, garment, material=material, pins=pins, triangles=triangles),
+            body_shape={**({} if body else described.scene.body_shape), **BodyShape.of(body_shape)},
+            crop=crop or (None if motion else described.scene.crop),
+            **_given(
+                body=body, motion=motion, fps=fps, lead_in=lead_in, keep_lead_in=keep_lead_in, arms_away=arms_away,
+                frames=frames, seed=seed,
+            ),
+        ),
+        **_given(
+            model=model, propagation_steps=propagation_steps, passes=passes, refine=refine,
+            contact=contact and contact == "on", device=device, first_frame=first_frame,
+        ),
+    )  # fmt: skip
+    _simulate(run, list(out) if out else _default_targets(run.scene), save_scene, json)
+
+
+def _given(**flags: Any) -> dict[str, Any]:
+    return {name: value for name, value in flags.items() if value is not None}
+
+
+def _dressed(
+    described: Sequence[GarmentSpecification], named: list[str] | None, **flags: list[GarmentValue] | None
+) -> tuple[GarmentSpecification, ...]:
+    """The garments that the flags name, or those of the scene file, with what else the flags say of each."""
+    garments = [GarmentSpecification(name) for name in named] if named else list(described)
+    for field, given in flags.items():
+        values = _one_each(field, given or [], [garment.name for garment in garments])
+        garments = [
+            garment if value is None else replace(garment, **{field: value})
+            for garment, value in zip(garments, values, strict=True)
+        ]
+    return tuple(garments)
+
+
+def _one_each(flag: str, given: list[GarmentValue], names: list[str]) -> list[Any]:
+    """The value of a flag for each of the garments called `names`; None where it says nothing."""
+    unnamed = [each.value for each in given if each.garment is None]
+    if len(unnamed) not in (0, 1, len(names)):
+        raise InputError(
+            f"--{flag} is given {len(unnamed)} times, and the garments are {len(names)}; give it once for all, once a "
+            f"garment in their order, or as NAME={flag.upper()}."
+        )
+    values = unnamed if len(unnamed) == len(names) else [unnamed[0] if unnamed else None] * len(names)
+    told = [each.garment for each in given if each.garment is not None]
+    for name in told:
+        if name not in names:
+            raise unknown_name("garment in this scene", name, names)
+        if names.count(name) > 1 or told.count(name) > 1:
+            raise InputError(
+                f"--{flag} {name}=.. does not say which: the scene has {names.count(name)} of that name, and the flag "
+                f"is given {told.count(name)} times for it."
+            )
+    by_name = {each.garment: each.value for each in given if each.garment is not None}
+    return [by_name.get(name, value) for name, value in zip(names, values, strict=True)]
+
+
+def _default_targets(scene: SceneSpecification) -> list[Path]:
+    from importlib.util import find_spec
+
+    # A body of the user's own may be a sequence, which moves by itself.
+    moves = scene.motion or (scene.body if Path(str(scene.body)).exists() else "walk")
+    stem = f"{'+'.join(garment.name for garment in scene.garments)}_{Path(str(moves)).stem}"
+    suffixes = [".npz", ".glb", ".png", ".mp4" if find_spec("cv2") else ".gif"]
+    return [Path(stem + suffix) for suffix in suffixes]
+
+
+def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | None, json: str | None) -> None:
     from pb4u.export.registry import check_target
-    from pb4u.scene.assembly import make_scene
-    from pb4u.simulation.models import load_simulator
     from pb4u.simulation.simulator import RunRecord
 
-    targets = list(out) if out else _default_targets(garment, body, motion)
     for target in targets:
         check_target(target)
     check_json_target(json)
-    if not 1.0 <= fps <= 1000.0:
-        raise InputError(f"Frames per second must lie between 1 and 1000, not {fps:g}.")
-    simulator = load_simulator(
-        model,
-        contact=contact is Switch.on,
-        refine=refine,
-        propagation_steps=propagation_steps,
-        passes=passes,
-        device=device.value,
-    )
-    if device is Device.cuda and simulator.settings().get("device", "cpu") == "cpu":
+    if save_scene is not None:
+        check_writable(save_scene, "--save-scene")
+    simulator = run.simulator()
+    if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
         _warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
-    asked_frames, simulated_fps = frames, simulator.fps or fps
-    if frames is not None and keep_lead_in:
-        asked_frames = frames + lead_in
-    if not math.isclose(simulated_fps, fps):
-        _warn(f"{simulator.name} runs at {simulated_fps:g} frames per second; the result is resampled to {fps:g}.")
-        frames = None if frames is None else math.ceil((frames - 1) * simulated_fps / fps) + 1
-        lead_in = round(lead_in * simulated_fps / fps)
-    scene = make_scene(
-        garment, body, motion, triangles=triangles, material=material, pins=pins, body_shape=body_shape,
-        frames=frames, lead_in=lead_in, keep_lead_in=keep_lead_in, crop=crop, fps=simulated_fps, arms_away=arms_away,
-        seed=seed,
-    )  # fmt: skip
+    scene = run.assemble(simulator)
+    if save_scene is not None:
+        run.save(save_scene)
     record = RunRecord()
     left = list(targets)
-    trajectory = _run(simulator, scene, left, record, fps, asked_frames)
+    trajectory = _trajectory(run, simulator, scene, left, record)
     _export(trajectory, left)
     if json != "-":
         print(wrote(targets, trajectory.frame_count))
@@ -179,7 +290,9 @@ def simulate(
         write_json(report, json)
         diverged = report["diverged_at"]
     elif record.failed_at is None:
-        diverged = diverged_at(scene, trajectory)
+        from pb4u.evaluation.metrics import first_diverged, skinned_centres
+
+        diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
     if record.failed_at is not None:
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
@@ -197,36 +310,16 @@ def _warn(sentence: str) -> None:
     warnings.warn(sentence, InputWarning, stacklevel=2)
 
 
-def _default_targets(garment: str, body: str, motion: str | None) -> list[Path]:
-    from importlib.util import find_spec
-
-    # A body of the user's own may be a sequence, which moves by itself.
-    moves = motion or (body if Path(body).exists() else "walk")
-    stem = f"{Path(garment).stem}_{Path(moves).stem}"
-    suffixes = [".npz", ".glb", ".png", ".mp4" if find_spec("cv2") else ".gif"]
-    return [Path(stem + suffix) for suffix in suffixes]
-
-
-def _run(
-    simulator: Simulator, scene: Scene, targets: list[Path], record: RunRecord, fps: float, frames: int | None
+def _trajectory(
+    run: RunSpecification, simulator: Simulator, scene: Scene, targets: list[Path], record: RunRecord
 ) -> Trajectory:
-    """Stream into the first .npz asked for; into memory without one, or where frames have to be resampled.
-
-    What is streamed into is taken off `targets`.
-    """
-    from pb4u.export.selection import resampled
-    from pb4u.scene.trajectory import Trajectory
-
-    streamed = next((t for t in targets if t.suffix.lower() == ".npz"), None)
-    label = f"{scene.garments[0].garment.triangle_count:,} triangles, {simulator.name}"
-    with progress_bar(label) as progress:
-        if not math.isclose(scene.fps, fps):
-            simulated = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record, progress))
-            return resampled(simulated, fps, frames)
-        if streamed is not None:
-            targets.remove(streamed)
-            return simulator.simulate_to(scene, streamed, record, progress)
-        return Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record, progress))
+    """Simulate into the first .npz asked for, which is taken off `targets`, else into memory."""
+    file = next((target for target in targets if target.suffix.lower() == ".npz"), None)
+    if file is not None:
+        targets.remove(file)
+    count = sum(dressed.garment.triangle_count for dressed in scene.garments)
+    with progress_bar(f"{count:,} triangles, {simulator.name}") as progress:
+        return run.roll_out(simulator, scene, file, record, progress)
 
 
 def _export(trajectory: Trajectory, targets: list[Path]) -> None:
@@ -239,16 +332,13 @@ def _export(trajectory: Trajectory, targets: list[Path]) -> None:
 
 def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
     """The --json payload of the contract."""
-    from pb4u.evaluation.metrics import measure
-    from pb4u.evaluation.skinned_centres import skinned_centres
+    from pb4u.evaluation.metrics import measure, skinned_centres
 
     with progress_bar("measuring") as progress:
         measured = measure(trajectory, skinned=skinned_centres(scene, trajectory), progress=progress)
+    noted = ("garment", "body", "motion", "model")
     return {
-        "garment": trajectory.metadata["garment"],
-        "body": trajectory.metadata["body"],
-        "motion": trajectory.metadata["motion"],
-        "model": trajectory.metadata["model"],
+        **{name: trajectory.metadata[name] for name in noted},
         "triangles": len(trajectory.faces),
         "vertices": trajectory.positions.shape[1],
         "mean_edge_length": trajectory.metadata["mean_edge_length"],

@@ -7,12 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import check_json_target, write_json
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.command("train")(train)
+from pb4u.cli.console import JsonFlag, check_json_target, write_json
 
 
 def train(
@@ -49,7 +44,7 @@ def train(
         typer.Option("--set", metavar="KEY=VALUE", help="Replace a field of the preset, as in network.width=64."),
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    json: Annotated[str | None, typer.Option(help="Write how it ended as JSON to a file, or '-'.")] = None,
+    json: JsonFlag = None,
 ) -> None:
     """Train a network. After a kill, --resume goes on from the last checkpoint; an interrupt saves and ends."""
     from pb4u.training.session import Request

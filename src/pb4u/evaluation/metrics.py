@@ -1,16 +1,16 @@
-"""What is measured of a trajectory, frame by frame: the six energies, strain, penetration, divergence."""
+"""What is measured of a trajectory, frame by frame: energies, strain, penetration, and when it diverged."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.evaluation.divergence import first_diverged
+from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.geometry.nearest_surface import TriangleSurface
@@ -18,50 +18,76 @@ from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.topology import Topology
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments, pack, pack_colliders
+from pb4u.progress import Progress, unheard
+from pb4u.scene.packed import ColliderFrame, PackedGarments, pack, pack_colliders
+from pb4u.scene.scene import STANDARD_GRAVITY, Scene
 from pb4u.scene.state import State
-from pb4u.scene.trajectory import Trajectory
+from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
-ENERGIES = ("stretch", "bending", "collision", "gravity", "friction", "inertia", "total")
-GEOMETRY = ("strain_p95", "strain_max", "penetration_percent", "penetration_depth_max")
+ENERGIES = (*(term.name for term in IncrementalPotential().terms), "total")
+"""The terms of the potential [J] by their own names, and their sum."""
+
+STRAINS = ("strain_p95", "strain_max")
+GEOMETRY = (*STRAINS, "penetration_percent", "penetration_depth_max")
 
 PENETRATION_TOLERANCE = 1e-3
-"""Depth [m] beyond which a vertex counts as inside the body."""
+"""Depth [m] beyond which a vertex counts as inside the body: less is within the accuracy of a body's triangles."""
 
-Progress = Callable[[int, int], None]
+DIVERGED_STRAIN = 0.6
+"""95th percentile of the strain beyond which a run counts as diverged: cloth tears long before."""
+
+DIVERGED_DISTANCE = 0.5
+"""Distance [m] between a garment's centre of mass and where skinning puts it beyond which it fell off: what is still
+worn swings less."""
+
+_SKINNED_AT_ONCE = 64
+"""Frames of a garment that are skinned in one call; bounds the memory of long clips."""
 
 
-def measure(
-    trajectory: Trajectory, skinned: np.ndarray | None = None, progress: Progress | None = None
-) -> dict[str, Any]:
-    """`metrics`, `metrics_paper`, `diverged` and the frame `diverged_at` (or None) of the command line's JSON.
+def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress: Progress = unheard) -> dict[str, Any]:
+    """What the command line reports of a trajectory.
 
     Args:
         trajectory: frames as written; the energies of a frame are those of the step that led to it. The first frame
             has none and is judged standing still: its inertia and friction are 0.
-        skinned: (frames, 3) centre of mass [m] where skinning alone would put the garment; without it falling off
-            is not judged.
+        skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
         progress: called with (frames done, frames in all).
+
+    Returns:
+        `metrics` and `metrics_paper`, the energies by the released convention: name -> {per_frame, mean, max};
+        energies of several garments are summed, strains are taken over all faces. `diverged` and the frame
+        `diverged_at` (or None) of the garment that diverges first. `garments`, one entry a garment in the order of
+        the file: its `name`, `metrics` (energies and strains), `diverged` and `diverged_at`.
+
+    Raises:
+        InputError: the metadata do not say what the garments are made of.
     """
     ruler = Ruler(trajectory)
-    rows, paper_rows = [], []
+    frames = []
     for t in range(trajectory.frame_count):
-        row, paper_row = ruler.frame(t)
-        rows.append(row)
-        paper_rows.append(paper_row)
-        if progress:
-            progress(t + 1, trajectory.frame_count)
-    masses = garment_of(trajectory).vertex_masses
-    diverged_at = first_diverged([row["strain_p95"] for row in rows], trajectory.positions, masses, skinned)
+        frames.append(ruler.frame(t))
+        progress(t + 1, trajectory.frame_count)
+    by_garment = [frame.garments for frame in frames]
+    diverged_at = _diverged_at(trajectory, ruler.garments, by_garment, skinned)
+    garments = []
+    for garment, rows, at in zip(ruler.garments.garments, zip(*by_garment, strict=True), diverged_at, strict=True):
+        measured = _series(rows, (*ENERGIES, *STRAINS))
+        garments.append({"name": garment.name, "metrics": measured, "diverged": at is not None, "diverged_at": at})
+    first = _earliest(diverged_at)
     return {
-        "metrics": _summary(rows, (*ENERGIES, *GEOMETRY)),
-        "metrics_paper": _summary(paper_rows, ENERGIES),
-        "diverged": diverged_at is not None,
-        "diverged_at": diverged_at,
+        "metrics": _series([frame.metrics for frame in frames], (*ENERGIES, *GEOMETRY)),
+        "metrics_paper": _series([frame.paper for frame in frames], ENERGIES),
+        "diverged": first is not None,
+        "diverged_at": first,
+        "garments": garments,
     }
 
 
-def _summary(rows: list[dict[str, float]], names: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+def _earliest(frames: Iterable[int | None]) -> int | None:
+    return min((t for t in frames if t is not None), default=None)
+
+
+def _series(rows: Sequence[dict[str, float]], names: Iterable[str]) -> dict[str, dict[str, Any]]:
     columns = {name: [row.get(name, float("nan")) for row in rows] for name in names}
     return {
         name: {"per_frame": values, "mean": float(np.mean(values)), "max": float(np.max(values))}
@@ -70,75 +96,197 @@ def _summary(rows: list[dict[str, float]], names: tuple[str, ...]) -> dict[str, 
     }
 
 
-def garment_of(trajectory: Trajectory) -> Garment:
-    """The garment of a trajectory, from its own record."""
-    header = trajectory.header
-    material = Material(**{key: float(value) for key, value in header.metadata["material"].items()})
-    rest = np.asarray(header.rest_positions, dtype=np.float64)
-    return Garment(str(header.metadata.get("garment", "garment")), rest, header.faces, material, header.pinned)
+def strain_percentile(garments: PackedGarments, positions: Tensor) -> float:
+    """Area-weighted 95th percentile of the strains of a pack.
+
+    Args:
+        garments: the pack, of (faces,) triangles.
+        positions: (vertices, 3) [m], in its dtype.
+    """
+    strains = face_strains(positions, garments.faces, garments.inverse_rest_shape)
+    return float(weighted_percentile(strains, garments.face_areas, 95.0))
+
+
+def _strains(garments: PackedGarments, x: Tensor) -> tuple[dict[str, float], list[dict[str, float]]]:
+    """Strains over all faces, and those of each garment; not a number where a position is none."""
+    strains = face_strains(x, garments.faces, garments.inverse_rest_shape)
+
+    def over(vertices: Tensor | slice, faces: Tensor | slice) -> dict[str, float]:
+        if not bool(torch.isfinite(x[vertices]).all()):
+            return dict.fromkeys(STRAINS, float("nan"))
+        percentile = weighted_percentile(strains[faces], garments.face_areas[faces], 95.0)
+        return {"strain_p95": float(percentile), "strain_max": float(strains[faces].max())}
+
+    whole = over(slice(None), slice(None))
+    if garments.garment_count == 1:
+        return whole, [whole]
+    each = [over(garments.vertex_garment == g, garments.face_garment == g) for g in range(garments.garment_count)]
+    return whole, each
+
+
+def first_diverged(trajectory: Trajectory, skinned: np.ndarray | None = None) -> int | None:
+    """The frame `diverged_at` of `measure`, or None, without the energies: milliseconds a frame.
+
+    Args:
+        trajectory: frames as written.
+        skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
+    """
+    garments = packed_garments(trajectory)
+    strains = [_strains(garments, _tensor(positions))[1] for positions in trajectory.positions]
+    return _earliest(_diverged_at(trajectory, garments, strains, skinned))
+
+
+def _diverged_at(
+    trajectory: Trajectory,
+    garments: PackedGarments,
+    frames: Sequence[list[dict[str, float]]],
+    skinned: np.ndarray | None,
+) -> list[int | None]:
+    """The first frame in which each garment had diverged, or None; `frames` hold the strains of each garment."""
+    # What is not a number has diverged too.
+    diverged = ~(np.array([[each["strain_p95"] for each in row] for row in frames]) <= DIVERGED_STRAIN)
+    if skinned is not None:
+        for g, garment in enumerate(garments.garments):
+            vertices = slice(*garments.vertex_offsets[g : g + 2])
+            share = garment.vertex_masses / garment.vertex_masses.sum()
+            centres = np.reshape(skinned, (len(skinned), -1, 3))[:, g]
+            for t, (x, centre) in enumerate(zip(trajectory.positions, centres, strict=False)):
+                distance = np.linalg.norm(share @ np.asarray(x[vertices], dtype=np.float64) - centre)
+                diverged[t, g] |= not distance <= DIVERGED_DISTANCE
+    return [int(each.argmax()) if each.any() else None for each in diverged.T]
+
+
+def skinned_centres(scene: Scene, trajectory: Trajectory) -> np.ndarray:
+    """(frames, garments, 3) centre of mass [m] of each garment where skinning alone would put it.
+
+    Args:
+        scene: what was simulated.
+        trajectory: the result, at whose (frames,) instants the centres are wanted.
+    """
+    at = np.arange(trajectory.frame_count) * (scene.fps / trajectory.fps)
+    garments = []
+    for dressed in scene.garments:
+        masses = dressed.garment.vertex_masses / dressed.garment.vertex_masses.sum()
+        centres = []
+        for start in range(scene.lead_in, scene.total_frames, _SKINNED_AT_ONCE):
+            block = dressed.placement.positions(start, min(start + _SKINNED_AT_ONCE, scene.total_frames)).numpy()
+            centres.append(np.einsum("v,tvd->td", masses, block))
+        at_steps = np.concatenate(centres)
+        garments.append(np.stack([np.interp(at, np.arange(len(at_steps)), column) for column in at_steps.T], axis=1))
+    return np.stack(garments, axis=1)
+
+
+def garments_of(trajectory: Trajectory) -> list[Garment]:
+    """The garments of a trajectory, from its own record, in the order of its vertices.
+
+    Raises:
+        InputError: the metadata do not say what they are made of.
+    """
+    try:
+        return [_garment(trajectory.header, entry) for entry in trajectory.header.garments]
+    except (AttributeError, KeyError, TypeError) as error:
+        raise InputError("The metadata of the trajectory do not say what its garments are made of.") from error
+
+
+def packed_garments(trajectory: Trajectory) -> PackedGarments:
+    """The garments of a trajectory in one world, float64; refused as by `garments_of`."""
+    garments = garments_of(trajectory)
+    return pack(garments, worlds=[0] * len(garments))
+
+
+def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
+    material = Material(**{key: float(value) for key, value in entry["material"].items()})
+    vertices, triangles = slice(*entry["vertices"]), slice(*entry["triangles"])
+    rest = np.asarray(header.rest_positions[vertices], dtype=np.float64)
+    faces = header.faces[triangles] - vertices.start
+    return Garment(str(entry["name"]), rest, faces, material, header.pinned[vertices])
+
+
+class FrameMetrics(NamedTuple):
+    """What is measured of one frame; not a number where a position is none.
+
+    Args:
+        metrics: energies [J] summed over garments, strains over all faces, and penetration where the body has an
+            inside: percent of the vertices, and the greatest depth [m].
+        paper: the energies [J] by the released convention.
+        garments: energies [J] and strains of each garment.
+    """
+
+    metrics: dict[str, float]
+    paper: dict[str, float]
+    garments: list[dict[str, float]]
 
 
 class Ruler:
     """Measures single frames; holds everything about a trajectory that measuring needs once.
 
     Attributes:
-        garments: the garment, packed in float64.
+        garments: the garments, packed in float64.
         surface: the body's surface, or None where it is open or nothing may touch it.
+
+    Raises:
+        InputError: the metadata do not say what the garments are made of.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
         header = trajectory.header
         self.trajectory = trajectory
-        self.garments: PackedGarments = pack([garment_of(trajectory)])
         self.potentials = IncrementalPotential(), IncrementalPotential.paper_release()
         self.dt = 1.0 / trajectory.fps
-        self.gravity = torch.tensor(header.metadata.get("gravity", [0.0, -9.81, 0.0]), dtype=torch.float64)
-        self.ground = header.metadata.get("ground_height", 0.0)
-        faces, contact = (torch.from_numpy(np.array(part)) for part in (header.body_faces, header.body_contact))
-        self.colliders = pack_colliders([faces], [contact], [0], self.ground)
-        self._pose = lru_cache(maxsize=3)(self._posed)
-        closed = Topology(np.array(header.body_faces), len(header.body_contact)).is_closed
-        touchable = closed and bool(header.body_contact[header.body_faces].all(axis=1).any())
-        self.surface = (
-            TriangleSurface(header.body_faces, len(header.body_contact), np.array(header.body_contact))
-            if touchable
-            else None
-        )
+        gravity = header.metadata.get("gravity", [0.0, -STANDARD_GRAVITY, 0.0])
+        self.gravity = torch.tensor(gravity, dtype=torch.float64)
+        self.garments = packed_garments(trajectory)
+        faces, contact = np.array(header.body_faces), np.array(header.body_contact)
+        ground = header.metadata.get("ground_height", 0.0)
+        self.colliders = pack_colliders([torch.from_numpy(faces)], [torch.from_numpy(contact)], [0], ground)
+        # A step has three poses, and shares two of them with the next.
+        self._pose = lru_cache(maxsize=3)(lambda t: self.colliders.pose(self._body(t)))
+        closed = Topology(faces, len(contact)).is_closed
+        touchable = closed and bool(contact[faces].all(axis=1).any())
+        self.surface = TriangleSurface(faces, len(contact), contact) if touchable else None
 
-    def frame(self, t: int) -> tuple[dict[str, float], dict[str, float]]:
-        """Metrics of frame t, and the energies by the released convention."""
-        x = self._garment(t)
+    def frame(self, t: int) -> FrameMetrics:
+        """What is measured of frame t."""
+        x = _tensor(self.trajectory.positions[t])
+        strains, each_strains = _strains(self.garments, x)
         if not bool(torch.isfinite(x).all()):
-            lost = dict.fromkeys((*ENERGIES, *GEOMETRY), float("nan"))
-            return lost, dict.fromkeys(ENERGIES, float("nan"))
-        state, collider = self._before(t, x)
-        ours, paper = (
-            potential.of(TimeStep(self.garments, state, collider, self.dt, self.gravity)).energies(x).floats()
-            for potential in self.potentials
-        )
-        strains = face_strains(x, self.garments.faces, self.garments.inverse_rest_shape)
-        ours["strain_p95"] = float(weighted_percentile(strains, self.garments.face_areas, 95.0))
-        ours["strain_max"] = float(strains.max())
+            lost = dict.fromkeys(ENERGIES, float("nan"))
+            whole = lost | dict.fromkeys(GEOMETRY, float("nan"))
+            return FrameMetrics(whole, lost, [lost | each for each in each_strains])
+        step = self._step(t, x)
+        ours, paper = (_energies(potential.of(step).energies(x).terms) for potential in self.potentials)
+        metrics = _summed(ours) | strains
         if self.surface is not None:
             distance = self.surface.at(self._body(t)).nearest(x).signed_distance
-            ours["penetration_percent"] = 100.0 * float((distance < -PENETRATION_TOLERANCE).double().mean())
-            ours["penetration_depth_max"] = max(0.0, -float(distance.min()))
-        return ours, paper
+            metrics["penetration_percent"] = 100.0 * float((distance < -PENETRATION_TOLERANCE).double().mean())
+            metrics["penetration_depth_max"] = max(0.0, -float(distance.min()))
+        garments = [energies | each for energies, each in zip(ours, each_strains, strict=True)]
+        return FrameMetrics(metrics, _summed(paper), garments)
 
-    def _before(self, t: int, x: Tensor) -> tuple[State, ColliderFrame]:
-        """The state and bodies that the step to frame t started from; frame 0 is judged standing still."""
-        before, velocity = (x, torch.zeros_like(x)) if t == 0 else (self._garment(t - 1), self._velocity(t - 1))
+    def _step(self, t: int, x: Tensor) -> TimeStep:
+        """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still."""
+        state = State(x, torch.zeros_like(x), -1)
+        if t:
+            positions, velocities = (_tensor(e[t - 1]) for e in (self.trajectory.positions, self.trajectory.velocities))
+            state = State(torch.nan_to_num(positions), torch.nan_to_num(velocities), t - 1)
         collider = ColliderFrame(*(self._pose(max(s, 0)) for s in (t - 2, t - 1, t)))
-        return State(torch.nan_to_num(before), velocity, t - 1), collider
-
-    def _posed(self, t: int) -> ColliderPose:
-        return self.colliders.pose(self._body(t))
-
-    def _garment(self, t: int) -> Tensor:
-        return torch.from_numpy(np.array(self.trajectory.positions[t], dtype=np.float64))
-
-    def _velocity(self, t: int) -> Tensor:
-        return torch.nan_to_num(torch.from_numpy(np.array(self.trajectory.velocities[t], dtype=np.float64)))
+        return TimeStep(self.garments, state, collider, self.dt, self.gravity)
 
     def _body(self, t: int) -> Tensor:
-        return torch.from_numpy(np.array(self.trajectory.body_positions[t], dtype=np.float64))
+        return _tensor(self.trajectory.body_positions[t])
+
+
+def _tensor(values: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.array(values, dtype=np.float64))
+
+
+def _energies(terms: Mapping[str, Tensor]) -> list[dict[str, float]]:
+    """Energies [J] and their total for each garment, from term -> (garments,)."""
+    by_garment = torch.stack(list(terms.values()), dim=1).tolist()
+    garments = [dict(zip(terms, values, strict=True)) for values in by_garment]
+    return [{**energies, "total": sum(energies.values())} for energies in garments]
+
+
+def _summed(garments: list[dict[str, float]]) -> dict[str, float]:
+    first, *others = garments
+    return {name: sum((each[name] for each in others), value) for name, value in first.items()}

@@ -13,10 +13,12 @@ class Table:
     """Rows of text under a head.
 
     Args:
-        title, caption: above and below it.
+        title: above it.
+        caption: below it.
         head: one word a column.
         rows: as many texts each.
-        their_columns, their_rows: those that are the paper's own, by index; they are set apart.
+        their_columns: those that are the paper's own, by index; they are set apart.
+        their_rows: the same of rows.
         words: how many columns from the left are words.
     """
 
@@ -35,7 +37,8 @@ class Plot:
 
     Args:
         name: file name without suffix.
-        title, caption: above and below it.
+        title: above it.
+        caption: below it.
         png: its bytes.
     """
 
@@ -47,7 +50,12 @@ class Plot:
 
 @dataclass(frozen=True)
 class Remark:
-    """Sentences, one a line."""
+    """Text.
+
+    Args:
+        title: above it, or nothing.
+        lines: sentences, each in a line of its own.
+    """
 
     title: str
     lines: Sequence[str]
@@ -71,7 +79,12 @@ img { max-width: 100%; height: auto; }
 
 
 def as_html(title: str, blocks: Sequence[Block]) -> str:
-    """The page as one file that needs no other."""
+    """The page as one file that needs no other.
+
+    Args:
+        title: of the page.
+        blocks: its parts from top to bottom.
+    """
     parts = [_html_block(block) for block in blocks]
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
@@ -104,7 +117,12 @@ def _html_row(table: Table, tag: str, cells: Sequence[str], theirs: bool) -> str
 
 
 def as_markdown(title: str, blocks: Sequence[Block]) -> str:
-    """The same in Markdown, with the plots as files of the folder `plots`."""
+    """The page in Markdown, with the plots as files of the folder `plots`.
+
+    Args:
+        title: of the page.
+        blocks: its parts from top to bottom.
+    """
     parts = [f"# {title}"]
     for block in blocks:
         if block.title:

@@ -3,52 +3,61 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from pb4u.errors import Pb4uError
+from pb4u.errors import InputError, Pb4uError
 from pb4u.evaluation.page import Block, Plot, Remark
 from pb4u.evaluation.planning import Case
-from pb4u.evaluation.rollout_job import RolloutJob
+from pb4u.evaluation.rollout import RolloutJob
+from pb4u.evaluation.summary import Row, Summary
+from pb4u.export.picture import View, render
+from pb4u.scene.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from pb4u.evaluation.summary import Row, Summary
-
-_WIDTH, _HEIGHT = 300, 430
+_VIEW = View(width=300, height=430)
 _TITLE = "Picture grid"
 _REFERENCE = "physics reference"
+
+
+class _Cell(NamedTuple):
+    """A picture (height, width, 3) uint8, or None, and what is wrong with the run, or nothing."""
+
+    picture: np.ndarray | None
+    state: str
+
+
+_ABSENT = _Cell(None, "")
 
 
 def picture_grid(summary: Summary) -> list[Block]:
     """Rows are garments, columns models and the solver; at the top level, on the first motion and body."""
     protocol = summary.plan.protocol
-    rows = [row for row in summary.rows if protocol.pictures(row.case.level, row.case.motion, row.case.job.scene.body)]
-    grid: dict[str, dict[str, tuple[RolloutJob, str]]] = {}
-    for row in rows:
-        garment = row.case.job.scene.label("garment")
-        grid.setdefault(garment, {})[row.model] = row.case.job, _state(row)
-        reference = _reference(row.case, summary)
-        if reference is not None:
-            grid[garment][_REFERENCE] = reference, ""
+    jobs: dict[str, dict[str, tuple[RolloutJob, str]]] = {}
+    for row in summary.rows:
+        if protocol.pictures(row.case.level, row.case.motion, row.case.job.scene.body):
+            shown = jobs.setdefault(row.coordinates["garment"], {})
+            shown[row.model] = row.case.job, _state(row)
+            reference = _reference(row.case, summary)
+            if reference is not None:
+                shown[_REFERENCE] = reference, ""
     models = [model for model in protocol.models if model != "solver"] + [_REFERENCE]
-    if "solver" in protocol.models and not any(_REFERENCE in shown for shown in grid.values()):
+    if "solver" in protocol.models and not any(_REFERENCE in shown for shown in jobs.values()):
         models[-1] = "solver"
     try:
-        pictures = {
-            (garment, model): picture
-            for garment, shown in grid.items()
-            for model, (job, _) in shown.items()
-            if model in models and (picture := _draw(summary.still(job))) is not None
+        grid = {
+            garment: {m: _Cell(_draw(summary.still(job)), state) for m, (job, state) in shown.items() if m in models}
+            for garment, shown in jobs.items()
         }
     except Pb4uError as error:
         return [Remark(_TITLE, (str(error),))]
-    if not pictures:
+    if all(cell.picture is None for cells in grid.values() for cell in cells.values()):
         return []
-    png = _compose(list(grid), models, pictures, {g: {m: s for m, (_, s) in row.items()} for g, row in grid.items()})
     moment = f"The same moment of {protocol.motions[0]} at level {protocol.levels[-1]}."
     caption = f"{moment} Without contact response, skin shows between the vertices of coarse meshes."
-    return [Plot("picture_grid", _TITLE, caption, png)]
+    return [Plot("picture_grid", _TITLE, caption, _compose(grid, models))]
 
 
 def _state(row: Row) -> str:
@@ -65,44 +74,31 @@ def _reference(case: Case, summary: Summary) -> RolloutJob | None:
     return next(jobs, None)
 
 
-def _draw(still: Any) -> np.ndarray | None:
+def _draw(still: Path) -> np.ndarray | None:
     """(height, width, 3) uint8; None where the frame is not there or cannot be read."""
-    from pb4u.errors import InputError
-    from pb4u.export.picture import View, render
-    from pb4u.scene.trajectory import Trajectory
-
     try:
         trajectory = Trajectory.open(still)
     except InputError:
         return None
-    return next(iter(render(trajectory, [0], View(width=_WIDTH, height=_HEIGHT))))
+    return next(iter(render(trajectory, [0], _VIEW)))
 
 
-def _compose(
-    garments: list[str],
-    models: list[str],
-    pictures: dict[tuple[str, str], np.ndarray],
-    states: dict[str, dict[str, str]],
-) -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(2.0 * len(models), 2.85 * len(garments) + 0.3), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(len(garments), len(models), squeeze=False)
-    for garment, row in zip(garments, panels, strict=True):
+def _compose(grid: dict[str, dict[str, _Cell]], models: list[str]) -> bytes:
+    figure = Figure(figsize=(2.0 * len(models), 2.85 * len(grid) + 0.3), layout="constrained")
+    panels = figure.subplots(len(grid), len(models), squeeze=False)
+    for (garment, cells), row in zip(grid.items(), panels, strict=True):
         for model, axis in zip(models, row, strict=True):
             axis.set_xticks([])
             axis.set_yticks([])
             for spine in axis.spines.values():
                 spine.set_visible(False)
-            picture = pictures.get((garment, model))
-            if picture is not None:
-                axis.imshow(picture)
+            cell = cells.get(model, _ABSENT)
+            if cell.picture is not None:
+                axis.imshow(cell.picture)
             else:
-                axis.text(0.5, 0.5, states[garment].get(model) or "absent", ha="center", transform=axis.transAxes)
-            if states[garment].get(model):
-                axis.set_xlabel(states[garment][model], fontsize=8, color="#b00020")
+                axis.text(0.5, 0.5, cell.state or "absent", ha="center", transform=axis.transAxes)
+            if cell.state:
+                axis.set_xlabel(cell.state, fontsize=8, color="#b00020")
         row[0].set_ylabel(garment, fontsize=9)
     for model, axis in zip(models, panels[0], strict=True):
         axis.set_title(model, fontsize=9)

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import Any
+
+import torch
 
 from pb4u.body.library import body_names, load_body
-from pb4u.errors import InputError
+from pb4u.errors import InputError, unknown_name
 from pb4u.evaluation.floors import FLOOR_LEAD_IN, stored_floor
-from pb4u.evaluation.protocols import Protocol, protocol_named
-from pb4u.evaluation.rollout_job import FPS, ModelRecord, RolloutJob, SceneRecord, Settings, digest
+from pb4u.evaluation.protocols import PROTOCOLS, Protocol
+from pb4u.evaluation.rollout import FPS, ModelRecord, RolloutJob, SceneRecord, Settings, digest
 from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES, garment_names
 from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
 from pb4u.motion.library import motion_names
 from pb4u.scene.catalogue import SEEDS, SceneName
+from pb4u.simulation.checkpoint import weights_file
+from pb4u.simulation.models import load_simulator, model_descriptions
+from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
 _TRIAL = re.compile(r"\d+_\d+")
 
@@ -28,7 +33,10 @@ class Request:
 
     Args:
         protocol: its name.
-        models, garments, motions, bodies: names or files.
+        models: names or files.
+        garments: names or files.
+        motions: names or files.
+        bodies: names or files.
         levels: names such as 11K, or numbers of triangles.
         steps: numbers of propagation steps.
         frames: frames to write of each scene.
@@ -54,6 +62,10 @@ class Request:
     contact: bool = False
     device: str = "auto"
     floors: bool = True
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields as JSON."""
+        return asdict(self) | {"recordings": None if self.recordings is None else str(self.recordings)}
 
 
 @dataclass(frozen=True)
@@ -87,12 +99,12 @@ class Plan:
     protocol: Protocol
     cases: tuple[Case, ...]
     jobs: tuple[RolloutJob, ...]
-    absent: tuple[str, ...] = field(default=())
+    absent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """A motion as scenes take it: its name or file, its seed, and what it is called in tables and the catalogue."""
+    """A motion as scenes take it: its name or file, its seed, and what tables call it."""
 
     source: str
     seed: int | None
@@ -100,15 +112,22 @@ class _Motion:
 
 
 def plan(request: Request) -> Plan:
-    """The rollouts of a request. Raises InputError for anything unknown, unusable or empty."""
-    protocol = protocol_named(request.protocol)
+    """The rollouts of a request.
+
+    Raises:
+        InputError: something is unknown, unusable or empty.
+    """
+    if request.protocol not in PROTOCOLS:
+        raise unknown_name("protocol", request.protocol, PROTOCOLS)
+    protocol = PROTOCOLS[request.protocol]
     _check_numbers(request)
+    levels = dict(_level(name) for name in request.levels or protocol.levels)
     protocol = replace(
         protocol,
         garments=tuple(_garment(name) for name in request.garments or protocol.garments),
         bodies=tuple(_body(name) for name in request.bodies or protocol.bodies),
         motions=request.motions or (protocol.recordings if request.recordings else protocol.motions),
-        levels=tuple(dict.fromkeys(_level(name)[0] for name in request.levels or protocol.levels)),
+        levels=tuple(levels),
         frames=request.frames or protocol.frames,
         steps=request.steps or protocol.steps,
     )
@@ -122,7 +141,7 @@ def plan(request: Request) -> Plan:
     solver_runs = not request.contact and any(model.name == "solver" for model in models)
     cases = []
     for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, motions):
-        scene = _scene(garment, body, motion, _level(level)[1], protocol.frames, request.lead_in)
+        scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
         floor = _solver_on(scene) if solver_runs else _floor(scene, motion, level, request)
         for model in models:
             for steps in protocol.steps if model.adapts else (None,):
@@ -131,11 +150,12 @@ def plan(request: Request) -> Plan:
     jobs = {case.job.key: case.job for case in cases}
     jobs |= {case.floor.key: case.floor for case in cases if isinstance(case.floor, RolloutJob)}
     if request.floors:
-        jobs |= {job.key: job for job in _references(protocol, cases)}
+        # What pictures show beside the models.
+        pictured = (case for case in cases if protocol.pictures(case.level, case.motion, case.job.scene.body))
+        jobs |= {job.key: job for job in (_solver_on(case.job.scene) for case in pictured)}
     # Coarse scenes first, so that tables fill early; the jobs of a scene together, so that it is made once.
-    order = sorted(jobs.values(), key=lambda job: job.scene.triangles)
-    scenes = {scene: rank for rank, scene in enumerate(dict.fromkeys(job.scene for job in order))}
-    order.sort(key=lambda job: scenes[job.scene])
+    scenes = {scene: rank for rank, scene in enumerate(dict.fromkeys(job.scene for job in jobs.values()))}
+    order = sorted(jobs.values(), key=lambda job: (job.scene.triangles, scenes[job.scene]))
     return Plan(replace(protocol, models=tuple(model.label for model in models)), tuple(cases), tuple(order), absent)
 
 
@@ -161,7 +181,7 @@ def _garment(name: str) -> str:
         if not Path(name).is_file():
             raise InputError(f"There is no garment file {name}.")
         return name
-    raise InputError(_unknown("garment", name, garment_names()))
+    raise unknown_name("garment", name, garment_names())
 
 
 def _body(name: str) -> str:
@@ -170,7 +190,7 @@ def _body(name: str) -> str:
 
 
 def _level(name: str) -> tuple[str, int]:
-    """What a level is called, and its number of triangles. Raises InputError where it is none."""
+    """What a level is called, and its number of triangles."""
     named = {key.lower(): (key, count) for key, count in LEVELS.items()}
     if name.lower() in named:
         return named[name.lower()]
@@ -204,13 +224,7 @@ def _motion(name: str, recordings: Path | None) -> _Motion:
         if not Path(name).is_file():
             raise InputError(f"There is no motion file {name}.")
         return _Motion(name, None, Path(name).stem)
-    raise InputError(_unknown("motion", name, motion_names()) + " CMU trials are written as 07_02.")
-
-
-def _unknown(what: str, name: str, known: tuple[str, ...]) -> str:
-    near = get_close_matches(name.lower(), known, n=2, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(known)}."
-    return f"There is no {what} {name!r}; {hint}"
+    raise InputError(f"{unknown_name('motion', name, motion_names())} CMU trials are written as 07_02.")
 
 
 def _scene(garment: str, body: str, motion: _Motion, triangles: int, frames: int, lead_in: int) -> SceneRecord:
@@ -236,14 +250,6 @@ def _solver_on(scene: SceneRecord) -> RolloutJob:
     return RolloutJob(scene, ModelRecord("solver", "solver"), Settings())
 
 
-def _references(protocol: Protocol, cases: list[Case]) -> list[RolloutJob]:
-    """The solver's rollouts that pictures show beside the models'."""
-    scenes = dict.fromkeys(
-        case.job.scene for case in cases if protocol.pictures(case.level, case.motion, case.job.scene.body)
-    )
-    return [_solver_on(scene) for scene in scenes]
-
-
 def _settings(model: ModelRecord, steps: int | None, request: Request, device: str) -> Settings:
     if model.weights is not None:
         return Settings(steps, request.refine, request.contact, device)
@@ -251,8 +257,6 @@ def _settings(model: ModelRecord, steps: int | None, request: Request, device: s
 
 
 def _device(asked: str) -> str:
-    import torch
-
     if asked not in ("auto", "cpu", "cuda"):
         raise InputError(f"A device is auto, cpu or cuda, not {asked!r}.")
     return "cuda" if asked == "cuda" or (asked == "auto" and torch.cuda.is_available()) else "cpu"
@@ -260,8 +264,6 @@ def _device(asked: str) -> str:
 
 def _models(request: Request, protocol: Protocol, device: str) -> tuple[list[ModelRecord], tuple[str, ...]]:
     """The models to run, and a sentence on the protocol's own that have no weights yet."""
-    from pb4u.simulation.models import model_descriptions
-
     wanted = tuple(dict.fromkeys(request.models or protocol.models))
     missing = () if request.models else tuple(name for name in wanted if name not in model_descriptions())
     present = [name for name in wanted if name not in missing]
@@ -274,17 +276,14 @@ def _models(request: Request, protocol: Protocol, device: str) -> tuple[list[Mod
 
 
 def _model(name: str, label: str, device: str) -> ModelRecord:
-    from pb4u.simulation.checkpoint import weights_file
-    from pb4u.simulation.models import load_simulator
-    from pb4u.simulation.stepwise_simulator import NetworkSimulator
-
     if Path(name).suffix and not Path(name).is_file():
         raise InputError(f"There is no model file {name}.")
-    simulator = load_simulator(name, contact=False, refine=0, device="cuda" if device == "cuda" else "cpu")
+    simulator = load_simulator(name, contact=False, refine=0, device=device)
     if simulator.fps is not None and not math.isclose(simulator.fps, FPS, rel_tol=1e-3):
         raise InputError(f"{name} runs at {simulator.fps:g} frames per second; the protocols run at {FPS:g}.")
     if not isinstance(simulator, NetworkSimulator):
         return ModelRecord(name, label)
+    # Whether there are steps at all does not depend on the length of the edges [m].
     adapts = simulator.checkpoint.model.network.propagation_steps(0.015) > 0
     with weights_file(name) as path:
         return ModelRecord(name, label, digest(path), adapts)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -18,20 +18,11 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from pb4u import __version__
-from pb4u.atomic_file import replace_file
+from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError, Pb4uError
-from pb4u.evaluation.rollout import Refused, Rolled
-from pb4u.evaluation.rollout_job import PROTOCOL_VERSION, RolloutJob
+from pb4u.evaluation.rollout import PROTOCOL_VERSION, Failure, Rollout, RolloutJob
 
 MANIFEST, JOBS, LOCK = "manifest.json", "jobs", ".lock"
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A rollout that could not be made, and why."""
-
-    job: str
-    sentence: str
 
 
 class ResultFolder:
@@ -41,7 +32,8 @@ class ResultFolder:
         path: the folder, made where it is not there.
         protocol: name of the protocol that is run in it.
 
-    Raises InputError where it holds something else, another protocol, or a run of another version, or is in use.
+    Raises:
+        InputError: it holds something else, another protocol or a run of another version, or is in use.
     """
 
     def __init__(self, path: Path, protocol: str) -> None:
@@ -81,7 +73,13 @@ class ResultFolder:
             raise InputError(f"{self.path} holds a run of the protocol {held}, not {protocol}; {again}")
 
     def write_manifest(self, protocol: str, request: dict[str, Any], jobs: tuple[RolloutJob, ...]) -> None:
-        """Record what the run consists of."""
+        """Record what the run consists of.
+
+        Args:
+            protocol: its name.
+            request: what was asked for, as JSON.
+            jobs: every rollout of it.
+        """
         manifest = {
             "protocol_version": PROTOCOL_VERSION,
             "pb4u": __version__,
@@ -92,7 +90,11 @@ class ResultFolder:
         self.write(MANIFEST, (json.dumps(manifest, indent=1, default=str) + "\n").encode())
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file of the run, beside and moved into place. Raises Pb4uError where the disk refuses."""
+        """Write a file of the run, beside and moved into place.
+
+        Raises:
+            Pb4uError: the disk refuses.
+        """
         try:
             replace_file(self.path / name, content)
         except OSError as error:
@@ -101,11 +103,12 @@ class ResultFolder:
                 "command goes on."
             ) from error
 
-    def keep(self, job: RolloutJob, rolled: Rolled) -> None:
+    def keep(self, job: RolloutJob, rollout: Rollout) -> None:
         """Keep a result; its picture's frame first, so that a result is whole once it is there."""
-        if rolled.still is not None:
-            self.write(f"{JOBS}/{job.key}.npz", rolled.still)
-        envelope = {"key": job.key, "checksum": _checksum(rolled.result), "result": rolled.result}
+        if rollout.still is not None:
+            self.write(f"{JOBS}/{job.key}.npz", rollout.still)
+        result = json.loads(json_text(rollout.result))
+        envelope = {"key": job.key, "checksum": _checksum(result), "result": result}
         self.write(f"{JOBS}/{job.key}.json", (json.dumps(envelope) + "\n").encode())
         self._failed(job).unlink(missing_ok=True)
 
@@ -123,16 +126,16 @@ class ResultFolder:
         """Where the one kept frame of a job is, if it is."""
         return self._jobs / f"{job.key}.npz"
 
-    def note_failure(self, job: RolloutJob, refused: Refused) -> None:
+    def note_failure(self, job: RolloutJob, failure: Failure) -> None:
         """Keep why a job has no result."""
-        record = {"key": job.key, "job": str(job), "sentence": refused.sentence, "trace": refused.trace}
+        record = {"key": job.key, "job": str(job), **asdict(failure)}
         self.write(f"{JOBS}/{job.key}.failed.json", (json.dumps(record, indent=1) + "\n").encode())
 
     def failure(self, job: RolloutJob) -> Failure | None:
         """Why a job has no result; None where it was not tried, or came off."""
         try:
             record = json.loads(self._failed(job).read_text(encoding="utf-8"))
-            return Failure(str(job), str(record["sentence"]))
+            return Failure(str(record["sentence"]), str(record["trace"]))
         except (OSError, ValueError, KeyError, TypeError):
             return None
 

@@ -1,31 +1,158 @@
-"""Runs one rollout of an evaluation and measures it. What a worker does."""
+"""One rollout of an evaluation: what is simulated, by what and how; its address, its simulation and its metrics."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import platform
 import tempfile
 import time
 import traceback
 import warnings
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from pb4u import __version__
 from pb4u.errors import InputError, InputWarning, Pb4uError
-from pb4u.evaluation.rollout_job import FPS, RolloutJob, SceneRecord, digest
+
+# torch and all that needs it is imported where it is used: a worker sets its number of threads before.
+if TYPE_CHECKING:
+    from pb4u.scene.scene import Scene
+    from pb4u.scene.trajectory import Trajectory
+    from pb4u.simulation.simulator import Simulator
+
+PROTOCOL_VERSION = 2
+"""Raised when a rollout or its measuring comes to mean something else, so that no older result is taken for it."""
+
+FPS = 30.0
+"""Frames per second of every protocol."""
 
 PICTURED = 0.6
-"""Where in the clip, as a fraction of its length, the frame lies that is kept to be drawn."""
+"""Where in the clip, as a fraction of its length, the frame to draw lies: by then every motion is under way."""
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    hasher = hashlib.sha256()
+    with path.open("rb") as stream:
+        while block := stream.read(1 << 20):
+            hasher.update(block)
+    return hasher.hexdigest()
 
 
 @dataclass(frozen=True)
-class Rolled:
+class SceneRecord:
+    """A scene to be made.
+
+    Args:
+        garment: built-in name, or file.
+        body: built-in name, or file.
+        motion: built-in name, or file.
+        seed: of a built-in motion; None for a recording.
+        triangles: resolution asked for.
+        frames: frames to write.
+        lead_in: frames simulated before them.
+        digests: (field, SHA-256) of every field that is a file; a result belongs to a file's content, not to its place.
+    """
+
+    garment: str
+    body: str
+    motion: str
+    seed: int | None
+    triangles: int
+    frames: int
+    lead_in: int = 30
+    digests: tuple[tuple[str, str], ...] = ()
+
+    def identity(self) -> dict[str, Any]:
+        """What distinguishes this scene from every other."""
+        fields = asdict(self)
+        for field, content in fields.pop("digests"):
+            fields[field] = f"{Path(fields[field]).name} {content}"
+        return fields
+
+    def label(self, field: str) -> str:
+        """Short name of the garment, body or motion."""
+        name = Path(getattr(self, field)).stem if field in dict(self.digests) else getattr(self, field)
+        return str(name)
+
+
+@dataclass(frozen=True)
+class ModelRecord:
+    """A simulator of the run.
+
+    Args:
+        name: what `load_simulator` takes.
+        label: what tables call it.
+        weights: SHA-256 of a network's weights; None for what has none.
+        adapts: it has a number of propagation steps that can be set.
+    """
+
+    name: str
+    label: str
+    weights: str | None = None
+    adapts: bool = False
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a model is run; for what has no such setting, the value here.
+
+    Args:
+        propagation_steps: override of K; None follows the model's own rule.
+        refine: solver iterations after each step.
+        contact: the garment is pushed out of the body after each step.
+        device: "cpu" or "cuda".
+    """
+
+    propagation_steps: int | None = None
+    refine: int = 0
+    contact: bool = False
+    device: str = "cpu"
+
+
+@dataclass(frozen=True)
+class RolloutJob:
+    """One rollout to make.
+
+    Args:
+        scene: what is simulated.
+        model: by what.
+        settings: and how.
+    """
+
+    scene: SceneRecord
+    model: ModelRecord
+    settings: Settings
+
+    @property
+    def key(self) -> str:
+        """Address of the result: the same for the same work, another for any other."""
+        identity = {
+            "protocol_version": PROTOCOL_VERSION,
+            "pb4u": __version__,
+            "scene": self.scene.identity(),
+            "model": self.model.weights or self.model.name,
+            "settings": asdict(self.settings),
+        }
+        return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:24]
+
+    def __str__(self) -> str:
+        scene = self.scene
+        steps = "" if self.settings.propagation_steps is None else f", K {self.settings.propagation_steps}"
+        worn = " ".join(scene.label(field) for field in ("garment", "body", "motion"))
+        return f"{self.model.label} on {worn} at {scene.triangles:,} triangles{steps}"
+
+
+@dataclass(frozen=True)
+class Rollout:
     """A rollout that was made.
 
     Args:
-        result: counts, timing and metrics, as JSON; numbers that are not finite are None.
+        result: counts, timing and metrics, as JSON but for numbers that are not finite.
         still: one frame of it as the bytes of a trajectory file; None where no frame was written.
     """
 
@@ -34,7 +161,7 @@ class Rolled:
 
 
 @dataclass(frozen=True)
-class Refused:
+class Failure:
     """A rollout that could not be made.
 
     Args:
@@ -46,21 +173,27 @@ class Refused:
     trace: str
 
 
-def attempt(job: RolloutJob) -> Rolled | Refused:
+def attempt(job: RolloutJob) -> Rollout | Failure:
     """Run a job; whatever goes wrong comes back as a sentence."""
     try:
         return run(job)
     except Pb4uError as error:
-        return Refused(" ".join(str(error).split()), traceback.format_exc())
+        return Failure(" ".join(str(error).split()), traceback.format_exc())
     except MemoryError:
-        return Refused("There was not enough memory for it.", traceback.format_exc())
+        return Failure("There was not enough memory for it.", traceback.format_exc())
     except Exception as error:
         sentence = f"It broke off unexpectedly: {type(error).__name__}: {error}"
-        return Refused(" ".join(sentence.split()), traceback.format_exc())
+        return Failure(" ".join(sentence.split()), traceback.format_exc())
 
 
-def run(job: RolloutJob) -> Rolled:
-    """Simulate and measure. Raises InputError where something of it cannot be used, or changed since it was planned."""
+def run(job: RolloutJob) -> Rollout:
+    """Simulate and measure.
+
+    Raises:
+        InputError: something of it cannot be used, or changed since it was planned.
+    """
+    from pb4u.evaluation.metrics import measure, skinned_centres
+    from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.models import load_simulator
     from pb4u.simulation.simulator import RunRecord
 
@@ -70,23 +203,17 @@ def run(job: RolloutJob) -> Rolled:
         warnings.simplefilter("always", InputWarning)
         scene = _scene(job.scene)
         _check_weights(job)
-        simulator = load_simulator(
-            job.model.name,
-            contact=job.settings.contact,
-            refine=job.settings.refine,
-            propagation_steps=job.settings.propagation_steps,
-            device=job.settings.device,
-        )
+        simulator = load_simulator(job.model.name, **asdict(job.settings))
         record = RunRecord()
         frames = list(simulator.written_frames(scene, record))
         header, steps = simulator.header(scene), simulator.propagation_steps(scene)
-    worn = scene.garments[0].garment
+    mean_edge_length = header.metadata["mean_edge_length"]
     result: dict[str, Any] = {
-        "triangles": worn.triangle_count,
-        "vertices": len(worn.vertices),
-        "mean_edge_length": worn.mean_edge_length,
+        "triangles": len(header.faces),
+        "vertices": len(header.rest_positions),
+        "mean_edge_length": mean_edge_length,
         "propagation_steps": steps,
-        "own_steps": _own_steps(simulator, worn.mean_edge_length) or steps,
+        "own_steps": _own_steps(simulator, mean_edge_length) or steps,
         "frames": len(frames),
         "failed_at": record.failed_at,
         "ms_per_step": record.ms_per_step,
@@ -101,24 +228,19 @@ def run(job: RolloutJob) -> Rolled:
     }
     still = None
     if frames:
-        from pb4u.evaluation.metrics import measure
-        from pb4u.evaluation.skinned_centres import skinned_centres
-        from pb4u.scene.trajectory import Trajectory
-
         trajectory = Trajectory.collect(header, frames)
-        measured = measure(trajectory, skinned=skinned_centres(scene, trajectory))
-        result |= measured
-        if record.failed_at is not None and not measured["diverged"]:
+        result |= measure(trajectory, skinned_centres(scene, trajectory))
+        if record.failed_at is not None and not result["diverged"]:
             result |= {"diverged": True, "diverged_at": len(frames)}
         result["pictured_frame"] = min(round(PICTURED * (job.scene.frames - 1)), len(frames) - 1)
         still = _still(trajectory, result["pictured_frame"])
     result["seconds"] = time.perf_counter() - began
-    return Rolled(finite(result), still)
+    return Rollout(result, still)
 
 
 # Jobs come sorted by scene: the garment is cut and meshed once for all the models.
 @lru_cache(maxsize=1)
-def _scene(record: SceneRecord) -> Any:
+def _scene(record: SceneRecord) -> Scene:
     from pb4u.scene.assembly import make_scene
 
     for field, expected in record.digests:
@@ -150,7 +272,7 @@ def _check_content(path: Path, expected: str) -> None:
         raise InputError(f"The file {path} changed after the run was planned; start the run again.")
 
 
-def _own_steps(simulator: Any, mean_edge_length: float) -> int | None:
+def _own_steps(simulator: Simulator, mean_edge_length: float) -> int | None:
     """K that a network's own rule takes, whatever it was told; None for what has none."""
     from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
@@ -159,12 +281,13 @@ def _own_steps(simulator: Any, mean_edge_length: float) -> int | None:
     return simulator.checkpoint.model.network.propagation_steps(mean_edge_length) or None
 
 
-def _still(trajectory: Any, frame: int) -> bytes:
-    from pb4u.scene.trajectory import Trajectory
-
+def _still(trajectory: Trajectory, frame: int) -> bytes:
     kept = slice(frame, frame + 1)
-    single = Trajectory(
-        trajectory.header, trajectory.positions[kept], trajectory.velocities[kept], trajectory.body_positions[kept]
+    single = replace(
+        trajectory,
+        positions=trajectory.positions[kept],
+        velocities=trajectory.velocities[kept],
+        body_positions=trajectory.body_positions[kept],
     )
     with tempfile.TemporaryDirectory() as folder:
         return single.save(Path(folder) / "still.npz").read_bytes()
@@ -188,14 +311,3 @@ def _processor() -> str:
     with open("/proc/cpuinfo", encoding="utf-8") if os.path.exists("/proc/cpuinfo") else open(os.devnull) as lines:
         named = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
     return named or platform.processor() or platform.machine()
-
-
-def finite(value: Any) -> Any:
-    """`value` as JSON that every reader takes: numbers that are not finite become None."""
-    if isinstance(value, float):
-        return value if value == value and abs(value) != float("inf") else None
-    if isinstance(value, dict):
-        return {key: finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(entry) for entry in value]
-    return value

@@ -6,18 +6,42 @@ import math
 import statistics
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from pb4u.evaluation.floors import ratio
 from pb4u.evaluation.paper_figures import TERMS
 from pb4u.evaluation.planning import Case, Plan
-from pb4u.evaluation.result_folder import Failure, ResultFolder
-from pb4u.evaluation.rollout_job import RolloutJob
+from pb4u.evaluation.result_folder import ResultFolder
+from pb4u.evaluation.rollout import Failure, RolloutJob
+
+
+class Quantity(NamedTuple):
+    """How tables write a quantity: its title, its unit (or nothing), and the format of its numbers."""
+
+    title: str
+    unit: str
+    digits: str
+
+
+_BESIDE_ENERGIES = {
+    "ratio": Quantity("energy / floor", "", ".3g"),
+    "survived_percent": Quantity("frames before divergence", "%", ".0f"),
+    "strain_p95": Quantity("strain, 95th percentile", "", ".3g"),
+    "penetration_percent": Quantity("penetration", "%", ".3g"),
+    "ms": Quantity("time a step", "ms", ".1f"),
+}
+
+
+def quantity_named(name: str) -> Quantity:
+    """How the quantity `name` is written; what is none of those above is an energy of the potential."""
+    return _BESIDE_ENERGIES.get(name) or Quantity("total loss" if name == "total" else name, "J", ".2e")
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean and standard deviation over so many scenes."""
+    """Mean and standard deviation over so many scenes, in the unit of the quantity."""
 
     mean: float
     deviation: float
@@ -50,6 +74,20 @@ class Row:
     ratio: float | None
     floor_source: str
 
+    @cached_property
+    def coordinates(self) -> dict[str, Any]:
+        """Where the case stands: model, level, garment, body, motion, seed and steps."""
+        scene, job = self.case.job.scene, self.case.job
+        return {
+            "model": job.model.label,
+            "level": self.case.level,
+            "garment": scene.label("garment"),
+            "body": scene.label("body"),
+            "motion": self.case.motion,
+            "seed": scene.seed,
+            "steps": job.settings.propagation_steps,
+        }
+
     @property
     def model(self) -> str:
         return self.case.job.model.label
@@ -67,34 +105,23 @@ class Row:
         good = self.result["frames"] if diverged_at is None else diverged_at
         return 100.0 * float(good) / self.case.job.scene.frames
 
-    def mean(self, metric: str) -> float | None:
-        """Mean over the frames of a metric in SI units."""
-        return self._mean("metrics", metric)
-
-    def mean_paper(self, term: str) -> float | None:
-        """Mean over the frames of an energy [J] by the released convention."""
-        return self._mean("metrics_paper", term)
-
     def value(self, quantity: str) -> float | None:
-        """A quantity by the name that tables use."""
-        if quantity in TERMS:
-            return self.mean_paper(quantity)
-        if quantity == "ratio":
-            return self.ratio
-        if quantity == "survived_percent":
-            return self.survived_percent
-        if quantity == "ms":
-            return float(self.result["ms_per_step"]) if self.result else None
-        return self.mean(quantity)
+        """A quantity by the name that tables use; energies [J] are means over frames by the released convention."""
+        if quantity in ("ratio", "survived_percent"):
+            value = getattr(self, quantity)
+        elif self.result is None:
+            return None
+        elif quantity == "ms":
+            value = self.result["ms_per_step"]
+        else:
+            tables = self.result["metrics"] if quantity in _BESIDE_ENERGIES else self.result["metrics_paper"]
+            value = tables.get(quantity, {}).get("mean")
+        return None if value is None else float(value)
 
     def series(self, term: str) -> list[float]:
         """Energy [J] of a term over the frames, by the released convention; not a number where it is none."""
         per_frame = (self.result or {}).get("metrics_paper", {}).get(term, {}).get("per_frame", [])
         return [math.nan if value is None else value for value in per_frame]
-
-    def _mean(self, table: str, name: str) -> float | None:
-        value = (self.result or {}).get(table, {}).get(name, {}).get("mean")
-        return None if value is None else float(value)
 
 
 @dataclass(frozen=True)
@@ -102,11 +129,16 @@ class Cell:
     """A cell of a table: the scenes of one model, level and number of steps.
 
     Args:
-        level, model: names. steps: number of propagation steps asked for; None for the model's own.
+        level: its name.
+        model: its name.
+        steps: number of propagation steps asked for; None for the model's own.
         triangles: mean number of triangles of the garments there are.
         quantities: name -> spread over the scenes that are done.
         deepest: deepest penetration of all [m].
-        scenes: scenes in all. done: with a result. failed: without, and why is known. diverged: of those done.
+        scenes: scenes in all.
+        done: those with a result.
+        failed: those without, where why is known.
+        diverged: of those done.
     """
 
     level: str
@@ -121,32 +153,6 @@ class Cell:
     diverged: int
 
 
-QUANTITIES = (*TERMS, "ratio", "survived_percent", "strain_p95", "penetration_percent", "ms")
-
-
-def cell_of(level: str, model: str, steps: int | None, rows: list[Row]) -> Cell:
-    """Sum rows up."""
-    done = [row for row in rows if row.result is not None]
-    depths = [
-        row.result["metrics"]["penetration_depth_max"]["max"]
-        for row in done
-        if row.result and "penetration_depth_max" in row.result["metrics"]
-    ]
-    triangles = spread(float(row.result["triangles"]) for row in done if row.result)
-    return Cell(
-        level,
-        model,
-        steps,
-        triangles.mean if triangles else None,
-        {quantity: spread(row.value(quantity) for row in rows) for quantity in QUANTITIES},
-        max((depth for depth in depths if depth is not None), default=None),
-        len(rows),
-        len(done),
-        sum(row.failure is not None for row in rows),
-        sum(row.diverged for row in rows),
-    )
-
-
 @dataclass(frozen=True)
 class Summary:
     """A run in figures.
@@ -154,26 +160,48 @@ class Summary:
     Args:
         plan: what the run consists of.
         rows: every case with what came of it.
-        failures: rollouts that could not be made, those of floors among them.
+        failures: (job, sentence) of the rollouts that could not be made, those of floors among them.
         still: where the kept frame of a job is.
     """
 
     plan: Plan
     rows: tuple[Row, ...]
-    failures: tuple[Failure, ...]
-    still: Callable[[RolloutJob], Any] = field(repr=False)
+    failures: tuple[tuple[str, str], ...]
+    still: Callable[[RolloutJob], Path] = field(repr=False)
+
+    @cached_property
+    def energies(self) -> tuple[str, ...]:
+        """The terms of the potential and their total: the paper's in its own order, then what the results have more."""
+        names = dict.fromkeys(TERMS)
+        names |= dict.fromkeys(name for row in self.rows if row.result for name in row.result["metrics_paper"])
+        return (*(name for name in names if name != "total"), "total")
 
     def select(self, **wanted: object) -> list[Row]:
         """Rows by level, model, garment, body, motion or steps."""
-        return [row for row in self.rows if all(_coordinate(row, name) == value for name, value in wanted.items())]
+        return [row for row in self.rows if wanted.items() <= row.coordinates.items()]
 
     def cell(self, level: str, model: str, steps: int | None = None) -> Cell:
         """The cell of a model at a level."""
-        return cell_of(level, model, steps, self.select(level=level, model=model, steps=steps))
+        rows = self.select(level=level, model=model, steps=steps)
+        results = [row.result for row in rows if row.result is not None]
+        triangles = spread(float(result["triangles"]) for result in results)
+        depths = [result["metrics"].get("penetration_depth_max", {}).get("max") for result in results]
+        return Cell(
+            level,
+            model,
+            steps,
+            triangles.mean if triangles else None,
+            {name: spread(row.value(name) for row in rows) for name in (*self.energies, *_BESIDE_ENERGIES)},
+            max((depth for depth in depths if depth is not None), default=None),
+            len(rows),
+            len(results),
+            sum(row.failure is not None for row in rows),
+            sum(row.diverged for row in rows),
+        )
 
     def cells(self) -> list[Cell]:
         """Every cell of the run."""
-        at = dict.fromkeys((row.case.level, row.model, row.case.job.settings.propagation_steps) for row in self.rows)
+        at = dict.fromkeys(tuple(row.coordinates[name] for name in ("level", "model", "steps")) for row in self.rows)
         return [self.cell(*each) for each in at]
 
     def as_json(self) -> dict[str, Any]:
@@ -182,7 +210,12 @@ class Summary:
 
 
 def summarise(plan: Plan, folder: ResultFolder) -> Summary:
-    """Read the results of a run."""
+    """Read the results of a run.
+
+    Args:
+        plan: what it consists of.
+        folder: where its results are.
+    """
     results = {job.key: folder.result(job) for job in plan.jobs}
     failures = {job.key: folder.failure(job) for job in plan.jobs if results[job.key] is None}
     rows = []
@@ -191,8 +224,10 @@ def summarise(plan: Plan, folder: ResultFolder) -> Summary:
         reached, source = _floor_energies(case, results)
         complete = result is not None and result["frames"] == case.job.scene.frames and result["failed_at"] is None
         above = ratio(_energies(result), reached) if result and complete and reached else None
-        rows.append(Row(case, result, failures.get(case.job.key), _or_none(above), source))
-    return Summary(plan, tuple(rows), tuple(each for each in failures.values() if each), folder.still)
+        finite = above is not None and math.isfinite(above)
+        rows.append(Row(case, result, failures.get(case.job.key), above if finite else None, source))
+    told = tuple((str(job), failure.sentence) for job in plan.jobs if (failure := failures.get(job.key)))
+    return Summary(plan, tuple(rows), told, folder.still)
 
 
 def _floor_energies(case: Case, results: dict[str, dict[str, Any] | None]) -> tuple[dict[str, float] | None, str]:
@@ -205,35 +240,14 @@ def _floor_energies(case: Case, results: dict[str, dict[str, Any] | None]) -> tu
 
 
 def _energies(result: dict[str, Any]) -> dict[str, float]:
-    means = {term: result["metrics"][term]["mean"] for term in TERMS}
+    means = {term: result["metrics"][term]["mean"] for term in result["metrics_paper"]}
     return {term: math.nan if mean is None else mean for term, mean in means.items()}
 
 
-def _or_none(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None
-
-
-def _coordinate(row: Row, name: str) -> object:
-    if name in ("level", "motion"):
-        return getattr(row.case, name)
-    if name == "model":
-        return row.model
-    if name == "steps":
-        return row.case.job.settings.propagation_steps
-    return row.case.job.scene.label(name)
-
-
 def _row_json(row: Row) -> dict[str, Any]:
-    scene = row.case.job.scene
     return {
         "key": row.case.job.key,
-        "model": row.model,
-        "level": row.case.level,
-        "garment": scene.label("garment"),
-        "body": scene.label("body"),
-        "motion": row.case.motion,
-        "seed": scene.seed,
-        "steps": row.case.job.settings.propagation_steps,
+        **row.coordinates,
         "failure": row.failure.sentence if row.failure else None,
         "ratio_to_floor": row.ratio,
         "floor": row.floor_source,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError, InputWarning
-from pb4u.export.lazy_frames import LazyFrames
+from pb4u.export.selection import LazyFrames
 from pb4u.scene.trajectory import Trajectory
 
 HELD_FRAMES = "held_frames"

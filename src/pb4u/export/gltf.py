@@ -18,19 +18,20 @@ import numpy as np
 
 from pb4u.errors import InputWarning
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
-from pb4u.export.progress import Progress
 from pb4u.export.shading import CLOTH, SKIN
 from pb4u.export.shape_basis import fit_shapes
+from pb4u.progress import Progress, unheard
 from pb4u.scene.trajectory import Trajectory
 
 _TOLERANCE = 1e-3
+"""Largest distance of a vertex from the trajectory [m]: less than can be seen beside a body."""
 _MOST_TARGETS = 256
 """Texture layers that every WebGL 2 device has."""
 _FLOAT, _UNSIGNED_INT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
-def write_glb(trajectory: Trajectory, path: Path, progress: Progress | None = None, body: bool = True) -> None:
+def write_glb(trajectory: Trajectory, path: Path, progress: Progress = unheard, body: bool = True) -> None:
     """One GLB file; vertices keep their order, copies with a second UV at a seam follow after the last.
 
     The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning tells where
@@ -55,8 +56,8 @@ def write_glb(trajectory: Trajectory, path: Path, progress: Progress | None = No
         binary.unlink(missing_ok=True)
 
 
-def _part(progress: Progress | None, before: int, passes: int) -> Progress | None:
-    return None if progress is None else lambda done, total: progress(before + done, passes * total)
+def _part(progress: Progress, before: int, passes: int) -> Progress:
+    return lambda done, total: progress(before + done, passes * total)
 
 
 def _assemble(document: dict[str, Any], binary: Path, path: Path) -> None:
@@ -101,7 +102,7 @@ class _Document:
         faces: np.ndarray,
         uv: tuple[np.ndarray | None, np.ndarray | None],
         colour: tuple[float, float, float],
-        progress: Progress | None,
+        progress: Progress,
     ) -> None:
         """A node with a mesh, its targets and their weights over time."""
         basis = fit_shapes(positions, faces, _TOLERANCE, _MOST_TARGETS, progress)

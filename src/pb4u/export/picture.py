@@ -1,4 +1,4 @@
-"""Off-screen rendering of a trajectory: stills, and the frames of animations."""
+"""Off-screen rendering of a trajectory: PNG and JPEG stills, GIF, and MP4 through the "render" extra."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from pb4u.errors import Pb4uError
+from pb4u.errors import MissingExtraError, Pb4uError
 from pb4u.export.finite_frames import held_frames
 from pb4u.export.shading import CLOTH, SKIN
 from pb4u.geometry.triangle_mesh import vertex_normals
+from pb4u.progress import Progress, unheard
 from pb4u.scene.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -22,13 +23,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """How a trajectory is looked at.
+    """Camera, size and colours of pictures.
 
     Args:
-        width, height: pixels.
-        azimuth: degrees around the vertical; 0 looks the body in the face, positive walks towards its left.
+        width: pixels.
+        height: pixels.
+        azimuth: degrees around the vertical; 0 is in front of the body, positive towards its left.
         elevation: degrees above the horizontal.
-        turntable: degrees the camera travels over the whole clip.
+        turntable: degrees that the camera turns about the vertical over the whole clip.
         show_body: whether the body is drawn.
         cloth: colour of the garment, RGB in [0, 1].
     """
@@ -206,10 +208,85 @@ def _open_studio(trajectory: Trajectory, view: View) -> Studio:
         ) from error
 
 
-def write_still(trajectory: Trajectory, path: Path, view: View | None = None, frames: int = 5) -> None:
-    """A PNG or JPEG strip of `frames` moments spread over the clip."""
+def write_still(
+    trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None, frames: int = 5
+) -> None:
+    """A PNG or JPEG strip.
+
+    Args:
+        trajectory: what is drawn.
+        path: file to write; its suffix decides the format.
+        progress: told of the moments drawn.
+        view: camera, size and colours.
+        frames: moments side by side, spread evenly over the clip.
+    """
     from PIL import Image
 
     moments = np.unique(np.linspace(0, trajectory.frame_count - 1, frames).round().astype(int)).tolist()
-    strip = np.concatenate(list(render(trajectory, moments, view)), axis=1)
+    strip = np.concatenate(list(_counted(render(trajectory, moments, view), len(moments), progress)), axis=1)
     Image.fromarray(strip).save(path)
+
+
+def write_gif(
+    trajectory: Trajectory,
+    path: Path,
+    progress: Progress = unheard,
+    view: View | None = None,
+    highest_fps: float = 15.0,
+) -> None:
+    """An endlessly looping GIF.
+
+    Args:
+        trajectory: what is drawn.
+        path: file to write.
+        progress: told of the frames drawn.
+        view: camera, size and colours.
+        highest_fps: frames are dropped so that it plays in real time at no more than this; more make files large.
+    """
+    from PIL import Image
+
+    stride = max(1, round(trajectory.fps / highest_fps))
+    moments = range(0, trajectory.frame_count, stride)
+    pictures = [
+        Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE)
+        for picture in _counted(render(trajectory, moments, view), len(moments), progress)
+    ]
+    duration = round(1000 * stride / trajectory.fps)
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+
+
+def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None) -> None:
+    """An MP4 (VP9) at the trajectory's own frame rate.
+
+    Args:
+        trajectory: what is drawn.
+        path: file to write.
+        progress: told of the frames drawn.
+        view: camera, size and colours.
+
+    Raises:
+        MissingExtraError: the "render" extra is not installed.
+    """
+    try:
+        import cv2
+    except ImportError as error:
+        raise MissingExtraError("render", "Writing MP4") from error
+
+    frames = trajectory.frame_count
+    # VP9 because the encoder in the wheel is free of the GPL, unlike x264, and browsers play it.
+    writer = None
+    for picture in _counted(render(trajectory, range(frames), view), frames, progress):
+        if writer is None:
+            height, width = picture.shape[:2]
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), trajectory.fps, (width, height))
+            if not writer.isOpened():
+                raise Pb4uError(f"The video encoder could not open {path}; write a .gif instead.")
+        writer.write(np.ascontiguousarray(picture[..., ::-1]))
+    if writer is not None:
+        writer.release()
+
+
+def _counted(pictures: Iterator[np.ndarray], total: int, progress: Progress) -> Iterator[np.ndarray]:
+    for done, picture in enumerate(pictures, start=1):
+        yield picture
+        progress(done, total)

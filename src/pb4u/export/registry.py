@@ -1,58 +1,94 @@
-"""Which suffix is written by what."""
+"""Which suffix is written by what. Importing this module imports no writer."""
 
 from __future__ import annotations
 
 import os
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError
-from pb4u.export.animation import write_gif, write_mp4
-from pb4u.export.finite_frames import hold_finite
-from pb4u.export.gltf import write_glb
-from pb4u.export.obj_sequence import frame_path, write_obj_sequence
-from pb4u.export.picture import write_still
-from pb4u.export.point_cache import check_companion, companion, write_mdd, write_pc2
-from pb4u.export.progress import Progress
-from pb4u.export.usd import check_usd, write_usd
-from pb4u.scene.trajectory import Trajectory
+from pb4u.progress import Progress, unheard
 
-Writer = Callable[[Trajectory, Path, Progress | None], object]
+if TYPE_CHECKING:
+    from pb4u.scene.trajectory import Trajectory
 
-WRITERS: dict[str, Writer] = {
-    ".npz": lambda trajectory, path, progress: trajectory.save(path),
-    ".obj": write_obj_sequence,
-    ".pc2": write_pc2,
-    ".mdd": write_mdd,
-    ".usdc": write_usd,
-    ".usda": write_usd,
-    ".usdz": write_usd,
-    ".glb": write_glb,
-    ".png": lambda trajectory, path, progress: write_still(trajectory, path),
-    ".jpg": lambda trajectory, path, progress: write_still(trajectory, path),
-    ".gif": lambda trajectory, path, progress: write_gif(trajectory, path, progress=progress),
-    ".mp4": lambda trajectory, path, progress: write_mp4(trajectory, path, progress=progress),
-}
-"""A writer may write more than one file, all of them in the folder of the path that it is given."""
 
-_CHECKS: dict[str, Callable[[Path], None]] = {
-    ".pc2": check_companion,
-    ".mdd": check_companion,
-    ".usdc": check_usd,
-    ".usda": check_usd,
-    ".usdz": check_usd,
-}
+@dataclass(frozen=True)
+class Format:
+    """How the files of some suffixes are written; functions are named "module:function" and imported when needed.
+
+    Args:
+        suffixes: of the file names, in lower case.
+        description: one sentence for the command line, without its full stop.
+        writer: called with the trajectory, the path and what is told of the progress; it may write more than
+            one file, all of them in the folder of the path.
+        check: called with the path before any work is done; raises where the format cannot be written there.
+        files: called with the path and the number of frames; the files written, where that is more than the path.
+        finite: whether frames that are not finite are held first (`finite_frames`).
+    """
+
+    suffixes: tuple[str, ...]
+    description: str
+    writer: str
+    check: str = ""
+    files: str = ""
+    finite: bool = True
+
+
+FORMATS = (
+    Format((".npz",), "NPZ is exact and keeps velocities", "pb4u.export.registry:write_npz", finite=False),
+    Format(
+        (".obj",),
+        "OBJ is exact, one file a frame, the garment alone",
+        "pb4u.export.mesh_sequence:write_obj_sequence",
+        files="pb4u.export.mesh_sequence:frame_files",
+    ),
+    Format(
+        (".pc2",),
+        "PC2 is exact, the garment alone, and comes with an .obj; in Blender, set the frame rate to the trajectory's",
+        "pb4u.export.mesh_sequence:write_pc2",
+        "pb4u.export.mesh_sequence:check_companion",
+        "pb4u.export.mesh_sequence:cache_files",
+    ),
+    Format(
+        (".mdd",),
+        "MDD is as PC2",
+        "pb4u.export.mesh_sequence:write_mdd",
+        "pb4u.export.mesh_sequence:check_companion",
+        "pb4u.export.mesh_sequence:cache_files",
+    ),
+    Format((".usdc", ".usda", ".usdz"), "USD is exact", "pb4u.export.usd:write_usd", "pb4u.export.usd:check_usd"),
+    Format((".glb",), "GLB is within 1 mm (else a warning says how far off)", "pb4u.export.gltf:write_glb"),
+    Format((".png", ".jpg"), "PNG and JPG show five moments side by side", "pb4u.export.picture:write_still"),
+    Format((".gif",), "GIF leaves frames out, down to about 15 a second", "pb4u.export.picture:write_gif"),
+    Format((".mp4",), "MP4 shows every frame", "pb4u.export.picture:write_mp4"),
+)
+
+WRITERS: dict[str, Format] = {suffix: form for form in FORMATS for suffix in form.suffixes}
+"""The format of every suffix."""
+
+
+def formats_help() -> str:
+    """All suffixes, then a sentence on each format."""
+    return ". ".join([" ".join(WRITERS), *(form.description for form in FORMATS)]) + "."
 
 
 def check_target(path: Path) -> None:
     """Look at what can be told before any work is done.
 
-    Raises InputError for an unknown suffix, a folder that is absent or read-only, or a name that is taken by a
-    folder; MissingExtraError when the format needs an extra.
+    Args:
+        path: file to write.
+
+    Raises:
+        InputError: an unknown suffix, a folder that is absent or read-only, or a name that is taken by a folder.
+        MissingExtraError: the format needs an extra.
     """
-    suffix = path.suffix.lower()
-    if suffix not in WRITERS:
+    form = WRITERS.get(path.suffix.lower())
+    if form is None:
         raise InputError(f"Cannot tell what to write from the name {path}: end it in one of {', '.join(WRITERS)}.")
     folder = path.parent
     if not folder.is_dir():
@@ -61,33 +97,54 @@ def check_target(path: Path) -> None:
         raise InputError(f"The folder {folder} cannot be written to.")
     if path.is_dir():
         raise InputError(f"{path} is a folder; choose another name.")
-    if suffix in _CHECKS:
-        _CHECKS[suffix](path)
+    if form.check:
+        _function(form.check)(path)
 
 
 def written_files(path: Path, frames: int) -> tuple[Path, ...]:
-    """The files that `export` writes for a trajectory of so many frames."""
-    suffix = path.suffix.lower()
-    if suffix == ".obj":
-        return tuple(frame_path(path, t) for t in range(frames))
-    return (path, companion(path)) if suffix in (".pc2", ".mdd") else (path,)
+    """The files that `export` writes for a trajectory of so many frames.
+
+    Args:
+        path: of a suffix in `WRITERS`.
+        frames: number of frames.
+    """
+    form = WRITERS[path.suffix.lower()]
+    return _function(form.files)(path, frames) if form.files else (path,)
 
 
 def export(trajectory: Trajectory, path: str | Path, progress: Progress | None = None) -> Path:
-    """Write `trajectory` in the format its suffix names; files appear when they are complete, or not at all.
+    """Write a trajectory in the format its suffix names; files appear when they are complete, or not at all.
 
-    Frames that are not finite are held (`finite_frames`), except in .npz, which keeps what was simulated.
-    Raises InputError for a target that cannot be written and MissingExtraError when the format needs an extra.
+    Args:
+        trajectory: frames that are not finite are held (`finite_frames`), except in .npz, which keeps what was
+            simulated.
+        path: file to write.
+        progress: told of what is done.
+
+    Raises:
+        InputError: the target cannot be written.
+        MissingExtraError: the format needs an extra.
     """
     path = Path(path)
     check_target(path)
-    suffix = path.suffix.lower()
-    shown = trajectory if suffix == ".npz" else hold_finite(trajectory)
+    form = WRITERS[path.suffix.lower()]
+    shown = _function("pb4u.export.finite_frames:hold_finite")(trajectory) if form.finite else trajectory
+    writer = _function(form.writer)
     try:
         with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder:
-            WRITERS[suffix](shown, Path(folder) / path.name, progress)
+            writer(shown, Path(folder) / path.name, progress or unheard)
             for written in sorted(Path(folder).iterdir()):
                 os.replace(written, path.with_name(written.name))
     except OSError as error:
         raise InputError(f"Cannot write {path}: {error.strerror or error}.") from error
     return path
+
+
+def write_npz(trajectory: Trajectory, path: Path, progress: Progress) -> None:
+    """The trajectory as it is, in one step."""
+    trajectory.save(path)
+
+
+def _function(name: str) -> Callable[..., Any]:
+    function: Callable[..., Any] = resolve_name(name)
+    return function

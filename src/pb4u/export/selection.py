@@ -1,22 +1,76 @@
-"""Parts of a trajectory: some of its frames, or its motion carried to the author's own mesh."""
+"""Trajectories made of another: some of its frames, or its motion on the author's own mesh."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from pb4u.errors import InputError, InputWarning
-from pb4u.export.lazy_frames import LazyFrames
 from pb4u.scene.trajectory import Trajectory
+
+Compute = Callable[[Any, Any], np.ndarray]
+"""(index of frames, index of vertices) -> positions of those; an int as the first drops the frame axis."""
+
+_ALL = slice(None)
+
+
+class LazyFrames:
+    """Takes the place of an array (frames, vertices, 3) float32 and computes the parts that are read.
+
+    `frames[t]`, `frames[a:b]`, `frames[:, vertices]` and iteration compute that part only;
+    any other use goes through a full array.
+
+    Args:
+        frames: how many there are.
+        vertices: how many each has.
+        compute: gives positions [m] of some vertices at some frames.
+    """
+
+    def __init__(self, frames: int, vertices: int, compute: Compute) -> None:
+        self.shape = (frames, vertices, 3)
+        self.dtype = np.dtype(np.float32)
+        self.ndim = 3
+        self._compute = compute
+
+    def as_array(self) -> np.ndarray:
+        """Itself, typed as the array that it stands for."""
+        return cast(np.ndarray, self)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return (self[t] for t in range(len(self)))
+
+    def __getitem__(self, key: Any) -> np.ndarray:
+        keys = key if isinstance(key, tuple) else (key,)
+        if len(keys) > 2 or any(k is Ellipsis or k is None for k in keys):
+            return np.asarray(self)[key]
+        frames, vertices = (*keys, _ALL)[:2]
+        if isinstance(frames, int | np.integer):
+            if not -len(self) <= frames < len(self):
+                raise IndexError(f"There is no frame {frames} in {len(self)}.")
+            frames = int(frames) % len(self)
+        return self._compute(frames, vertices)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.asarray(self._compute(_ALL, _ALL), dtype=dtype)
 
 
 def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: int) -> Trajectory:
-    """Frames span[0]..span[1]-1, every n-th of them.
+    """Some of the frames; an InputWarning tells where the span goes beyond the last one.
 
-    Warns where the span goes beyond the last frame. Raises InputError when none is left.
+    Args:
+        trajectory: to take them from.
+        span: first frame kept and the one after the last; all by default.
+        every: stride from one kept frame to the next.
+
+    Raises:
+        InputError: no frame is left.
     """
     if every < 1:
         raise InputError(f"The stride from one kept frame to the next must be 1 or more, not {every}.")
@@ -41,7 +95,7 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
 
 
 def on_source(trajectory: Trajectory) -> Trajectory:
-    """The same motion on the author's mesh, carried frame by frame; the trajectory itself where the meshes are one."""
+    """The same motion on the author's mesh, frame by frame; the trajectory itself where it has no other mesh."""
     track = trajectory.header.source
     if track is None:
         return trajectory
@@ -49,7 +103,7 @@ def on_source(trajectory: Trajectory) -> Trajectory:
     corners = trajectory.faces[track.triangle]
     weights = track.barycentric.astype(np.float32)
 
-    def carry(values: np.ndarray) -> np.ndarray:
+    def on_mesh(values: np.ndarray) -> np.ndarray:
         def compute(frames: Any, vertices: Any) -> np.ndarray:
             asked, weight = corners[vertices], weights[vertices]
             at = values[frames][..., asked.ravel(), :]
@@ -60,7 +114,7 @@ def on_source(trajectory: Trajectory) -> Trajectory:
     header = replace(
         trajectory.header,
         faces=track.faces,
-        rest_positions=carry(trajectory.header.rest_positions[None])[0],
+        rest_positions=on_mesh(trajectory.header.rest_positions[None])[0],
         pinned=trajectory.header.pinned[corners].all(axis=1),
         vertex_garment=trajectory.header.vertex_garment[corners[:, 0]],
         uvs=track.uvs,
@@ -68,11 +122,17 @@ def on_source(trajectory: Trajectory) -> Trajectory:
         source=None,
         polygons=track.polygons,
     )
-    return Trajectory(header, carry(trajectory.positions), carry(trajectory.velocities), trajectory.body_positions)
+    return Trajectory(header, on_mesh(trajectory.positions), on_mesh(trajectory.velocities), trajectory.body_positions)
 
 
 def resampled(trajectory: Trajectory, fps: float, frames: int | None = None) -> Trajectory:
-    """The same motion at another frame rate, interpolated in straight lines, and at most `frames` frames of it."""
+    """The same motion at another frame rate, interpolated in straight lines.
+
+    Args:
+        trajectory: to interpolate.
+        fps: frames per second.
+        frames: most frames to keep; all by default.
+    """
     seconds = (trajectory.frame_count - 1) / trajectory.fps
     count = int(seconds * fps + 1e-6) + 1
     at = np.arange(min(count, frames or count)) * (trajectory.fps / fps)

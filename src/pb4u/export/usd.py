@@ -11,8 +11,8 @@ import numpy as np
 
 from pb4u.errors import InputError, MissingExtraError
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
-from pb4u.export.progress import Progress
 from pb4u.export.shading import CLOTH, SKIN, unit_normals
+from pb4u.progress import Progress, unheard
 from pb4u.scene.author_mesh import Polygons
 from pb4u.scene.trajectory import Trajectory
 
@@ -31,7 +31,7 @@ def check_usd(path: Path) -> None:
         raise MissingExtraError("usd", f"Writing {path.suffix}") from error
 
 
-def write_usd(trajectory: Trajectory, path: Path, progress: Progress | None = None) -> None:
+def write_usd(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
     """One stage: /Scene with the meshes Garment and Body, no transforms; metres, Y up, one time code a frame.
 
     Points, normals and extent are sampled at every frame; the author's polygons stay polygons; UVs are the
@@ -57,7 +57,7 @@ def write_usd(trajectory: Trajectory, path: Path, progress: Progress | None = No
         raise InputError(f"Cannot write {path.name}: {_reason(error)}.") from error
 
 
-def _write_binary(trajectory: Trajectory, path: Path, progress: Progress | None) -> None:
+def _write_binary(trajectory: Trajectory, path: Path, progress: Progress) -> None:
     from pxr import Usd, UsdGeom
 
     header = trajectory.header
@@ -82,8 +82,7 @@ def _write_binary(trajectory: Trajectory, path: Path, progress: Progress | None)
         body.sample(t, body_positions)
         if t % _FRAMES_BETWEEN_SAVES == _FRAMES_BETWEEN_SAVES - 1:
             stage.Save()
-        if progress:
-            progress(t + 1, trajectory.frame_count)
+        progress(t + 1, trajectory.frame_count)
     stage.Save()
 
 

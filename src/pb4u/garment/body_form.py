@@ -27,6 +27,7 @@ _SIDES = {"anny": ("L", "R"), "smpl": ("left", "right")}
 
 #: Number of support directions around the torso or a leg.
 DIRECTIONS = 72
+# Distance [m] between levels of the sections: finer detail of the skin does not show in the cloth.
 _STEP = 0.01
 
 
@@ -92,7 +93,20 @@ def directions() -> np.ndarray:
 class BodyForm:
     """Measures of one resting body.
 
-    Raises InputError when the skeleton lacks the joints of shoulders, arms, hips or legs.
+    Args:
+        body: the body.
+
+    Raises:
+        InputError: the skeleton lacks the joints of shoulders, arms, hips or legs.
+
+    Attributes:
+        neck: (3,) base of the neck [m].
+        head: (vertices,) bool, skin of the head; so `arm_skin` (hands too), `hand_skin` and `foot_skin`.
+        arms: left and right.
+        legs: left and right.
+        scale: lengths that are not measured grow with it, 1 for an adult of 1.75 m.
+        shoulder_height: mean height of the joints on both sides [m]; so `hip_height`, `knee_height`, `ankle_height`.
+        waist: height of the natural waist [m].
     """
 
     def __init__(self, body: ShapedBody) -> None:
@@ -106,29 +120,21 @@ class BodyForm:
         self._arm_share = sum(
             (_share_of_bone(body, names["shoulder"].format(side)) for side in sides), np.zeros(len(body.vertices))
         )
-        #: Lengths that are not measured elsewhere scale with this, 1 for an adult of 1.75 m.
         self.scale = body.height / 1.75
+        self.arm_skin: np.ndarray = self.arms[0].belongs | self.arms[1].belongs
+        self.hand_skin: np.ndarray = self.arms[0].tip | self.arms[1].tip
+        self.foot_skin: np.ndarray = self.legs[0].tip | self.legs[1].tip
+        self.shoulder_height = float(np.mean([arm.joints[0, 1] for arm in self.arms]))
+        self.hip_height, self.knee_height, self.ankle_height = (
+            float(np.mean([leg.joints[k, 1] for leg in self.legs])) for k in range(3)
+        )
+        self.waist = self.hip_height + 0.38 * (self.shoulder_height - self.hip_height)
 
     def _limb(self, bones: list[str]) -> Limb:
         skeleton = self.body.skeleton
         joints = np.array([skeleton.joints[skeleton.index(bone)] for bone in bones])
         side = 1 if joints[:, 0].sum() > 0 else -1
         return Limb(side, joints, _share_of_bone(self.body, bones[0]) > 0.5, _share_of_bone(self.body, bones[2]) > 0.5)
-
-    @property
-    def arm_skin(self) -> np.ndarray:
-        """(vertices,) bool, skin of both arms and hands."""
-        return self.arms[0].belongs | self.arms[1].belongs
-
-    @property
-    def hand_skin(self) -> np.ndarray:
-        """(vertices,) bool, skin of both hands."""
-        return self.arms[0].tip | self.arms[1].tip
-
-    @property
-    def foot_skin(self) -> np.ndarray:
-        """(vertices,) bool, skin of both feet."""
-        return self.legs[0].tip | self.legs[1].tip
 
     @cached_property
     def samples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -159,7 +165,12 @@ class BodyForm:
         return np.concatenate(points), np.concatenate(normal), np.concatenate(owner)
 
     def sections(self, skin: np.ndarray, centre_x: float | None = 0.0) -> Sections:
-        """Hulls of the horizontal slices of `skin` (vertices,) bool; a level covers the slices next to it too."""
+        """Hulls of the horizontal slices of some skin; a level covers the slices next to it too.
+
+        Args:
+            skin: (vertices,) bool.
+            centre_x: x [m] that the support is measured from; None for the middle of each slice.
+        """
         points, _, owner = self.samples
         points = points[skin[owner]]
         top = int(np.ceil(self.body.vertices[:, 1].max() / _STEP)) + 1
@@ -204,39 +215,12 @@ class BodyForm:
         fold = (blend > 0.35) & (blend < 0.65)
         return float(points[fold, 1].min()) if fold.any() else float(self.shoulder_height - 0.1 * self.scale)
 
-    @property
-    def shoulder_height(self) -> float:
-        """Mean height [m] of the shoulder joints."""
-        return float(np.mean([limb.joints[0, 1] for limb in self.arms]))
-
-    @property
-    def hip_height(self) -> float:
-        """Mean height [m] of the hip joints."""
-        return float(np.mean([limb.joints[0, 1] for limb in self.legs]))
-
-    @property
-    def knee_height(self) -> float:
-        """Mean height [m] of the knees."""
-        return float(np.mean([limb.joints[1, 1] for limb in self.legs]))
-
-    @property
-    def ankle_height(self) -> float:
-        """Mean height [m] of the ankles."""
-        return float(np.mean([limb.joints[2, 1] for limb in self.legs]))
-
-    @property
-    def waist(self) -> float:
-        """Height [m] of the natural waist."""
-        return self.hip_height + 0.38 * (self.shoulder_height - self.hip_height)
-
     @cached_property
     def neck_half_width(self) -> float:
         """Half the width [m] of the neck at its base."""
         points, _, owner = self.samples
-        near = (np.abs(points[:, 1] - self.neck[1] - 0.03 * self.scale) < 0.012) & (
-            np.abs(points[:, 0]) < 0.12 * self.scale
-        )
-        near &= ~self.arm_skin[owner]
+        near = np.abs(points[:, 1] - self.neck[1] - 0.03 * self.scale) < 0.012
+        near &= (np.abs(points[:, 0]) < 0.12 * self.scale) & ~self.arm_skin[owner]
         return float(np.abs(points[near, 0]).max()) if near.any() else 0.06 * self.scale
 
     def midline(self, y: float, front: bool) -> np.ndarray:
@@ -278,4 +262,4 @@ def _share_of_bone(body: ShapedBody, name: str) -> np.ndarray:
     below[skeleton.index(name)] = True
     for bone, parent in enumerate(skeleton.parents.tolist()):
         below[bone] |= parent >= 0 and below[parent]
-    return (body.weights.weights * below[body.weights.bones]).sum(axis=1)
+    return body.weights.share_of(below)

@@ -10,6 +10,8 @@ from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 #: Smallest distance [m] that a built-in garment keeps from the skin at rest.
 SMALLEST_CLEARANCE = 0.004
 
+# Most rounds of pushing, which end when all is clear; what a crease has no room for is left after them.
+_ROUNDS = 12
 #: Where each face is probed: corners, edge middles, centre, and the centres of the four quarters.
 _PROBES = np.array(
     [
@@ -19,15 +21,22 @@ _PROBES = np.array(
 )  # fmt: skip
 
 
-def clear_of_body(
-    vertices: np.ndarray, faces: np.ndarray, body: ShapedBody, clearance: float = SMALLEST_CLEARANCE, rounds: int = 12
-) -> np.ndarray:
-    """Vertices (n, 3) moved out until corners, edges and insides of all faces are `clearance` [m] off the skin."""
+def clear_of_body(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> np.ndarray:
+    """A garment moved out until corners, edges and insides of all faces are `SMALLEST_CLEARANCE` off the skin.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+
+    Returns:
+        (vertices, 3) [m].
+    """
     surface = TriangleSurface(body.faces, len(body.vertices)).at(body.vertices)
     vertices = vertices.copy()
     suspects = np.arange(len(faces))
-    for _ in range(rounds):
-        short, normals = _shortfall(vertices, faces[suspects], surface, clearance)
+    for _ in range(_ROUNDS):
+        short, normals = _shortfall(vertices, faces[suspects], surface)
         worst = short.max(axis=1)
         suspects = suspects[worst > -0.02]
         if not (worst > 0.0).any():
@@ -52,14 +61,12 @@ def clear_of_body(
     return vertices
 
 
-def _shortfall(
-    vertices: np.ndarray, faces: np.ndarray, surface: PosedSurface, clearance: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _shortfall(vertices: np.ndarray, faces: np.ndarray, surface: PosedSurface) -> tuple[np.ndarray, np.ndarray]:
     """How much each probe (faces, probes) lacks of the clearance [m], and the way out (faces, probes, 3)."""
     probes = np.einsum("pk,fkd->fpd", _PROBES, vertices[faces])
-    found = surface.nearest(probes.reshape(-1, 3))
-    distance = found.signed_distance.numpy().reshape(probes.shape[:2])
-    return clearance - distance, found.normals.numpy().reshape(probes.shape)
+    near = surface.nearest(probes.reshape(-1, 3))
+    distance = near.signed_distance.numpy().reshape(probes.shape[:2])
+    return SMALLEST_CLEARANCE - distance, near.normals.numpy().reshape(probes.shape)
 
 
 def rest_distances(vertices: np.ndarray, body: ShapedBody) -> np.ndarray:

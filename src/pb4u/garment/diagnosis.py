@@ -13,22 +13,23 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.fit import UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit
-from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.fit import UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_held_up
+from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
-from pb4u.garment.layers import double_layered
 from pb4u.garment.source_surface import SourceSurface
-from pb4u.garment.support import is_held_up
-from pb4u.geometry.triangle_mesh import edge_lengths
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
 
-WORST_MISFIT = 0.08
-"""Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn."""
-FAR = 0.05
-"""A garment whose nearest point is farther from the body than this [m] does not touch it."""
-NOT_WORN = ("far", "inside")
-"""Findings after which nothing is said of what holds the garment up."""
-GRADED = 0.35
-DOUBLE = 0.2
+# Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn.
+_WORST_MISFIT = 0.08
+# A garment whose nearest point is farther from the body than this [m] does not touch it.
+_FAR = 0.05
+# Findings after which nothing is said of what holds the garment up.
+_NOT_WORN = ("far", "inside")
+# Deviation of edge lengths, of their mean, above which they are told as graded; built-in garments have about a tenth.
+_GRADED = 0.35
+# Share of faces with another layer behind them above which the cloth is told as double: a hem or a pocket has less.
+_DOUBLE = 0.2
 
 
 class Severity(str, Enum):
@@ -56,7 +57,7 @@ class Finding:
     severity: Severity
     sentence: str
     fix: str
-    mendable: bool
+    mendable: bool = False
     where: tuple[int, ...] = ()
 
 
@@ -91,17 +92,22 @@ class Diagnosis:
 
 
 def diagnose(
-    garment: SourceMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
+    garment: PolygonMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
 ) -> Diagnosis:
-    """Everything that is wrong with a garment, on its own and on the resting `body`; `file` is named in the cures.
+    """Everything that is wrong with a garment, on its own and on the resting body.
 
     First-frame penetration, and whether the shoulders hold a garment without pins, are measured where the garment
     belongs, after the move that units and axes call for.
+
+    Args:
+        garment: as it was read, or as it is simulated.
+        body: who wears it; without a body only the mesh itself is looked at.
+        file: the garment's file, named in the cures.
     """
     pinned = False
     if isinstance(garment, Garment):
         pinned = bool(garment.pinned.any())
-        garment = SourceMesh(garment.vertices, tuple(garment.faces))
+        garment = PolygonMesh(garment.vertices, tuple(garment.faces))
     surface = SourceSurface.of(garment)
     findings = _surface_findings(surface)
     vertices = garment.vertices[np.unique(surface.faces)]
@@ -121,10 +127,10 @@ def diagnose(
         mend = fix_command(file, rest.name)
         findings += _placement_findings(vertices, fit, rest, mend)
         findings += _contact_findings(surface, fit, rest, measures, mend)
-        if not pinned and not any(f.code in NOT_WORN for f in findings):
+        if not pinned and not any(f.code in _NOT_WORN for f in findings):
             findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
-        findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres", False))
+        findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres"))
     order = list(Severity)
     return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures)
 
@@ -134,128 +140,126 @@ def require_worn(
 ) -> None:
     """Refuse a garment that the resting body does not wear; warn when it starts inside, seems turned or will fall.
 
-    `file` is where it was read from, for the cures; with `pins_given` what holds it up was chosen and is not looked at.
-    Raises InputError when it is far from the body, wholly inside it, or in other units or axes.
+    Args:
+        garment: the garment.
+        body: who should wear it.
+        file: where the garment was read from, named in the cures.
+        pins_given: whether the user chose what holds it up, which is then not looked at.
+
+    Raises:
+        InputError: it is far from the body, wholly inside it, or in other units or axes.
     """
     rest = RestBody.of(body)
     misfit = float(rest.misfit(garment.vertices))
     mend = fix_command(file, rest.name)
-    found = []
-    if misfit > 0.6 * WORST_MISFIT:  # well under it there is nothing to look for
-        found = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
-    found += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
+    findings = []
+    if misfit > 0.6 * _WORST_MISFIT:  # well under it there is nothing to look for
+        findings = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
+    findings += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
     if not pins_given and not garment.pinned.any():
-        found += _support_findings(garment.vertices, garment.faces, rest)
-    for finding in found:
+        findings += _support_findings(garment.vertices, garment.faces, rest)
+    for finding in findings:
         if finding.severity is Severity.REFUSED:
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
-    for finding in found:
+    for finding in findings:
         warnings.warn(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.", InputWarning, stacklevel=3)
 
 
 def _surface_findings(surface: SourceSurface) -> list[Finding]:
     """Faults of the mesh alone."""
-    found: list[Finding] = []
+    findings: list[Finding] = []
 
-    def add(code: str, severity: Severity, sentence: str, fix: str, mendable: bool, where: np.ndarray) -> None:
-        found.append(
-            Finding(code, severity, sentence, fix, mendable, tuple(np.asarray(where).reshape(-1)[:20].tolist()))
-        )
+    def add(
+        code: str, severity: Severity, sentence: str, fix: str, mendable: bool = False, where: np.ndarray | None = None
+    ) -> None:
+        first = () if where is None else tuple(np.asarray(where).reshape(-1)[:20].tolist())
+        findings.append(Finding(code, severity, sentence, fix, mendable, first))
 
-    topology = surface.topology
+    topology, warning = surface.topology, Severity.WARNING
     if len(surface.faces) > MOST_SIMULATED:
         sentence = f"The garment has {len(surface.faces):,} triangles, {MOST_SIMULATED:,} can be simulated."
-        add("too-many", Severity.REFUSED, sentence, "simulate it with `--triangles N`", False, np.zeros(0))
+        add("too-many", Severity.REFUSED, sentence, "simulate it with `--triangles N`")
     if len(edges := topology.non_manifold_edges):
         extra = surface.extra_faces
         sentence = f"{len(edges)} edge(s) are shared by three or more faces, first {_first(edges)} (pairs of vertices)."
         add("non-manifold", Severity.REFUSED, sentence, f"delete the faces {_first(extra)}", False, extra)
-    if len(collapsed := np.flatnonzero(surface.collapsed & ~surface.repeated)):
-        sentence = f"{len(collapsed)} triangle(s) have no area, first {_first(surface.polygon[collapsed])}."
-        add("degenerate", Severity.WARNING, sentence, "drop them", True, surface.polygon[collapsed])
-    if len(repeated := np.flatnonzero(surface.repeated)):
-        sentence = f"{len(repeated)} face(s) are there twice, first {_first(surface.polygon[repeated])}."
-        add("duplicate", Severity.WARNING, sentence, "drop them", True, surface.polygon[repeated])
+    if len(collapsed := surface.polygon[surface.collapsed & ~surface.repeated]):
+        sentence = f"{len(collapsed)} triangle(s) have no area, first {_first(collapsed)}."
+        add("degenerate", warning, sentence, "drop them", True, collapsed)
+    if len(repeated := surface.polygon[surface.repeated]):
+        sentence = f"{len(repeated)} face(s) are there twice, first {_first(repeated)}."
+        add("duplicate", warning, sentence, "drop them", True, repeated)
     if len(isolated := topology.isolated_vertices):
         sentence = f"{len(isolated)} vertices belong to no face, first {_first(isolated)}."
-        add("isolated", Severity.WARNING, sentence, "drop them", True, isolated)
+        add("isolated", warning, sentence, "drop them", True, isolated)
     if len(unwelded := surface.unwelded):
         sentence = (
             f"{len(unwelded)} border vertices lie on top of others, first {_first(unwelded)}: a seam that will open."
         )
-        add("unwelded", Severity.WARNING, sentence, "weld them", True, unwelded)
+        add("unwelded", warning, sentence, "weld them", True, unwelded)
     if surface.piece_count > 1:
         sentence = f"The garment is in {surface.piece_count} pieces that nothing holds together."
-        fix = (
-            "weld the seams between them" if len(unwelded) else "join them where they were made, or delete all but one"
-        )
-        add("pieces", Severity.WARNING, sentence, fix, bool(len(unwelded)), np.zeros(0))
+        seams = bool(len(unwelded))
+        fix = "weld the seams between them" if seams else "join them where they were made, or delete all but one"
+        add("pieces", warning, sentence, fix, seams)
     flip, orientable = surface.flipped
     if flip.any():
         polygons = surface.polygon[surface.kept[flip]]
         sentence = f"{len(polygons)} face(s) are turned over against their neighbours, first {_first(polygons)}."
-        add("orientation", Severity.WARNING, sentence, "turn them", True, polygons)
+        add("orientation", warning, sentence, "turn them", True, polygons)
     if not orientable:
         sentence = "The cloth has only one side, like a Moebius strip."
-        add("one-sided", Severity.WARNING, sentence, "cut it open where it is twisted", False, np.zeros(0))
+        add("one-sided", warning, sentence, "cut it open where it is twisted")
     if len(topology.edges) and len(surface.faces):
-        double = double_layered(surface.source.vertices, surface.faces)
-        if double.mean() > DOUBLE:
-            polygons = surface.polygon[surface.kept[double]]
-            sentence = (
-                f"{100 * double.mean():.0f}% of the cloth lies double, back to back, first faces {_first(polygons)}."
-            )
-            add("double-layer", Severity.WARNING, sentence, "keep the outer layer only", False, polygons)
+        share = surface.double.mean()
+        if share > _DOUBLE:
+            polygons = surface.polygon[surface.kept[surface.double]]
+            sentence = f"{100 * share:.0f}% of the cloth lies double, back to back, first faces {_first(polygons)}."
+            add("double-layer", warning, sentence, "keep the outer layer only", False, polygons)
         lengths = edge_lengths(surface.source.vertices, topology.edges)
-        if lengths.std() > GRADED * lengths.mean():
-            sentence = f"Edge lengths vary by {lengths.std() / lengths.mean():.2f} of their mean, more than {GRADED}."
-            fix = f"simulate it evenly meshed with `--triangles {len(surface.faces)}`"
-            add("graded", Severity.WARNING, sentence, fix, False, np.zeros(0))
+        if lengths.std() > _GRADED * lengths.mean():
+            sentence = f"Edge lengths vary by {lengths.std() / lengths.mean():.2f} of their mean, more than {_GRADED}."
+            add("graded", warning, sentence, f"simulate it evenly meshed with `--triangles {len(surface.faces)}`")
     if surface.many_sided:
-        sentence = f"{surface.many_sided} faces have four corners or more."
-        add(
-            "polygons",
-            Severity.NOTE,
-            sentence,
-            "nothing: they are cut to simulate, and `pb4u convert --on source` writes them whole",
-            False,
-            np.zeros(0),
-        )
-    return found
+        fix = "nothing: they are cut to simulate, and `pb4u convert --on source` writes them whole"
+        add("polygons", Severity.NOTE, f"{surface.many_sided} faces have four corners or more.", fix)
+    return findings
 
 
 def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str) -> list[Finding]:
     """Units, axes and place of (vertices, 3); `mend` is the command to mend them."""
     if fit.is_identity:
         return _far_finding(vertices, body)
-    found = []
+    findings = []
     if fit.unit != "metres":
         sentence = f"The garment is in {fit.unit}: it spans {np.ptp(vertices, axis=0).max():.4g} of them."
-        found.append(Finding("units", Severity.REFUSED, sentence, f"scale it by {UNITS[fit.unit]:g} with {mend}", True))
+        findings.append(
+            Finding("units", Severity.REFUSED, sentence, f"scale it by {UNITS[fit.unit]:g} with {mend}", True)
+        )
     if fit.axes != UPRIGHT:
         sentence = f"The garment is made {fit.axes}; the world is Y up and the body faces +Z."
-        found.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {mend}", True))
+        findings.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {mend}", True))
     if fit.shift.any():
         why = "where it fits best" if fit.searched else "it was made around the body model's own origin"
         sentence = f"The garment has to move {fit.shift[1]:+.3f} m in height to be worn: {why}."
-        found.append(Finding("height", Severity.WARNING, sentence, f"move it with {mend}", True))
-    if float(body.misfit(vertices)) > WORST_MISFIT:
+        findings.append(Finding("height", Severity.WARNING, sentence, f"move it with {mend}", True))
+    if float(body.misfit(vertices)) > _WORST_MISFIT:
         away = 100 * float(np.median(np.abs(body.signed_distances(vertices))))
         why = "made at another height" if fit.axes == UPRIGHT else fit.axes
         sentence = (
             f'The garment is not on the body "{body.name}" as it stands, half of it is {away:.0f} cm away or more: it '
             f"seems to be {why if fit.unit == 'metres' else fit.unit}."
         )
-        found.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {mend}", True))
-    return found + _far_finding(fit.apply(vertices), body)
+        findings.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {mend}", True))
+    return findings + _far_finding(fit.apply(vertices), body)
 
 
 def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
     distance = float(np.abs(body.signed_distances(vertices)).min())
-    if distance <= FAR:
+    if distance <= _FAR:
         return []
     sentence = f'The garment is far from the body "{body.name}": its nearest point is {distance:.2f} m away.'
-    return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made", False)]
+    return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made")]
 
 
 def _support_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> list[Finding]:
@@ -263,7 +267,7 @@ def _support_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -
     if is_held_up(vertices, faces, body):
         return []
     sentence = "Nothing holds the garment up: none of it lies on the shoulders."
-    return [Finding("unsupported", Severity.NOTE, sentence, "simulate it with `--pins waist`", False)]
+    return [Finding("unsupported", Severity.NOTE, sentence, "simulate it with `--pins waist`")]
 
 
 def _contact_findings(
@@ -273,23 +277,20 @@ def _contact_findings(
     used = np.unique(surface.faces)
     moved = fit.apply(surface.source.vertices)
     distances = body.signed_distances(moved[used])
-    found = _penetration_findings(distances, body, mend, used)
+    findings = _penetration_findings(distances, body, mend, used)
     closed = body.is_closed
     measures["penetration_percent"] = 100.0 * float((distances < 0.0).mean()) if closed else None
     measures["penetration_depth_max"] = max(0.0, -float(distances.min())) if closed else None
     if not surface.flipped[0].any() and is_inside_out(moved, surface.faces, body):
         sentence = "All faces look inwards, at the body."
-        found.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
-    return found
+        findings.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
+    return findings
 
 
 def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
     """Whether most of the cloth's area has its normal towards the body."""
-    corners = vertices[faces]
-    centres = corners.mean(axis=1)
-    near = body.surface.nearest(centres)
-    area_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(np.einsum("ij,ij->i", area_normals, near.normals.numpy()).sum()) < 0.0
+    near = body.surface.nearest(vertices[faces].mean(axis=1))
+    return float(np.einsum("ij,ij->i", face_cross_products(vertices, faces), near.normals.numpy()).sum()) < 0.0
 
 
 def _penetration_findings(
@@ -297,7 +298,7 @@ def _penetration_findings(
 ) -> list[Finding]:
     if not body.is_closed:
         sentence = f'The body "{body.name}" is not a closed surface, so penetration is not reported.'
-        return [Finding("open-body", Severity.WARNING, sentence, "close its holes", False)]
+        return [Finding("open-body", Severity.WARNING, sentence, "close its holes")]
     inside = distances < 0.0
     if not inside.any():
         return []
@@ -308,11 +309,8 @@ def _penetration_findings(
         sentence = (
             f'The garment lies wholly inside the body "{body.name}" ({100 * inside.mean():.0f}% of its vertices).'
         )
-        return [
-            Finding(
-                "inside", Severity.REFUSED, sentence, "make it larger, or take the body it was made for", False, where
-            )
-        ]
+        fix = "make it larger, or take the body it was made for"
+        return [Finding("inside", Severity.REFUSED, sentence, fix, where=where)]
     sentence = (
         f"{100 * inside.mean():.1f}% of the vertices start inside the body, the deepest "
         f"{-1000 * distances[deepest]:.1f} mm (vertex {names[deepest]})."

@@ -14,6 +14,8 @@ from pb4u.geometry.implicit_surface import Lattice
 
 #: Skin farther than this from a lattice point is only told apart as inside or outside [m].
 _BAND = 0.045
+# Width of the smoothing of hanging cloth along the height [m]: folds finer than this cloth does not take up at rest.
+_SMOOTHING = 0.02
 
 
 def smooth_union(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
@@ -33,7 +35,6 @@ def hanging(
     taper: Callable[[np.ndarray], np.ndarray],
     top: float,
     bottom: float,
-    smoothing: float = 0.02,
 ) -> Sections:
     """Sections of cloth that hangs from everything above it, from height `top` down to `bottom` [m].
 
@@ -43,7 +44,6 @@ def hanging(
         taper: height (n,) -> how far cloth may draw in (positive) or must flare (negative) per metre going down.
         top: nothing above this height holds the cloth.
         bottom: lowest height that is wanted.
-        smoothing: width of the smoothing along the height [m].
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -61,14 +61,22 @@ def hanging(
     first, last = sections.level(bottom - 0.1), sections.level(top)
     cloth[last + 1 :] = cloth[last]
     cloth[:first] = cloth[first]
-    cloth = gaussian_filter1d(cloth, smoothing / step, axis=0, mode="nearest")
+    cloth = gaussian_filter1d(cloth, _SMOOTHING / step, axis=0, mode="nearest")
     local = cloth - sections.centres @ units.T
     local = gaussian_filter1d(local, 1.0, axis=1, mode="wrap")
     return Sections(heights, sections.centres, local)
 
 
 def tube_field(lattice: Lattice, sections: Sections) -> np.ndarray:
-    """Field (nx, ny, nz) of an endless vertical tube with these sections."""
+    """Field of an endless vertical tube.
+
+    Args:
+        lattice: where it is sampled.
+        sections: of the tube.
+
+    Returns:
+        (nx, ny, nz) [m].
+    """
     x, y, z = (axis.reshape(-1) for axis in lattice.axes)
     units = directions()
     support = np.column_stack([np.interp(y, sections.heights, column) for column in sections.support.T])
@@ -89,7 +97,14 @@ def sleeve_field(
     The tube lies lightly on the top of the arm and its ease hangs below.
 
     Args:
+        lattice: where it is sampled.
+        form: measures of the body.
+        arm: the arm.
         ease: place along the arm (n,) -> slack of the tube's radius [m].
+        end: where the sleeve ends along the arm.
+
+    Returns:
+        (nx, ny, nz) [m].
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -133,7 +148,16 @@ def sleeve_field(
 
 
 def cone_chain_field(lattice: Lattice, centre: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Field of the union of the cones between consecutive `centre` (n, 3) with `radius` (n,); capped far away."""
+    """Field of the union of the cones between consecutive discs, capped far away.
+
+    Args:
+        lattice: where it is sampled.
+        centre: (n, 3) centres of the discs [m].
+        radius: (n,) their radii [m].
+
+    Returns:
+        (nx, ny, nz) [m].
+    """
     field = np.full(lattice.shape, 0.1)
     x, y, z = lattice.axes
     reach = radius.max() + 0.1
@@ -158,7 +182,16 @@ def _filled(values: np.ndarray) -> np.ndarray:
 
 
 def skin_field(lattice: Lattice, form: BodyForm, left_out: np.ndarray) -> np.ndarray:
-    """Signed distance to the skin, exact within a few centimetres; +3 cm nearest to the `left_out` skin (vertices,)."""
+    """Signed distance to the skin, exact within a few centimetres.
+
+    Args:
+        lattice: where it is sampled.
+        form: measures of the body.
+        left_out: (vertices,) bool, skin that is not covered: nearest to it the field is +3 cm.
+
+    Returns:
+        (nx, ny, nz) [m].
+    """
     from scipy.ndimage import label
     from scipy.spatial import cKDTree
 

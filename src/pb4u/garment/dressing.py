@@ -16,15 +16,16 @@ from pb4u.garment.weight_cache import garment_weights
 from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import vertex_normals
 
-FRAME_CHUNK = 32
+# Frames placed at a time, which bounds the memory of a fine garment.
+_FRAME_CHUNK = 32
 
 
 class Placement(ABC):
-    """Carries a garment's rest vertices along with a moving body."""
+    """Where a moving body alone, without any physics, puts a garment."""
 
     @abstractmethod
     def positions(self, start: int, stop: int) -> Tensor:
-        """Garment vertices (stop - start, vertices, 3) float32 [m] as the body alone would carry them."""
+        """Garment vertices (stop - start, vertices, 3) float32 [m] where the body alone puts them."""
 
 
 class SkinnedPlacement(Placement):
@@ -44,8 +45,8 @@ class SkinnedPlacement(Placement):
     def positions(self, start: int, stop: int) -> Tensor:
         """Skinned vertices (stop - start, vertices, 3) float32 [m]."""
         chunks = [
-            self.body.skin(self.garment.vertices, self.weights, first, min(first + FRAME_CHUNK, stop))
-            for first in range(start, stop, FRAME_CHUNK)
+            self.body.skin(self.garment.vertices, self.weights, first, min(first + _FRAME_CHUNK, stop))
+            for first in range(start, stop, _FRAME_CHUNK)
         ]
         return torch.cat(chunks) if chunks else torch.zeros(0, len(self.garment.vertices), 3)
 
@@ -76,8 +77,8 @@ class AttachedPlacement(Placement):
     def positions(self, start: int, stop: int) -> Tensor:
         """Skinned vertices (stop - start, vertices, 3) float32 [m]."""
         chunks = []
-        for first in range(start, stop, FRAME_CHUNK):
-            frames, anchors = self._surface_frames(self.body.positions(first, min(first + FRAME_CHUNK, stop)))
+        for first in range(start, stop, _FRAME_CHUNK):
+            frames, anchors = self._surface_frames(self.body.positions(first, min(first + _FRAME_CHUNK, stop)))
             chunks.append(anchors + (frames @ self._offsets[:, :, None])[..., 0])
         return torch.cat(chunks) if chunks else torch.zeros(0, len(self.garment.vertices), 3)
 

@@ -12,18 +12,30 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.topology import Topology
+from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas
 
-SAMPLES = 400
-COARSE = 4
-SHIFT_STEP = 0.03
-FARTHEST = 0.3
+# Vertices of a garment that are looked at to place it, and every how many of them for a first look at its height:
+# hundreds of placements are compared, and the time grows with both.
+_SAMPLES, _COARSE = 400, 4
+# Step [m] of the first look at heights, less than the width of a dip in the misfit.
+_SHIFT_STEP = 0.03
+# Distances to the body count up to this [m]: farther is nowhere, and a train must not outweigh a bodice.
+_FARTHEST = 0.3
 WHOLLY_INSIDE = 0.95
 """Share of vertices inside the body from which a garment counts as inside it."""
-BELOW_GROUND = 0.1
-"""A garment made around the body model's own origin reaches at least so far [m] below the ground, if it is long."""
-SAME_HEIGHT = 0.05
-"""Heights [m] that differ by less are one place on the body."""
-UP = np.array([0.0, 1.0, 0.0])
+# A garment made around the body model's own origin reaches at least so far [m] below the ground, if it is long.
+_BELOW_GROUND = 0.1
+# Heights [m] that differ by less are one place on the body.
+_SAME_HEIGHT = 0.05
+# Share of the body's height above which cloth counts: feet face up as well, but a garment that lies there fell.
+_LEAST_HEIGHT = 0.6
+# Least upward part of the skin's unit normal where cloth can lie; hips and chest slope more than that.
+_FACING_UP = 0.75
+# Greatest distance [m] between the skin and the cloth that comes to lie on it.
+_RESTING = 0.1
+LEAST_AREA = 5e-4
+"""Cloth [m^2] over such skin that is a rest: a few square centimetres, as of a strap."""
+_UP = np.array([0.0, 1.0, 0.0])
 
 UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 UPRIGHT = "Y up, facing +Z"
@@ -73,17 +85,13 @@ class RestBody:
 
     def signed_distances(self, points: np.ndarray) -> np.ndarray:
         """(points,) distance [m] to the surface, negative inside; without a sign when the body is not closed."""
-        found: np.ndarray = self.surface.nearest(points).signed_distance.numpy()
-        return found if self.is_closed else np.abs(found)
+        distances: np.ndarray = self.surface.nearest(points).signed_distance.numpy()
+        return distances if self.is_closed else np.abs(distances)
 
     @cached_property
     def _tree(self) -> tuple[cKDTree, np.ndarray]:
-        kept = np.flatnonzero(self.contact)
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-        columns = [np.bincount(self.faces.reshape(-1), cross[:, k], len(self.vertices)) for k in range(3)]
-        normals = np.stack(columns, axis=1)[kept]
-        return cKDTree(self.vertices[kept]), normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        touchable = np.flatnonzero(self.contact)
+        return cKDTree(self.vertices[touchable]), area_weighted_normals(self.vertices, self.faces)[touchable]
 
     def misfit(self, points: np.ndarray) -> np.ndarray:
         """Mean distance (...) [m] of `points` (..., points, 3) to the body, depth inside it counted five times.
@@ -94,7 +102,7 @@ class RestBody:
         distance, nearest = tree.query(points)
         offset = points - tree.data[nearest]
         inside = np.einsum("...d,...d->...", offset, normals[nearest]) < 0.0
-        cost: np.ndarray = (np.minimum(distance, FARTHEST) * np.where(inside, 5.0, 1.0)).mean(axis=-1)
+        cost: np.ndarray = (np.minimum(distance, _FARTHEST) * np.where(inside, 5.0, 1.0)).mean(axis=-1)
         return cost
 
 
@@ -133,13 +141,17 @@ class Fit:
 
 
 def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
-    """The transform under which a garment (vertices, 3), in whatever unit and axes, fits the body best.
+    """The transform under which a garment, in whatever unit and axes, fits the body best.
 
     What needs less change wins among those that fit about as well: first as it is, then by the body model's own origin
     where it reaches below the ground or fits best there, then any height. A garment that lies wholly inside the body is
     not looked for elsewhere.
+
+    Args:
+        vertices: (vertices, 3) of the garment, in its own unit and axes.
+        body: the resting body.
     """
-    picked = np.linspace(0, len(vertices) - 1, min(SAMPLES, len(vertices))).astype(np.int64)
+    picked = np.linspace(0, len(vertices) - 1, min(_SAMPLES, len(vertices))).astype(np.int64)
     sample = vertices[picked]
     if (body.signed_distances(sample) < 0.0).mean() > WHOLLY_INSIDE:
         return Fit.identity(body.misfit(sample))
@@ -162,11 +174,11 @@ def _fits_at(unit: str, axes: str, points: np.ndarray, body: RestBody) -> list[F
     searched = _best_height(points, body)
     tried = [(0.0, False)]
     # At most heights a wide garment fits about as well, over the head too: the model's origin has to be likely.
-    if points[:, 1].min() < -BELOW_GROUND or (searched is not None and abs(searched - body.lift) < SAME_HEIGHT):
+    if points[:, 1].min() < -_BELOW_GROUND or (searched is not None and abs(searched - body.lift) < _SAME_HEIGHT):
         tried.append((body.lift, False))
     if searched is not None:
         tried.append((searched, True))
-    return [Fit(unit, axes, h * UP, float(body.misfit(points + h * UP)), is_searched) for h, is_searched in tried]
+    return [Fit(unit, axes, h * _UP, float(body.misfit(points + h * _UP)), is_searched) for h, is_searched in tried]
 
 
 def _best_height(points: np.ndarray, body: RestBody) -> float | None:
@@ -175,15 +187,15 @@ def _best_height(points: np.ndarray, body: RestBody) -> float | None:
     None where there is no room between the ground and the top of the head.
     """
     top = float(body.vertices[:, 1].max())
-    heights = np.arange(-float(points[:, 1].min()), top - float(points[:, 1].max()) + SHIFT_STEP, SHIFT_STEP)
+    heights = np.arange(-float(points[:, 1].min()), top - float(points[:, 1].max()) + _SHIFT_STEP, _SHIFT_STEP)
     if not len(heights):
         return None
-    coarse = np.array([float(body.misfit(points[::COARSE] + h * UP)) for h in heights])
+    coarse = np.array([float(body.misfit(points[::_COARSE] + h * _UP)) for h in heights])
     framed = np.pad(coarse, 1, constant_values=np.inf)
     dips = (coarse <= framed[:-2]) & (coarse <= framed[2:]) & (coarse <= 1.05 * coarse.min() + 0.001)
     nearest = heights[dips][np.argmin(np.abs(heights[dips]))]
-    around = nearest + np.linspace(-SHIFT_STEP, SHIFT_STEP, 13)
-    fine = [float(body.misfit(points + h * UP)) for h in around]
+    around = nearest + np.linspace(-_SHIFT_STEP, _SHIFT_STEP, 13)
+    fine = [float(body.misfit(points + h * _UP)) for h in around]
     return float(around[int(np.argmin(fine))])
 
 
@@ -191,3 +203,30 @@ def _change(fit: Fit) -> tuple[int, int, bool, bool, float]:
     """Order of preference among fits that are about as good."""
     unmoved = fit.axes == UPRIGHT and not fit.shift.any()
     return list(UNITS).index(fit.unit), list(AXES).index(fit.axes), not unmoved, fit.searched, fit.misfit
+
+
+def resting_area(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> float:
+    """Area [m^2] of the cloth that lies on the body's shoulders, or on other skin of its upper part that faces up.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
+    ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
+    centres = vertices[faces].mean(axis=1)
+    high = centres[:, 1] > ground + _LEAST_HEIGHT * (top - ground)
+    if not high.any():
+        return 0.0
+    below = body.surface.nearest(centres[high])
+    rests = (below.normals.numpy()[:, 1] > _FACING_UP) & (np.abs(below.signed_distance.numpy()) < _RESTING)
+    return float(face_areas(vertices, faces[high])[rests].sum())
+
+
+def is_held_up(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
+    """Whether enough cloth lies on the shoulders to hold a garment up; arguments as for `resting_area`.
+
+    Cloth stretches over hips that are wider than the waist, so a waist alone is not taken to hold. A bodice that fits
+    closely far above the waist can hold without shoulders all the same; that is not seen here.
+    """
+    return resting_area(vertices, faces, body) >= LEAST_AREA

@@ -8,25 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from pb4u.garment.material import Material
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import edge_lengths, face_areas
-
-
-@dataclass(frozen=True, eq=False)
-class SourceMesh:
-    """The mesh as its author made it: vertex order, polygons and UVs kept.
-
-    Args:
-        vertices: (vertices, 3) float64 [m], in the project's axes.
-        polygons: vertex indices of each polygon (triangles, quads, n-gons).
-        uvs: (uv points, 2) float64 or None.
-        polygon_uvs: UV indices of each polygon's corners, or None.
-    """
-
-    vertices: np.ndarray
-    polygons: tuple[np.ndarray, ...]
-    uvs: np.ndarray | None = None
-    polygon_uvs: tuple[np.ndarray, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +23,9 @@ class SourceMap:
         barycentric: (source vertices, 3) float64, rows sum to 1.
     """
 
-    source: SourceMesh
+    source: PolygonMesh
     triangle: np.ndarray
     barycentric: np.ndarray
-
-    def carry(self, positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-        """Source vertices (..., source vertices, 3) [m] for simulated `positions` (..., vertices, 3) [m]."""
-        corners = positions[..., faces[self.triangle], :]
-        return np.einsum("sk,...skd->...sd", self.barycentric.astype(positions.dtype), corners)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,32 +12,35 @@ import numpy as np
 
 from pb4u.body.library import body_names
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.garment import Garment, SourceMesh
+from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.material import Material
-from pb4u.garment.obj_file import read_obj
 from pb4u.garment.pins import resolve_pins
-from pb4u.garment.source_map import map_to_nearest, map_to_same
 from pb4u.garment.source_surface import SourceSurface
-from pb4u.geometry.mesh_file_size import least_triangles
+from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
+from pb4u.geometry.nearest_surface import TriangleSurface
 
-SUFFIXES = (".obj", ".ply", ".stl", ".glb", ".gltf", ".off")
 MOST_SIMULATED = 1_000_000
-"""Triangles that a garment may have as it is simulated."""
-MOST_READ = 4_000_000
-"""Triangles that a file may have to be read at all, with `triangles` asked for."""
+"""Triangles that a garment may have as it is simulated, which bounds time and memory; more are refused."""
 DEFAULT_BODY = "woman"
-SMALLEST, LARGEST = 0.05, 5.0
-"""Extent [m] between which a garment's file may be in metres."""
+# Extent [m] between which a garment's file may be in metres: a sock for a doll, a train of a wedding dress.
+_SMALLEST, _LARGEST = 0.05, 5.0
 
 
 def read_garment(
     path: str | Path, material: Material, triangles: int | None = None, pins: str | Path | Sequence[int] | None = None
 ) -> Garment:
-    """The garment in a mesh file, as its author made it or remeshed to about `triangles` triangles.
+    """The garment in a mesh file; warns of what is left out or looks odd.
 
-    Vertex order, polygons and UVs stay in `Garment.source`. Units and axes are never changed. `pins` are as for
-    `resolve_pins`. Raises InputError when the file cannot be used as it is, saying how to mend it; warns of what is
-    left out or looks odd.
+    Vertex order, polygons and UVs stay in `Garment.source`. Units and axes are never changed.
+
+    Args:
+        path: the file.
+        material: its cloth.
+        triangles: about how many triangles it is remeshed to; None for the mesh as its author made it.
+        pins: which vertices follow the body, as for `resolve_pins`; None for none.
+
+    Raises:
+        InputError: the file cannot be used as it is; says how to mend it.
     """
     path = Path(path)
     if triangles is not None and triangles < 1:
@@ -50,19 +53,40 @@ def read_garment(
     faces = np.where(flip[:, None], surface.faces[:, ::-1], surface.faces)
     corners = surface.corners[surface.kept]
     corners = np.where(flip[:, None], corners[:, ::-1], corners)
-    kept = np.unique(faces)
-    vertices = source.vertices[kept]
-    faces = np.searchsorted(kept, faces)
+    simulated = np.unique(faces)
+    vertices = source.vertices[simulated]
+    faces = np.searchsorted(simulated, faces)
     if triangles is None:
         uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
         garment = Garment(path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces)
-        garment = replace(garment, source=map_to_same(source, kept, vertices, faces))
+        garment = replace(garment, source=_map_to_same(source, simulated, vertices, faces))
     else:
         from pb4u.geometry.remeshing import remesh
 
         vertices, faces = remesh(vertices, faces, triangles)
-        garment = Garment(path.stem, vertices, faces, material, source=map_to_nearest(source, vertices, faces))
+        source_map = SourceMap(source, *nearest_places(source.vertices, vertices, faces))
+        garment = Garment(path.stem, vertices, faces, material, source=source_map)
     return garment if pins is None else garment.with_pins(resolve_pins(pins, garment))
+
+
+def _map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
+    """Source map of a mesh that holds the `simulated` source vertices, in order; others keep to it."""
+    triangle = np.zeros(len(source.vertices), dtype=np.int64)
+    barycentric = np.zeros((len(source.vertices), 3))
+    corner_of = np.zeros(len(vertices), dtype=np.int64)
+    corner_of[faces.reshape(-1)] = np.arange(faces.size)
+    triangle[simulated], column = np.divmod(corner_of, 3)
+    barycentric[simulated, column] = 1.0
+    left = np.setdiff1d(np.arange(len(source.vertices)), simulated)
+    if len(left):
+        triangle[left], barycentric[left] = nearest_places(source.vertices[left], vertices, faces)
+    return SourceMap(source, triangle, barycentric)
+
+
+def nearest_places(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangle (points,) and barycentric coordinates (points, 3) of the nearest points of a mesh to `points`."""
+    hit = TriangleSurface(faces, len(vertices)).at(vertices).nearest(points)
+    return hit.triangle.numpy(), hit.barycentric.numpy()
 
 
 def fix_command(file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY) -> str:
@@ -71,62 +95,34 @@ def fix_command(file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY) -> s
     return f"`pb4u check {shlex.quote(str(file))}{worn_by} --fix OUT.obj`"
 
 
-def read_source(path: Path, most_triangles: int = MOST_READ) -> SourceMesh:
-    """The mesh in a file, polygons and UVs kept where the format has them (OBJ).
+def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
+    """The mesh in a garment's file, polygons and UVs kept where the format has them (OBJ).
 
-    Raises InputError when the file is missing, of another kind, damaged, empty of faces or over `most_triangles`.
+    Args:
+        path: the file.
+        most_triangles: number of triangles above which it is refused.
+
+    Raises:
+        InputError: the file is missing, of another kind, damaged, empty of faces or too large.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"{path.name} is no garment file that can be read; the kinds are {', '.join(SUFFIXES)}.")
+    if path.suffix.lower() not in READERS:
+        raise InputError(f"{path.name} is no garment file that can be read; the kinds are {', '.join(READERS)}.")
     if not path.is_file():
         raise InputError(f"There is no garment file {path}.")
-    # Counted before anything is parsed: a huge file is refused in the time it takes to read it.
-    _refuse_too_many(path, least_triangles(path, MOST_READ), most_triangles)
-    source = read_obj(path) if suffix == ".obj" else _read_with_trimesh(path)
-    _refuse_too_many(path, sum(len(p) - 2 for p in source.polygons), most_triangles)
-    return source
 
+    def refuse_large(count: int) -> None:
+        if count > MOST_READ:
+            raise InputError(
+                f"{path} has {count:,} triangles or more, and {MOST_READ:,} are the most that can be read; "
+                "decimate it in the program it comes from."
+            )
+        if count > most_triangles:
+            raise InputError(
+                f"{path} has {count:,} triangles, and {most_triangles:,} are the most that can be simulated; "
+                "ask for fewer with `--triangles N`."
+            )
 
-def _refuse_too_many(path: Path, count: int, most: int) -> None:
-    if count <= most:
-        return
-    if count <= MOST_READ:
-        raise InputError(
-            f"{path} has {count:,} triangles, and {most:,} are the most that can be simulated; "
-            "ask for fewer with `--triangles N`."
-        )
-    raise InputError(
-        f"{path} has {count:,} triangles or more, and {MOST_READ:,} are the most that can be read; "
-        "decimate it in the program it comes from."
-    )
-
-
-def _read_with_trimesh(path: Path) -> SourceMesh:
-    import trimesh
-
-    try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-    except Exception as error:  # each format's reader raises its own kinds
-        raise InputError(f"{path} cannot be read as a mesh: {str(error) or type(error).__name__}.") from None
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-        raise InputError(f"{path} has no faces: export the garment as a polygon mesh.")
-    if path.suffix.lower() == ".stl":
-        # An STL lists three corners per triangle and no connectivity; equal corners are one vertex by the format.
-        mesh.merge_vertices()
-    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if len(bad):
-        raise InputError(
-            f"{path}: {len(bad)} vertices are NaN or infinite, first {bad[:5].tolist()}; delete or mend them and "
-            "export again."
-        )
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError(f"{path}: a face names a vertex out of range, the file has {len(vertices)}; export it again.")
-    uvs = getattr(mesh.visual, "uv", None)
-    if uvs is not None and len(uvs) == len(vertices):
-        return SourceMesh(vertices, tuple(faces), np.asarray(uvs, dtype=np.float64), tuple(faces))
-    return SourceMesh(vertices, tuple(faces))
+    return read_mesh(path, refuse_large)
 
 
 def _refuse_unusable(path: Path, surface: SourceSurface) -> None:
@@ -134,60 +130,55 @@ def _refuse_unusable(path: Path, surface: SourceSurface) -> None:
         raise InputError(f"{path}: none of its {len(surface.all_faces)} faces has an area; export the garment again.")
     if unit := likely_unit(surface.source.vertices[np.unique(surface.faces)]):
         raise InputError(f"{path} {unit}; scale it to metres with {fix_command(path)}.")
-    edges = surface.topology.non_manifold_edges
-    if len(edges):
+    if len(edges := surface.topology.non_manifold_edges):
+        first = ", ".join(f"{a}-{b}" for a, b in edges[:5].tolist())
         raise InputError(
-            f"{path}: {len(edges)} edge(s) are shared by three or more faces, first {_edges(edges)} (vertex pairs, "
-            f"counted from 0); see which faces to delete with {fix_command(path)}."
+            f"{path}: {len(edges)} edge(s) are shared by three or more faces, first {first} (vertex pairs, counted "
+            f"from 0); see which faces to delete with {fix_command(path)}."
         )
 
 
 def likely_unit(vertices: np.ndarray) -> str | None:
     """What a file is written in, as a verb phrase, when its extent cannot be that of a garment in metres."""
     extent = float(np.ptp(vertices, axis=0).max())
-    if SMALLEST <= extent <= LARGEST:
+    if _SMALLEST <= extent <= _LARGEST:
         return None
-    if extent > LARGEST:
+    if extent > _LARGEST:
         unit = "centimetres" if extent <= 250.0 else "millimetres"
         return f"spans {extent:.0f} m as it is, it seems to be in {unit}"
     return f"spans {1000 * extent:.3g} mm as it is, too small for a garment in metres"
 
 
 def _warn_of_oddities(path: Path, surface: SourceSurface) -> None:
-    source = surface.source
-    if surface.many_sided:
-        _warn(
-            f"{path.name}: {surface.many_sided} quads or n-gons are cut into triangles to simulate; "
-            "`pb4u convert --on source` writes them whole."
-        )
-    if repeated := int(surface.repeated.sum()):
-        _warn(f"{path.name}: {repeated} duplicate face(s) left out, first {surface.repeated.argmax()}.")
-    if collapsed := int((surface.collapsed & ~surface.repeated).sum()):
-        _warn(f"{path.name}: {collapsed} face(s) without area left out, first {surface.collapsed.argmax()}.")
-    isolated = surface.topology.isolated_vertices
-    if len(isolated):
-        _warn(
-            f"{path.name}: {len(isolated)} isolated vertices are not simulated, first {isolated[:5].tolist()}; "
-            "in exports they follow the nearest cloth."
-        )
+    isolated, turned = surface.topology.isolated_vertices, int(surface.flipped[0].sum())
+    repeated, collapsed = surface.repeated, surface.collapsed & ~surface.repeated
+    uvs = surface.source.uvs
+    for count, sentence in (
+        (
+            surface.many_sided,
+            "quads or n-gons are cut into triangles to simulate; `pb4u convert --on source` writes them whole",
+        ),
+        (repeated.sum(), f"duplicate face(s) left out, first {repeated.argmax()}"),
+        (collapsed.sum(), f"face(s) without area left out, first {surface.collapsed.argmax()}"),
+        (
+            len(isolated),
+            f"isolated vertices are not simulated, first {isolated[:5].tolist()}; in exports they follow the nearest "
+            "cloth",
+        ),
+        (
+            len(surface.unwelded),
+            f"border vertices lie on others, first {surface.unwelded[:5].tolist()}: a seam that will open; weld it "
+            f"with {fix_command(path)}",
+        ),
+        (turned, "face(s) are turned over against their neighbours; simulated turned"),
+        (0 if uvs is None else (~np.isfinite(uvs)).any(axis=1).sum(), "texture coordinates are not finite"),
+    ):
+        if count:
+            _warn(f"{path.name}: {count} {sentence}.")
     if surface.piece_count > 1:
         _warn(f"{path.name}: the garment is in {surface.piece_count} pieces that nothing holds together.")
-    if len(surface.unwelded):
-        _warn(
-            f"{path.name}: {len(surface.unwelded)} border vertices lie on others, first "
-            f"{surface.unwelded[:5].tolist()}: a seam that will open; weld it with {fix_command(path)}."
-        )
-    flip, orientable = surface.flipped
-    if flip.any():
-        _warn(f"{path.name}: {int(flip.sum())} face(s) are turned over against their neighbours; simulated turned.")
-    if not orientable:
+    if not surface.flipped[1]:
         _warn(f"{path.name}: the cloth has only one side, like a Moebius strip.")
-    if source.uvs is not None and not np.isfinite(source.uvs).all():
-        _warn(f"{path.name}: some texture coordinates are not finite.")
-
-
-def _edges(edges: np.ndarray) -> str:
-    return ", ".join(f"{a}-{b}" for a, b in edges[:5].tolist())
 
 
 def _warn(sentence: str) -> None:

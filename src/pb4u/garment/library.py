@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.errors import InputError
+from pb4u.errors import InputError, unknown_name
 from pb4u.garment.body_form import BodyForm
 from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.garment import Garment
@@ -47,8 +46,7 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
         InputError: an unknown name, a count out of range, or a body without those joints.
     """
     if name not in PATTERNS:
-        near = get_close_matches(name.lower(), PATTERNS, n=3, cutoff=0.5) or list(PATTERNS)
-        raise InputError(f'There is no garment "{name}"; did you mean {", ".join(near)}?')
+        raise unknown_name("garment", name, PATTERNS)
     if isinstance(triangles, bool) or not isinstance(triangles, (int, np.integer)):
         raise InputError(f"The number of triangles must be a whole number, not {triangles!r}.")
     if not FEWEST_TRIANGLES <= triangles <= MOST_TRIANGLES:

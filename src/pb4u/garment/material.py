@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, fields
-from difflib import get_close_matches
 from pathlib import Path
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, unknown_name
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,10 @@ def material_names() -> tuple[str, ...]:
 
 
 def load_material(name_or_path: str | Path) -> Material:
-    """A built-in material by name, or one from a JSON file with the fields of `Material`.
+    """A built-in material by name, or one of your own.
+
+    Args:
+        name_or_path: one of `material_names()`, or a JSON file with the fields of `Material`.
 
     Raises:
         InputError: no such name or file, or the file does not describe a material.
@@ -64,10 +66,7 @@ def load_material(name_or_path: str | Path) -> Material:
         return MATERIALS[name]
     path = Path(name_or_path)
     if path.suffix.lower() != ".json":
-        near = get_close_matches(name.lower(), MATERIALS, n=3, cutoff=0.5) or list(MATERIALS)
-        raise InputError(
-            f'There is no material "{name}"; did you mean {", ".join(near)}? A material of your own is a .json file.'
-        )
+        raise unknown_name("material, nor a .json file of one, called", name, MATERIALS)
     return _read_material(path)
 
 

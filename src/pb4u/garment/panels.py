@@ -9,16 +9,26 @@ from pb4u.garment.patterns import Pattern
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import face_areas
 
+# Distance between panels before all are scaled to the unit square [m]: a filtered texture must not bleed.
 _GAP = 0.02
 
 
 def flat_panels(
     vertices: np.ndarray, faces: np.ndarray, form: BodyForm, pattern: Pattern
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """UV points (n, 2) in the unit square and their faces (faces, 3), or None where a panel cannot be laid flat.
+    """UVs of a garment, panel by panel.
 
     Each panel is flattened conformally (least squares conformal maps, Levy et al. 2002) and scaled to its own area, so
     that all share one scale.
+
+    Args:
+        vertices: (vertices, 3) of the garment at rest [m].
+        faces: (faces, 3) int64.
+        form: the body that it was cut for.
+        pattern: how it was cut.
+
+    Returns:
+        UV points (n, 2) in the unit square and their faces (faces, 3), or None where a panel cannot be laid flat.
     """
     panel_of = _panels(vertices[faces].mean(axis=1), form, pattern)
     panel_of = _tidy(panel_of, faces, len(vertices))

@@ -24,7 +24,8 @@ def resolve_pins(spec: str | Path | Sequence[int] | np.ndarray, garment: Garment
             Indices count from 0 in the author's mesh where there is one.
         garment: garment to pin.
 
-    Raises InputError when the name, the border or a vertex does not exist, or the file cannot be read.
+    Raises:
+        InputError: the name, the border or a vertex does not exist, or the file cannot be read.
     """
     if not isinstance(spec, str | Path):
         return _from_indices(np.asarray(spec), garment, "The list of pins")

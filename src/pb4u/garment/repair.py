@@ -5,25 +5,35 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import csr_matrix, diags
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.garment.diagnosis import is_inside_out
 from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit
-from pb4u.garment.garment import SourceMesh
-from pb4u.garment.push_out import CLEARANCE, push_out
 from pb4u.garment.source_surface import SourceSurface
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
 
-DEEPEST_SHARE = 0.6
-"""A garment with more of its vertices inside the body than this is of another size, not in want of a push."""
+# A garment with more of its vertices inside the body than this is of another size, not in want of a push.
+_DEEPEST_SHARE = 0.6
+CLEARANCE = 2e-3
+"""Distance [m] from the skin to which cloth is pushed out."""
+# Most passes of each kind: both end when nothing is left to push, which a crease without room would never allow.
+_SMOOTHING_PASSES, _PROJECTION_PASSES = 20, 40
 
 
-def repair(source: SourceMesh, body: ShapedBody | AnimatedBody | None = None) -> tuple[SourceMesh, tuple[str, ...]]:
-    """The garment with every mendable fault mended, and a plain sentence for each change.
+def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -> tuple[PolygonMesh, tuple[str, ...]]:
+    """Mends every mendable fault of a garment.
 
-    Polygons and UVs are kept; vertex order too, unless vertices had to be welded or dropped. Without a body only the
-    mesh itself is mended.
+    Polygons and UVs are kept; vertex order too, unless vertices had to be welded or dropped.
+
+    Args:
+        source: the garment.
+        body: who wears it; without a body only the mesh itself is mended.
+
+    Returns:
+        The garment mended, and a plain sentence for each change.
     """
     said: list[str] = []
     rest = None if body is None else RestBody.of(body)
@@ -37,7 +47,7 @@ def repair(source: SourceMesh, body: ShapedBody | AnimatedBody | None = None) ->
     return source, tuple(said)
 
 
-def _moved(source: SourceMesh, body: RestBody, said: list[str]) -> SourceMesh:
+def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     used = np.unique(np.concatenate(source.polygons))
     fit = find_fit(source.vertices[used], body)
     if fit.is_identity:
@@ -51,7 +61,7 @@ def _moved(source: SourceMesh, body: RestBody, said: list[str]) -> SourceMesh:
     return replace(source, vertices=fit.apply(source.vertices))
 
 
-def _welded(source: SourceMesh, said: list[str]) -> SourceMesh:
+def _welded(source: PolygonMesh, said: list[str]) -> PolygonMesh:
     surface = SourceSurface.of(source)
     target = surface.weld_target
     joined = Topology(target[surface.faces], len(target))
@@ -64,7 +74,7 @@ def _welded(source: SourceMesh, said: list[str]) -> SourceMesh:
     return replace(source, polygons=tuple(target[p] for p in source.polygons))
 
 
-def _without_waste(source: SourceMesh, said: list[str]) -> SourceMesh:
+def _without_waste(source: PolygonMesh, said: list[str]) -> PolygonMesh:
     """Drops faces without area, faces there twice and vertices of no face."""
     surface = SourceSurface.of(source)
     keep = np.unique(surface.polygon[surface.kept])
@@ -83,7 +93,7 @@ def _without_waste(source: SourceMesh, said: list[str]) -> SourceMesh:
     used = np.unique(np.concatenate(polygons)) if polygons else np.zeros(0, dtype=np.int64)
     if len(used) < len(source.vertices):
         said.append(f"Dropped {len(source.vertices) - len(used)} vertices that no face uses.")
-    return SourceMesh(
+    return PolygonMesh(
         source.vertices[used],
         tuple(np.searchsorted(used, p) for p in polygons),
         source.uvs,
@@ -91,7 +101,7 @@ def _without_waste(source: SourceMesh, said: list[str]) -> SourceMesh:
     )
 
 
-def _oriented(source: SourceMesh, body: RestBody | None, said: list[str]) -> SourceMesh:
+def _oriented(source: PolygonMesh, body: RestBody | None, said: list[str]) -> PolygonMesh:
     surface = SourceSurface.of(source)
     flip = surface.flipped[0]
     turn = np.zeros(len(source.polygons), dtype=bool)
@@ -112,12 +122,12 @@ def _oriented(source: SourceMesh, body: RestBody | None, said: list[str]) -> Sou
     return replace(source, polygons=turned(source.polygons), polygon_uvs=uvs)
 
 
-def _pushed_out(source: SourceMesh, body: RestBody, said: list[str]) -> SourceMesh:
+def _pushed_out(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     before = body.signed_distances(source.vertices)
     inside = before < 0.0
     if not inside.any():
         return source
-    if inside.mean() > DEEPEST_SHARE:
+    if inside.mean() > _DEEPEST_SHARE:
         said.append(f"Left {int(inside.sum())} vertices inside the body: the garment is too small for it.")
         return source
     topology = SourceSurface.of(source).topology
@@ -129,3 +139,62 @@ def _pushed_out(source: SourceMesh, body: RestBody, said: list[str]) -> SourceMe
         f"by at most {1000 * farthest:.1f} mm" + (f"; {left} are still inside." if left else ".")
     )
     return replace(source, vertices=vertices)
+
+
+def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.ndarray:
+    """Cloth moved to at least `CLEARANCE` outside a closed body, where the body's creases leave room for it.
+
+    Vertices too near are projected out, the displacement is spread over the neighbouring cloth so that it does not
+    crease, and what this brings back in is projected again. Middles of edges are held outside too while this lasts.
+
+    Args:
+        vertices: (vertices, 3) of the garment [m].
+        topology: its connectivity.
+        body: the resting body, closed.
+
+    Returns:
+        (vertices, 3) [m].
+    """
+    spread = _neighbour_mean(topology)
+    distances = body.signed_distances(vertices)
+    # Only cloth this near can be reached by what is pushed; the rest need not be asked about again and again.
+    near = distances < 2.0 * max(0.0, -float(distances.min())) + 2.0 * CLEARANCE
+    a, b = topology.edges[near[topology.edges].all(axis=1)].T
+    moved = vertices.copy()
+    for _ in range(_SMOOTHING_PASSES):
+        push = np.zeros_like(moved)
+        push[near] = _push(moved[near], body, CLEARANCE)
+        across = _push(0.5 * (moved[a] + moved[b]), body, 0.25 * CLEARANCE)
+        for end in (a, b):
+            larger = np.einsum("ij,ij->i", across, across) > np.einsum("ij,ij->i", push[end], push[end])
+            push[end[larger]] = across[larger]
+        if not push.any():
+            break
+        displacement = moved + push - vertices
+        moved = vertices + 0.5 * (displacement + spread @ displacement)
+    left = np.arange(len(moved))
+    for _ in range(_PROJECTION_PASSES):
+        push = _push(moved[left], body, CLEARANCE)
+        left, push = left[push.any(axis=1)], push[push.any(axis=1)]
+        if not len(left):
+            break
+        # A little further than asked: in a crease the last fraction would take forever.
+        moved[left] += 1.02 * push
+    return moved
+
+
+def _push(points: np.ndarray, body: RestBody, clearance: float) -> np.ndarray:
+    """(points, 3) smallest displacement [m] that brings each point `clearance` outside; 0 where it is already."""
+    near = body.surface.nearest(points)
+    depth = clearance - near.signed_distance.numpy()
+    asked: np.ndarray = np.where(depth > 1e-6, depth, 0.0)[:, None] * near.normals.numpy()
+    return asked
+
+
+def _neighbour_mean(topology: Topology) -> csr_matrix:
+    """(vertices, vertices) matrix that takes the mean over a vertex's neighbours; itself where it has none."""
+    count = topology.vertex_count
+    rows, columns = np.concatenate([topology.edges, topology.edges[:, ::-1]]).T
+    adjacency = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    degree = np.asarray(adjacency.sum(axis=1)).reshape(-1)
+    return diags(1.0 / np.maximum(degree, 1.0)) @ adjacency + diags((degree == 0).astype(np.float64))

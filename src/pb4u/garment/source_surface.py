@@ -6,18 +6,20 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from pb4u.garment.garment import SourceMesh
-from pb4u.geometry.orientation import faces_to_flip
-from pb4u.geometry.topology import Topology
-from pb4u.geometry.triangle_mesh import face_areas
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.topology import Topology, connected_labels, faces_to_flip
+from pb4u.geometry.triangle_mesh import face_areas, face_cross_products
 from pb4u.geometry.triangulation import triangulate
-from pb4u.geometry.welding import coincident_border_vertices
 
-FLATTEST = 1e-6
-"""A triangle lower than this share of its longest side has no usable area."""
+# A triangle lower than this share of its longest side has no usable area: its stretch divides by that area.
+_FLATTEST = 1e-6
+# Border vertices within this distance [m] are one seam: far below any edge, far above the rounding of a file.
+_SAME_PLACE = 1e-4
+# Layers within this distance [m] are one shell or lining: a solidify modifier rarely adds more, and garments are worn
+# farther from themselves. Of so many nearest faces one is across, not beside, where layers are meshed alike.
+_LAYER_GAP, _LAYER_NEIGHBOURS = 8e-3, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +32,12 @@ class SourceSurface:
         polygon: (triangles,) int64 the polygon of each triangle.
     """
 
-    source: SourceMesh
+    source: PolygonMesh
     corners: np.ndarray
     polygon: np.ndarray
 
     @classmethod
-    def of(cls, source: SourceMesh) -> SourceSurface:
+    def of(cls, source: PolygonMesh) -> SourceSurface:
         """The triangles of `source`."""
         return cls(source, *triangulate(source.vertices, source.polygons))
 
@@ -51,7 +53,7 @@ class SourceSurface:
         a, b, c = self.all_faces.T
         corners = self.source.vertices[self.all_faces]
         longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
-        flat: np.ndarray = 2.0 * face_areas(self.source.vertices, self.all_faces) <= FLATTEST * longest**2
+        flat: np.ndarray = 2.0 * face_areas(self.source.vertices, self.all_faces) <= _FLATTEST * longest**2
         collapsed: np.ndarray = (a == b) | (b == c) | (c == a) | flat
         return collapsed
 
@@ -91,8 +93,22 @@ class SourceSurface:
 
     @cached_property
     def weld_target(self) -> np.ndarray:
-        """(vertices,) vertex that each would be welded to, its own index where none."""
-        return coincident_border_vertices(self.source.vertices, self.topology)
+        """(vertices,) int64: of a border vertex the lowest of those in its place, else its own index.
+
+        Vertices that share an edge are never joined, however short the edge is.
+        """
+        vertices, topology = self.source.vertices, self.topology
+        border = np.flatnonzero(topology.border_vertices)
+        target = np.arange(len(vertices))
+        if not len(border):
+            return target
+        pairs = np.sort(border[cKDTree(vertices[border]).query_pairs(_SAME_PLACE, output_type="ndarray")], axis=1)
+        pairs = pairs[~np.isin(pairs @ np.array([len(vertices), 1]), topology.edge_keys)]
+        labels = connected_labels(len(vertices), *pairs.T)
+        lowest = np.full(len(vertices), len(vertices))
+        np.minimum.at(lowest, labels, target)
+        joined: np.ndarray = lowest[labels]
+        return joined
 
     @property
     def unwelded(self) -> np.ndarray:
@@ -114,11 +130,26 @@ class SourceSurface:
         face = np.repeat(np.arange(count), 3)[manifold.reshape(-1)]
         node = count + face_edges[manifold]
         size = count + len(counts)
-        graph = coo_matrix((np.ones(len(face), dtype=np.int8), (face, node)), shape=(size, size))
-        part = connected_components(graph, directed=False)[1][:count]
+        part = connected_labels(size, face, node)[:count]
         part_size = np.bincount(part)[part]
         extra: list[int] = []
         for edge in np.flatnonzero(counts > 2).tolist():
             there = np.flatnonzero((face_edges == edge).any(axis=1))
             extra += there[np.argsort(-part_size[there], kind="stable")][2:].tolist()
         return np.unique(self.polygon[self.kept[extra]]) if extra else np.zeros(0, dtype=np.int64)
+
+    @cached_property
+    def double(self) -> np.ndarray:
+        """(faces,) bool: another layer, a lining or the other side of a shell, lies close and looks the other way."""
+        corners = self.source.vertices[self.faces]
+        centres = corners.mean(axis=1)
+        normals = face_cross_products(self.source.vertices, self.faces)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        size = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+        near = cKDTree(centres).query(centres, k=min(_LAYER_NEIGHBOURS, len(centres)))[1].reshape(len(centres), -1)
+        offset = centres[near] - centres[:, None]
+        height = np.einsum("fkd,fd->fk", offset, normals)
+        across = np.linalg.norm(offset - height[..., None] * normals[:, None], axis=2)
+        opposed = np.einsum("fkd,fd->fk", normals[near], normals) < -0.8
+        double: np.ndarray = (opposed & (np.abs(height) < _LAYER_GAP) & (across < size[:, None])).any(axis=1)
+        return double

@@ -21,11 +21,17 @@ from pb4u.geometry.implicit_surface import ImplicitSurface, Lattice
 
 #: Distance [m] between cloth and skin where a garment rests on the body.
 REST_CLEARANCE = 0.007
+# Room [m] in the lattice around a garment, more than its ease and what its fields are smoothed by.
 _MARGIN = 0.05
 
 
 def tailor(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
-    """The garment surface for a body, ready to be meshed at any resolution."""
+    """The garment surface for a body, ready to be meshed at any resolution.
+
+    Args:
+        pattern: the cut of the garment.
+        form: measures of the body.
+    """
     if pattern.legs:
         return _trousers(pattern, form)
     if pattern.top == "waist":

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import os
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
+from pb4u.atomic_file import replace_file
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skinning import SkinningWeights
 from pb4u.garment.garment import Garment
@@ -34,6 +35,10 @@ def garment_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
     """`borrow_weights`, read from the cache when this garment was dressed on this body before.
 
     A cache that cannot be read or written costs time, never the result.
+
+    Args:
+        garment: worn by the body in its rest pose.
+        body: whose skinning weights are borrowed.
     """
     path = cache_folder() / "skinning" / f"{_key(garment, body)}.npz"
     weights = _read(path, len(garment.vertices), body.skeleton.bone_count)
@@ -58,27 +63,23 @@ def _read(path: Path, vertices: int, bones: int) -> SkinningWeights | None:
     """Weights in `path`, or None when there are none that fit."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            found = SkinningWeights(stored["bones"].astype(np.int64), stored["weights"].astype(np.float32))
+            kept = SkinningWeights(stored["bones"].astype(np.int64), stored["weights"].astype(np.float32))
     except Exception:  # np.load raises many kinds on a damaged file; all mean the same here
         return None
     fits = (
-        found.bones.shape == found.weights.shape
-        and found.bones.ndim == 2
-        and len(found.bones) == vertices
-        and bool(((found.bones >= 0) & (found.bones < bones)).all())
-        and bool(np.allclose(found.weights.sum(axis=1), 1.0, atol=1e-4))
+        kept.bones.shape == kept.weights.shape
+        and kept.bones.ndim == 2
+        and len(kept.bones) == vertices
+        and bool(((kept.bones >= 0) & (kept.bones < bones)).all())
+        and bool(np.allclose(kept.weights.sum(axis=1), 1.0, atol=1e-4))
     )
-    return found if fits else None
+    return kept if fits else None
 
 
 def _write(path: Path, weights: SkinningWeights) -> None:
-    """Write in one step, so that two processes never see half a file."""
+    """Written in one step, so that two processes never see half a file."""
+    content = io.BytesIO()
+    np.savez(content, bones=weights.bones.astype(np.int16), weights=weights.weights)
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-            try:
-                np.savez(part, bones=weights.bones.astype(np.int16), weights=weights.weights)
-                part.close()
-                os.replace(part.name, path)
-            finally:
-                Path(part.name).unlink(missing_ok=True)
+        replace_file(path, content.getvalue())

@@ -8,48 +8,68 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.body.skinning import SkinningWeights
+from pb4u.body.skinning import SkinningWeights, strongest_influences
 from pb4u.garment.garment import Garment
+from pb4u.geometry.triangle_mesh import area_weighted_normals
 
 INFLUENCES = 8
 """Bones that move one garment vertex, at most."""
 
-NEIGHBOURS = 16
-SAMPLES = 256
-SLACK = 0.3  # a sample may take skin this much farther than the nearest: the mean hardly moves, in half the time
-SAMPLE_CHUNK = 2048
-TEARING_EDGES = 4
+# Nearest skin vertices that a close garment's weights are the mean of; the width of that mean grows with them.
+_NEIGHBOURS = 16
+# Samples around each vertex of a loose garment, a power of two as an even draw needs; the cost grows with them.
+_SAMPLES = 256
+# A sample may take skin this much farther than the nearest: the mean hardly moves, in half the time.
+_SLACK = 0.3
+# Vertices sampled at a time, which bounds the memory.
+_SAMPLE_CHUNK = 2048
+# So many edges may join different bones before a close garment is taken to be torn, and dressed as a loose one.
+_TEARING_EDGES = 4
 
 
-def borrow_weights(garment: Garment, body: ShapedBody, seed: int = 0) -> SkinningWeights:
-    """Skinning weights for a garment worn by `body` in its rest pose, at most `INFLUENCES` bones a vertex.
+def borrow_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
+    """Skinning weights for a garment, at most `INFLUENCES` bones a vertex.
 
     A close garment takes the weights of the nearest skin that faces the same way. A loose one, or one that this would
     tear between the legs, takes the mean over Gaussian samples around each vertex with the distance to the body as
     standard deviation (reference 1.6). Both are then smoothed over the cloth, farther where the body is farther.
+
+    Args:
+        garment: worn by the body in its rest pose.
+        body: whose skinning weights are borrowed.
     """
     # Hands, and skin inside other skin, must not drag cloth along.
     allowed = np.flatnonzero(body.contact) if body.contact.any() else np.arange(len(body.vertices))
     tree = cKDTree(body.vertices[allowed])
     skin_weights = _dense(body.weights, body.skeleton.bone_count)[allowed]
-    distances, nearest = tree.query(garment.vertices, k=min(NEIGHBOURS, len(allowed)))
+    distances, nearest = tree.query(garment.vertices, k=min(_NEIGHBOURS, len(allowed)))
     distances, nearest = distances.reshape(len(distances), -1), nearest.reshape(len(nearest), -1)
 
     loose = garment.loose
     weights = _nearest_skin(
-        garment, _vertex_normals(body.vertices, body.faces)[allowed], distances, nearest, skin_weights
+        garment, area_weighted_normals(body.vertices, body.faces)[allowed], distances, nearest, skin_weights
     )
-    if loose or _torn_edges(garment, weights) > TEARING_EDGES:
+    if loose or _torn_edges(garment, weights) > _TEARING_EDGES:
         loose = True
-        weights = _gaussian_mean(garment.vertices, distances[:, 0], tree, skin_weights, seed)
+        weights = _gaussian_mean(garment.vertices, distances[:, 0], tree, skin_weights)
     reach = 0.02 + distances[:, 0] if loose else 0.007 + 0.75 * distances[:, 0]
-    return _strongest(diffuse(garment, weights, reach))
+    weights = diffuse(garment, weights, reach)
+    bones = np.broadcast_to(np.arange(weights.shape[1]), weights.shape)
+    return strongest_influences(bones, weights, INFLUENCES)
 
 
 def diffuse(garment: Garment, values: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Values (vertices, n) spread over the cloth by about `reach` (vertices,) [m]: one implicit step of heat flow.
+    """Values spread over the cloth: one implicit step of heat flow.
 
     Every result is a mean of the values around it, so rows that sum to 1 still do, whatever the triangles look like.
+
+    Args:
+        garment: the cloth.
+        values: (vertices, n).
+        reach: (vertices,) about how far each value is spread [m].
+
+    Returns:
+        (vertices, n).
     """
     edges, lengths = garment.topology.edges, np.maximum(garment.edge_lengths, 1e-6)
     count = len(garment.vertices)
@@ -73,22 +93,11 @@ def _dense(weights: SkinningWeights, bones: int) -> np.ndarray:
     return dense
 
 
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(vertices, 3) unit normals, weighted by area; 0 where no face is."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    cross = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    total = np.stack(
-        [np.bincount(faces.reshape(-1), weights=cross[:, k], minlength=len(vertices)) for k in range(3)], axis=1
-    )
-    unit: np.ndarray = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
-    return unit
-
-
 def _nearest_skin(
     garment: Garment, normals: np.ndarray, distances: np.ndarray, nearest: np.ndarray, skin_weights: np.ndarray
 ) -> np.ndarray:
     """(vertices, bones): mean over the nearest skin vertices, nearer ones and those facing the same way first."""
-    facing = np.einsum("id,ikd->ik", _vertex_normals(garment.vertices, garment.faces), normals[nearest])
+    facing = np.einsum("id,ikd->ik", area_weighted_normals(garment.vertices, garment.faces), normals[nearest])
     if np.median(facing[:, 0]) < 0.0:  # the whole garment is inside out
         facing = -facing
     width = 0.5 * (distances[:, -1:] - distances[:, :1]) + 1e-9
@@ -99,22 +108,20 @@ def _nearest_skin(
     return np.asarray(mix @ skin_weights)
 
 
-def _gaussian_mean(
-    vertices: np.ndarray, sigma: np.ndarray, tree: cKDTree, skin_weights: np.ndarray, seed: int
-) -> np.ndarray:
+def _gaussian_mean(vertices: np.ndarray, sigma: np.ndarray, tree: cKDTree, skin_weights: np.ndarray) -> np.ndarray:
     """(vertices, bones): mean weights of the skin vertices nearest to samples N(vertex, sigma^2)."""
     from scipy.stats.qmc import MultivariateNormalQMC
 
     # An even draw, the same at every vertex: noise would wrinkle the cloth.
-    draw = MultivariateNormalQMC(np.zeros(3), seed=seed).random(SAMPLES)
+    draw = MultivariateNormalQMC(np.zeros(3), seed=0).random(_SAMPLES)
     mean = np.empty((len(vertices), skin_weights.shape[1]))
-    for start in range(0, len(vertices), SAMPLE_CHUNK):
-        rows = slice(start, start + SAMPLE_CHUNK)
+    for start in range(0, len(vertices), _SAMPLE_CHUNK):
+        rows = slice(start, start + _SAMPLE_CHUNK)
         samples = vertices[rows, None] + sigma[rows, None, None] * draw
-        hit = tree.query(samples.reshape(-1, 3), eps=SLACK)[1]
+        hit = tree.query(samples.reshape(-1, 3), eps=_SLACK)[1]
         count = len(samples)
         mix = csr_matrix(
-            (np.full(len(hit), 1.0 / SAMPLES), hit, np.arange(count + 1) * SAMPLES), (count, len(skin_weights))
+            (np.full(len(hit), 1.0 / _SAMPLES), hit, np.arange(count + 1) * _SAMPLES), (count, len(skin_weights))
         )
         mean[rows] = mix @ skin_weights
     return mean
@@ -124,12 +131,3 @@ def _torn_edges(garment: Garment, weights: np.ndarray) -> int:
     """Number of edges whose two ends mostly follow different bones."""
     a, b = garment.topology.edges.T
     return int((np.abs(weights[a] - weights[b]).sum(axis=1) > 1.0).sum())
-
-
-def _strongest(weights: np.ndarray) -> SkinningWeights:
-    """The `INFLUENCES` largest weights of each row, renormalised."""
-    keep = min(INFLUENCES, weights.shape[1])
-    bones = np.argsort(-weights, axis=1, kind="stable")[:, :keep]
-    kept = np.take_along_axis(weights, bones, axis=1)
-    kept /= kept.sum(axis=1, keepdims=True)
-    return SkinningWeights(bones.astype(np.int64), kept.astype(np.float32))

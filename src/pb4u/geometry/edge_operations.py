@@ -6,74 +6,20 @@ operations. The choice depends on lengths and indices only: the same mesh always
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
-#: A border loop is not thinned below this many vertices.
-SMALLEST_LOOP = 8
+from pb4u.geometry.topology import Topology, connected_labels
+from pb4u.geometry.triangle_mesh import face_cross_products
 
-
-@dataclass(frozen=True, eq=False)
-class EdgeTable:
-    """Edges of a mesh with the one or two faces at each.
-
-    Args:
-        edges: (edges, 2) int64 vertex indices, lower first, in lexicographic order.
-        keys: (edges,) int64 one increasing number per edge.
-        face_edges: (faces, 3) int64 edges of corners 01, 12 and 20.
-        faces: (edges, 2) int64 faces at the edge, the second -1 on a border.
-        opposite: (edges, 2) int64 third vertex of those faces, the second -1 on a border.
-        border_vertex: (vertices,) bool.
-    """
-
-    edges: np.ndarray
-    keys: np.ndarray
-    face_edges: np.ndarray
-    faces: np.ndarray
-    opposite: np.ndarray
-    border_vertex: np.ndarray
-
-    @property
-    def on_border(self) -> np.ndarray:
-        """(edges,) bool."""
-        return self.faces[:, 1] < 0
-
-
-def edge_table(faces: np.ndarray, vertex_count: int) -> EdgeTable:
-    """The edges of `faces` (faces, 3), each of which at most two faces share."""
-    starts = faces.T.reshape(-1)
-    ends = faces[:, [1, 2, 0]].T.reshape(-1)
-    half_keys = np.minimum(starts, ends) * vertex_count + np.maximum(starts, ends)
-    order = np.argsort(half_keys, kind="stable")
-    ordered = half_keys[order]
-    first = np.concatenate([[True], ordered[1:] != ordered[:-1]]) if len(ordered) else np.zeros(0, dtype=bool)
-    edge_of = np.empty(len(order), dtype=np.int64)
-    edge_of[order] = np.cumsum(first) - 1
-    begin = np.flatnonzero(first)
-    keys = ordered[begin]
-    count = np.diff(np.append(begin, len(ordered)))
-    half_faces = np.tile(np.arange(len(faces)), 3)
-    thirds = faces[:, [2, 0, 1]].T.reshape(-1)
-    second = np.where(count > 1, order[np.minimum(begin + 1, max(len(order) - 1, 0))], -1)
-    edge_faces = np.column_stack([half_faces[order[begin]], np.where(second >= 0, half_faces[second], -1)])
-    opposite = np.column_stack([thirds[order[begin]], np.where(second >= 0, thirds[second], -1)])
-    edges = np.column_stack([keys // vertex_count, keys % vertex_count])
-    border_vertex = np.zeros(vertex_count, dtype=bool)
-    border_vertex[edges[count == 1]] = True
-    return EdgeTable(edges, keys, edge_of.reshape(3, -1).T, edge_faces, opposite, border_vertex)
+# A border loop is not thinned below this many vertices: fewer no longer show that it is round.
+_SMALLEST_LOOP = 8
+# Share of the way to the mean of its neighbours that a vertex goes: all of it would swing to and fro.
+_RELAXATION = 0.7
 
 
 def _lengths(vertices: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     way = vertices[pairs[:, 0]] - vertices[pairs[:, 1]]
     return np.sqrt(np.einsum("ij,ij->i", way, way))
-
-
-def _cross_products(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    return np.cross(b - a, c - a)
 
 
 def _quality(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -95,24 +41,34 @@ def _ragged(starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
 def split_long_edges(
     vertices: np.ndarray, faces: np.ndarray, longest: float, locked: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Halves every edge longer than `longest` [m]; returns vertices, faces and the `locked` flags extended."""
-    table = edge_table(faces, len(vertices))
-    marked = _lengths(vertices, table.edges) > longest
+    """Halves every long edge.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        longest: length above which an edge is halved [m].
+        locked: (vertices,) bool, extended: new vertices are not locked.
+
+    Returns:
+        Vertices, faces and locked flags.
+    """
+    mesh = Topology(faces, len(vertices))
+    marked = _lengths(vertices, mesh.edges) > longest
     if not marked.any():
         return vertices, faces, locked
     new_index = np.full(len(marked), -1)
     new_index[marked] = len(vertices) + np.arange(int(marked.sum()))
-    middles = vertices[table.edges[marked]].mean(axis=1)
+    middles = vertices[mesh.edges[marked]].mean(axis=1)
     vertices = np.concatenate([vertices, middles])
     locked = np.concatenate([locked, np.zeros(len(middles), dtype=bool)])
 
-    cut = marked[table.face_edges]
+    cut = marked[mesh.face_edges]
     pattern = cut @ np.array([1, 2, 4])
     # Turn each face so that one cut lies on corner 01, and two cuts on 01 and 12.
     turn = np.array([0, 0, 1, 0, 2, 2, 1, 0])[pattern]
     corner = (turn[:, None] + np.arange(3)) % 3
     a, b, c = np.take_along_axis(faces, corner, 1).T
-    ab, bc, ca = new_index[np.take_along_axis(table.face_edges, corner, 1)].T
+    ab, bc, ca = new_index[np.take_along_axis(mesh.face_edges, corner, 1)].T
     cuts = cut.sum(axis=1)
     parts = [faces[cuts == 0]]
     one = cuts == 1
@@ -139,24 +95,31 @@ def _vertex_faces(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.
 
 
 def collapse_short_edges(
-    vertices: np.ndarray, faces: np.ndarray, shortest: float, longest: float, locked: np.ndarray, turn: int = 0
+    vertices: np.ndarray, faces: np.ndarray, shortest: float, longest: float, locked: np.ndarray, turn: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """One pass that removes edges shorter than `shortest` [m] where manifoldness, orientation and borders allow it.
+    """One pass that removes short edges where manifoldness, orientation and borders allow it.
 
-    Border vertices slide along the border only, `locked` ones stay, and no edge longer than `longest` [m] is made.
-    Passes with another `turn` try other edges first.
-    Returns vertices, faces, locked flags and the number of edges removed.
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        shortest: length below which an edge is removed [m].
+        longest: no edge longer than this is made [m].
+        locked: (vertices,) bool, those that stay; border vertices slide along the border only.
+        turn: number of the pass: each tries other edges first.
+
+    Returns:
+        Vertices, faces, locked flags and the number of edges removed.
     """
-    table = edge_table(faces, len(vertices))
-    lengths = _lengths(vertices, table.edges)
-    border, on_border = table.border_vertex, table.on_border
-    u, v = table.edges.T
+    mesh = Topology(faces, len(vertices))
+    lengths = _lengths(vertices, mesh.edges)
+    border, on_border = mesh.border_vertices, mesh.edge_face_counts == 1
+    u, v = mesh.edges.T
     allowed = (lengths < shortest) & ~(locked[u] & locked[v]) & ~(border[u] & border[v] & ~on_border)
-    allowed[on_border & allowed] = _spare_border_edges(table, np.flatnonzero(on_border & allowed), lengths)
-    candidates = _independent(faces, table.edges, lengths, np.flatnonzero(allowed), turn, len(vertices))
+    allowed[on_border & allowed] = _spare_border_edges(mesh, np.flatnonzero(on_border & allowed), lengths)
+    candidates = _independent(faces, mesh.edges, lengths, np.flatnonzero(allowed), turn, len(vertices))
     if not len(candidates):
         return vertices, faces, locked, 0
-    u, v = table.edges[candidates].T
+    u, v = mesh.edges[candidates].T
     # `u` survives; it is the vertex that is held more tightly.
     held_u = 2 * locked[u].astype(int) + border[u]
     held_v = 2 * locked[v].astype(int) + border[v]
@@ -235,19 +198,17 @@ def _independent(
     return np.sort(np.concatenate(chosen)) if chosen else candidates
 
 
-def _spare_border_edges(table: EdgeTable, wanted: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """(wanted,) bool: border edges that may go without leaving a loop with fewer than `SMALLEST_LOOP` edges."""
-    ends = table.edges[table.on_border]
-    count = len(table.border_vertex)
-    graph = coo_matrix((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    loop_of = connected_components(graph, directed=False)[1]
+def _spare_border_edges(mesh: Topology, wanted: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """(wanted,) bool: border edges that may go without leaving a loop with fewer than `_SMALLEST_LOOP` edges."""
+    ends = mesh.edges[mesh.edge_face_counts == 1]
+    loop_of = connected_labels(mesh.vertex_count, *ends.T)
     sizes = np.bincount(loop_of[ends[:, 0]])
-    loops = loop_of[table.edges[wanted, 0]]
+    loops = loop_of[mesh.edges[wanted, 0]]
     order = np.lexsort((lengths[wanted], loops))
     sorted_loops = loops[order]
     rank = np.arange(len(order)) - np.searchsorted(sorted_loops, sorted_loops)
     spare = np.empty(len(wanted), dtype=bool)
-    spare[order] = rank < sizes[sorted_loops] - SMALLEST_LOOP
+    spare[order] = rank < sizes[sorted_loops] - _SMALLEST_LOOP
     return spare
 
 
@@ -288,39 +249,47 @@ def _distinct(keys: np.ndarray) -> np.ndarray:
 
 
 def flip_edges(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
-    """One pass that flips edges where it brings valences nearer to 6 (4 on the border), or else fattens triangles."""
-    table = edge_table(faces, len(vertices))
-    valence = np.bincount(table.edges.reshape(-1), minlength=len(vertices))
-    excess = valence - np.where(table.border_vertex, 4, 6)
-    gain = excess[table.edges].sum(axis=1) - excess[table.opposite].sum(axis=1) - 2
+    """One pass that flips edges where it brings valences nearer to 6 (4 on the border), or else fattens triangles.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        Faces and the number of edges flipped.
+    """
+    mesh = Topology(faces, len(vertices))
+    valence = np.bincount(mesh.edges.reshape(-1), minlength=len(vertices))
+    excess = valence - np.where(mesh.border_vertices, 4, 6)
+    gain = excess[mesh.edges].sum(axis=1) - excess[mesh.edge_opposites].sum(axis=1) - 2
     face_quality = _quality(vertices, faces)
-    quality_old = face_quality[table.faces].min(axis=1)
-    inner = np.flatnonzero(~table.on_border & ((gain > 0) | ((gain > -2) & (quality_old < 0.6))))
+    quality_old = face_quality[mesh.edge_faces].min(axis=1)
+    inner = np.flatnonzero((mesh.edge_face_counts > 1) & ((gain > 0) | ((gain > -2) & (quality_old < 0.6))))
     if not len(inner):
         return faces, 0
     gain, quality_old = gain[inner], quality_old[inner]
-    a, b = table.edges[inner].T
-    c, d = table.opposite[inner].T
+    a, b = mesh.edges[inner].T
+    c, d = mesh.edge_opposites[inner].T
     # Orient: the first face runs a -> b (then its third vertex is c).
-    first_face = faces[table.faces[inner, 0]]
+    first_face = faces[mesh.edge_faces[inner, 0]]
     runs = ((first_face == a[:, None]) & (np.roll(first_face, -1, axis=1) == b[:, None])).any(axis=1)
     a, b = np.where(runs, a, b), np.where(runs, b, a)
 
     new_one, new_two = np.column_stack([c, d, b]), np.column_stack([d, c, a])
     quality_new = np.minimum(_quality(vertices, new_one), _quality(vertices, new_two))
-    normal_old = _cross_products(vertices, np.column_stack([a, b, c]))
-    normal_old += _cross_products(vertices, np.column_stack([b, a, d]))
+    normal_old = face_cross_products(vertices, np.column_stack([a, b, c]))
+    normal_old += face_cross_products(vertices, np.column_stack([b, a, d]))
     aligned = np.ones(len(a), dtype=bool)
     for new in (new_one, new_two):
-        cross = _cross_products(vertices, new)
+        cross = face_cross_products(vertices, new)
         dot = np.einsum("ij,ij->i", cross, normal_old)
         aligned &= dot > 0.6 * np.linalg.norm(cross, axis=1) * np.linalg.norm(normal_old, axis=1)
     better = (gain > 0) & (quality_new > np.minimum(0.5, 0.9 * quality_old))
     better |= (gain > -2) & (quality_new > 1.2 * quality_old + 0.05) & (quality_old < 0.6)
     key = np.minimum(c, d) * len(vertices) + np.maximum(c, d)
-    place = np.minimum(np.searchsorted(table.keys, key), len(table.keys) - 1)
-    fine = better & aligned & (table.keys[place] != key) & (valence[a] > 3) & (valence[b] > 3)
-    fine &= ~((table.border_vertex[a] & (valence[a] <= 3)) | (table.border_vertex[b] & (valence[b] <= 3)))
+    place = np.minimum(np.searchsorted(mesh.edge_keys, key), len(mesh.edge_keys) - 1)
+    fine = better & aligned & (mesh.edge_keys[place] != key) & (valence[a] > 3) & (valence[b] > 3)
+    fine &= ~((mesh.border_vertices[a] & (valence[a] <= 3)) | (mesh.border_vertices[b] & (valence[b] <= 3)))
     chosen = np.flatnonzero(fine)
     if not len(chosen):
         return faces, 0
@@ -332,19 +301,28 @@ def flip_edges(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int
     win = (first[quad] == rank[:, None]).all(axis=1)
     won = chosen[win]
     faces = faces.copy()
-    faces[table.faces[inner[won], 0]] = new_one[won]
-    faces[table.faces[inner[won], 1]] = new_two[won]
+    faces[mesh.edge_faces[inner[won], 0]] = new_one[won]
+    faces[mesh.edge_faces[inner[won], 1]] = new_two[won]
     return faces, len(won)
 
 
-def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray, step: float = 0.7) -> np.ndarray:
-    """Moves each vertex towards the mean of its neighbours within the surface; border vertices along the border."""
-    table = edge_table(faces, len(vertices))
-    a, b = table.edges.T
-    border = table.border_vertex
+def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray) -> np.ndarray:
+    """Moves each vertex towards the mean of its neighbours within the surface; border vertices along the border.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        locked: (vertices,) bool, those that stay.
+
+    Returns:
+        (vertices, 3) [m].
+    """
+    mesh = Topology(faces, len(vertices))
+    a, b = mesh.edges.T
+    border = mesh.border_vertices
     # A border vertex listens to its two border neighbours only.
-    weight_a = np.where(border[a], table.on_border, True).astype(float)
-    weight_b = np.where(border[b], table.on_border, True).astype(float)
+    weight_a = np.where(border[a], mesh.edge_face_counts == 1, True).astype(float)
+    weight_b = np.where(border[b], mesh.edge_face_counts == 1, True).astype(float)
     total = np.zeros_like(vertices)
     for axis in range(3):
         total[:, axis] = np.bincount(a, weights=weight_a * vertices[b, axis], minlength=len(vertices))
@@ -356,12 +334,12 @@ def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray, step: flo
     inward = np.einsum("ij,ij->i", shift, normals)[:, None] * normals
     shift = shift - np.where(border[:, None], 0.0, inward)
     shift[locked] = 0.0
-    return vertices + step * shift
+    return vertices + _RELAXATION * shift
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Area-weighted unit normals (vertices, 3)."""
-    cross = _cross_products(vertices, faces)
+    cross = face_cross_products(vertices, faces)
     total = np.zeros_like(vertices)
     for axis in range(3):
         for corner in range(3):

@@ -12,6 +12,7 @@ from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface, closest
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import edge_lengths
 
+# Faces with the nearest centres among which one that looks the right way is searched for; else the nearest point stays.
 _CANDIDATES = 24
 
 
@@ -35,10 +36,10 @@ class MeshSurface:
         """The nearest points (n, 3) of the surface whose side agrees with `normals` (n, 3), where there is one near."""
         if not len(points):
             return points
-        found = self._posed.nearest(points)
-        reached = found.positions.numpy().copy()
+        near = self._posed.nearest(points)
+        reached = near.positions.numpy().copy()
         face_normals = self._posed.face_normals.numpy()
-        facing = np.einsum("nd,nd->n", face_normals[found.triangle.numpy()], normals)
+        facing = np.einsum("nd,nd->n", face_normals[near.triangle.numpy()], normals)
         # Two layers of cloth may lie closer together than a triangle is long: stay on one's own.
         astray = np.flatnonzero(facing < -0.2)
         if len(astray):

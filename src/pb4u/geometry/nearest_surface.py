@@ -19,7 +19,9 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology
 
+# Faces with the nearest centres among which the nearest face is looked for; more are tried where it is not certain.
 _CANDIDATES = 32
+# Distances between points and faces worked out at a time, which bounds the memory.
 _PAIRS_PER_CHUNK = 20_000_000
 
 
@@ -61,20 +63,11 @@ class TriangleSurface:
             raise InputError("The body surface has no face that may be touched; its contact region is empty.")
         self.faces = np.ascontiguousarray(faces[kept])
         self.vertex_count = vertex_count
-        self._kept = torch.from_numpy(kept)
-        self._kept_is_all = len(kept) == len(faces)
+        self._kept = kept
 
     @cached_property
     def topology(self) -> Topology:
         return Topology(self.faces, self.vertex_count)
-
-    @cached_property
-    def _border(self) -> tuple[Tensor, Tensor]:
-        """Whether each edge (edges,) and each vertex (vertices,) lies on a border."""
-        edge = self.topology.edge_face_counts == 1
-        vertex = np.zeros(self.vertex_count, dtype=bool)
-        vertex[self.topology.edges[edge].reshape(-1)] = True
-        return torch.from_numpy(edge), torch.from_numpy(vertex)
 
     @cached_property
     def _tensors(self) -> dict[str, tuple[Tensor, Tensor, Tensor, Tensor, Tensor]]:
@@ -84,8 +77,9 @@ class TriangleSurface:
         """Faces, edge of each corner pair, border edges, border vertices and original face index on `device`."""
         key = str(device)
         if key not in self._tensors:
-            parts = (torch.from_numpy(self.faces), torch.from_numpy(self.topology.face_edges.copy()), *self._border)
-            self._tensors[key] = tuple(p.to(device) for p in (*parts, self._kept))  # type: ignore[assignment]
+            mesh = self.topology
+            arrays = (self.faces, mesh.face_edges.copy(), mesh.edge_face_counts == 1, mesh.border_vertices, self._kept)
+            self._tensors[key] = tuple(torch.from_numpy(a).to(device) for a in arrays)  # type: ignore[assignment]
         return self._tensors[key]
 
     def at(self, vertices: Tensor | np.ndarray) -> PosedSurface:
@@ -146,7 +140,14 @@ class PosedSurface:
         return total
 
     def nearest(self, points: Tensor | np.ndarray) -> NearestPoints:
-        """Exact nearest points of the surface to `points` (points, 3) [m]; raises InputError if one is not finite."""
+        """Exact nearest points of the surface.
+
+        Args:
+            points: (points, 3) [m].
+
+        Raises:
+            InputError: one of them is not finite.
+        """
         asked = torch.as_tensor(points).detach()
         queried = asked.to(self.vertices.device, torch.float64)
         if not bool(torch.isfinite(queried).all()):
@@ -231,8 +232,8 @@ class PosedSurface:
         else:
             a, b, c = self._corners
             rows = max(1, _PAIRS_PER_CHUNK // len(a))
-            found = [torch.cdist(part, (a + b + c) / 3.0).min(dim=1) for part in torch.split(queried, rows)]
-            near = torch.cat([f.indices for f in found]), torch.cat([f.values for f in found])
+            nearest = [torch.cdist(part, (a + b + c) / 3.0).min(dim=1) for part in torch.split(queried, rows)]
+            near = torch.cat([n.indices for n in nearest]), torch.cat([n.values for n in nearest])
         original = self.surface._on(self.vertices.device)[4].index_select(0, near[0])
         return original.to(asked.device), near[1].to(asked.device, asked.dtype)
 
@@ -260,10 +261,19 @@ def _closest_of(points: Tensor, faces: Tensor, corners: tuple[Tensor, Tensor, Te
 
 
 def closest_barycentric(points: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
-    """Barycentric coordinates (..., 3) of the point of triangle `a` `b` `c` (..., 3) closest to each of `points`.
+    """Where triangles are closest to points, each to its own.
 
     By Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, 5.1.5); a degenerate
     triangle counts as its edges.
+
+    Args:
+        points: (..., 3) [m].
+        a: (..., 3) first corner of each triangle [m].
+        b: (..., 3) second corner [m].
+        c: (..., 3) third corner [m].
+
+    Returns:
+        (..., 3) barycentric coordinates in the triangle.
     """
     ab, ac, ap = b - a, c - a, points - a
     d1, d2 = (ab * ap).sum(-1), (ac * ap).sum(-1)

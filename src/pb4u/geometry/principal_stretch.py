@@ -7,19 +7,26 @@ from torch import Tensor
 
 
 def deformation_gradients(positions: Tensor, faces: Tensor, inverse_rest_shape: Tensor) -> Tensor:
-    """(..., faces, 3, 2) deformation gradients of `positions` (..., vertices, 3) [m].
+    """Deformation gradients of the faces.
 
     Args:
-        positions: deformed vertices [m].
+        positions: (..., vertices, 3) deformed vertices [m].
         faces: (faces, 3) int64.
-        inverse_rest_shape: (faces, 2, 2) [1/m] inverse edge matrix of the rest triangle in its own plane.
+        inverse_rest_shape: (faces, 2, 2) inverse edge matrix of the rest triangle in its own plane [1/m].
+
+    Returns:
+        (..., faces, 3, 2).
     """
     a, b, c = (positions.index_select(-2, faces[:, k]) for k in range(3))
     return torch.stack([b - a, c - a], dim=-1) @ inverse_rest_shape
 
 
 def principal_stretches(positions: Tensor, faces: Tensor, inverse_rest_shape: Tensor) -> Tensor:
-    """(..., faces, 2) singular values of the deformation gradient, largest first; 1 is unstretched."""
+    """Singular values of the deformation gradient; arguments as for `deformation_gradients`.
+
+    Returns:
+        (..., faces, 2), largest first; 1 is unstretched.
+    """
     gradient = deformation_gradients(positions, faces, inverse_rest_shape)
     f1, f2 = gradient[..., 0], gradient[..., 1]
     # The smaller from the area, their product: the characteristic polynomial would cancel on thin slivers.
@@ -33,15 +40,20 @@ def principal_stretches(positions: Tensor, faces: Tensor, inverse_rest_shape: Te
 
 
 def face_strains(positions: Tensor, faces: Tensor, inverse_rest_shape: Tensor) -> Tensor:
-    """(..., faces) largest |principal stretch - 1| of each face."""
+    """(..., faces) largest |principal stretch - 1| of each face; arguments as for `deformation_gradients`."""
     return (principal_stretches(positions, faces, inverse_rest_shape) - 1.0).abs().amax(dim=-1)
 
 
 def weighted_percentile(values: Tensor, weights: Tensor, percent: float) -> Tensor:
-    """(...,) smallest value that at least `percent` of the weight does not exceed.
+    """Smallest value that at least a share of the weight does not exceed.
 
     Args:
-        values: (..., n). weights: (n,) positive. percent: 0..100.
+        values: (..., n).
+        weights: (n,) positive.
+        percent: the share, 0 to 100.
+
+    Returns:
+        (...,).
     """
     ordered, order = values.sort(dim=-1)
     share = weights[order].cumsum(dim=-1)

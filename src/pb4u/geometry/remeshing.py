@@ -9,7 +9,6 @@ import numpy as np
 from pb4u.errors import InputError
 from pb4u.geometry.edge_operations import (
     collapse_short_edges,
-    edge_table,
     flip_edges,
     relax,
     split_long_edges,
@@ -18,8 +17,10 @@ from pb4u.geometry.edge_operations import (
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import face_areas
 
-#: Allowed relative deviation from the wanted number of triangles.
-COUNT_TOLERANCE = 0.02
+# Relative deviation from the wanted number of triangles at which the edge length is adjusted no more.
+_COUNT_TOLERANCE = 0.02
+# A border that turns by more than this [rad] from one edge to the next has a corner, which stays where it is.
+_SHARP_TURN = np.radians(50.0)
 
 
 class Surface(Protocol):
@@ -76,7 +77,7 @@ def remesh(
     vertices, faces, locked = _isotropic(vertices, faces, locked, length, surface, rounds=8)
     for _ in range(8):
         ratio = len(faces) / triangles
-        if abs(ratio - 1.0) <= COUNT_TOLERANCE:
+        if abs(ratio - 1.0) <= _COUNT_TOLERANCE:
             break
         length *= float(np.clip(np.sqrt(ratio), 0.7, 1.4))
         vertices, faces, locked = _isotropic(vertices, faces, locked, length, surface, rounds=3)
@@ -114,15 +115,15 @@ def _require_manifold(topology: Topology) -> None:
         )
 
 
-def _sharp_border_corners(vertices: np.ndarray, faces: np.ndarray, turn: float = np.radians(50.0)) -> np.ndarray:
-    """(vertices,) bool: border vertices where the border turns by more than `turn` [rad] over a short way."""
+def _sharp_border_corners(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(vertices,) bool: border vertices where the border turns sharply."""
     locked = np.zeros(len(vertices), dtype=bool)
     for loop in Topology(faces, len(vertices)).boundary_loops:
         points = vertices[loop]
         before, after = points - np.roll(points, 1, axis=0), np.roll(points, -1, axis=0) - points
         sine = np.linalg.norm(np.cross(before, after), axis=1)
         angle = np.arctan2(sine, np.einsum("ij,ij->i", before, after))
-        locked[loop[angle > turn]] = True
+        locked[loop[angle > _SHARP_TURN]] = True
     return locked
 
 
@@ -154,7 +155,7 @@ def _flip_until_settled(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _relax_on(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray, surface: Surface, passes: int) -> np.ndarray:
-    border = edge_table(faces, len(vertices)).border_vertex
+    border = Topology(faces, len(vertices)).border_vertices
     for _ in range(passes):
         moved = relax(vertices, faces, locked)
         normals = vertex_normals(moved, faces)

@@ -70,3 +70,33 @@ def slerp(a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
     wb = np.where(near, s, np.sin(s * angle) / sine)
     q = wa * a + wb * b
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def about_axis(axis: str, angle: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4) wxyz of turns by `angle` (...) [rad] about the axis "x", "y" or "z"."""
+    half = 0.5 * np.asarray(angle, dtype=np.float64)
+    q = np.zeros((*half.shape, 4))
+    q[..., 0] = np.cos(half)
+    q[..., 1 + "xyz".index(axis)] = np.sin(half)
+    return q
+
+
+def from_euler(angles: np.ndarray, order: str, degrees: bool = True) -> np.ndarray:
+    """Quaternions (..., 4) wxyz of Euler angles, applied about fixed axes one after the other.
+
+    Args:
+        angles: (..., axes) in the order of `order`.
+        order: axis letters; "xyz" turns about X first, so that R = Rz Ry Rx.
+        degrees: whether the angles are in degrees instead of radians.
+    """
+    turns = np.deg2rad(angles) if degrees else angles
+    result = about_axis(order[0].lower(), turns[..., 0])
+    for k, axis in enumerate(order[1:].lower(), 1):
+        result = multiply(about_axis(axis, turns[..., k]), result)
+    return result
+
+
+def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Smallest rotation (..., 4) wxyz that takes unit vectors a (..., 3) to b (..., 3), which must not be opposite."""
+    q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Connectivity of a triangle mesh: edges, hinges, boundary loops, pieces. Indices only, no positions."""
+"""Connectivity of a triangle mesh: edges, hinges, boundary loops, pieces, orientation. Indices only, no positions."""
 
 from __future__ import annotations
 
@@ -21,26 +21,62 @@ class Topology:
     vertex_count: int
 
     @cached_property
-    def _half_edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Unique edges, edge of each half-edge, number of half-edges per edge, half-edges (3 F, 2) corner-major."""
-        half_edges = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
-        edges, edge_of, counts = np.unique(np.sort(half_edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-        return edges, edge_of.reshape(-1), counts, half_edges
+    def _half_edges(self) -> np.ndarray:
+        """(3 faces, 2) int64 directed edges of all faces: corners 01 of every face, then 12, then 20."""
+        faces = self.faces.astype(np.int64, copy=False)
+        return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+    @cached_property
+    def _half_edges_by_edge(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Half-edges in the order of their edges, where each edge begins in that order, and its key."""
+        a, b = self._half_edges.T
+        keys = np.minimum(a, b) * self.vertex_count + np.maximum(a, b)
+        order = np.argsort(keys, kind="stable")
+        ordered = keys[order]
+        starts = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]])[: len(ordered)])
+        return order, starts, ordered[starts]
 
     @property
+    def edge_keys(self) -> np.ndarray:
+        """(edges,) int64 lower index x vertex count + higher index, increasing."""
+        return self._half_edges_by_edge[2]
+
+    @cached_property
     def edges(self) -> np.ndarray:
         """(edges, 2) int64 undirected edges, each once, lower index first, in lexicographic order."""
-        return self._half_edges[0]
+        return np.column_stack(np.divmod(self.edge_keys, max(self.vertex_count, 1)))
 
-    @property
+    @cached_property
     def face_edges(self) -> np.ndarray:
         """(faces, 3) int64 edge index of corners 01, 12 and 20 of each face."""
-        return self._half_edges[1].reshape(3, -1).T
+        edge_of = np.empty(3 * len(self.faces), dtype=np.int64)
+        edge_of[self._half_edges_by_edge[0]] = np.repeat(np.arange(len(self.edge_keys)), self.edge_face_counts)
+        return edge_of.reshape(3, -1).T
 
-    @property
+    @cached_property
     def edge_face_counts(self) -> np.ndarray:
         """(edges,) number of faces that meet at each edge: 1 on a border, 2 inside, more where not manifold."""
-        return self._half_edges[2]
+        order, starts, _ = self._half_edges_by_edge
+        return np.diff(np.append(starts, len(order)))
+
+    @cached_property
+    def _edge_half_edges(self) -> np.ndarray:
+        """(edges, 2) int64 the first two half-edges of each edge, the second one -1 on a border."""
+        order, starts, _ = self._half_edges_by_edge
+        second = order[np.minimum(starts + 1, max(len(order) - 1, 0))]
+        return np.column_stack([order[starts], np.where(self.edge_face_counts > 1, second, -1)])
+
+    @cached_property
+    def edge_faces(self) -> np.ndarray:
+        """(edges, 2) int64 the first two faces at each edge, the second one -1 on a border."""
+        half_edges = self._edge_half_edges
+        return np.where(half_edges >= 0, half_edges % max(len(self.faces), 1), -1)
+
+    @cached_property
+    def edge_opposites(self) -> np.ndarray:
+        """(edges, 2) int64 third vertex of those faces, the second one -1 on a border."""
+        thirds = self.faces[:, [2, 0, 1]].T.reshape(-1)
+        return np.where(self._edge_half_edges >= 0, thirds[self._edge_half_edges], -1)
 
     @cached_property
     def hinges(self) -> np.ndarray:
@@ -48,29 +84,25 @@ class Topology:
 
         Border edges have no hinge; an edge with more than two faces keeps its first two.
         """
-        _, edge_of, counts, half_edges = self._half_edges
-        opposite = np.concatenate([self.faces[:, 2], self.faces[:, 0], self.faces[:, 1]])
-        order = np.argsort(edge_of, kind="stable")
-        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        shared = counts >= 2
-        first, second = order[starts[shared]], order[starts[shared] + 1]
-        return np.column_stack([half_edges[first], opposite[first], opposite[second]])
+        inner = self.edge_face_counts >= 2
+        return np.column_stack([self._half_edges[self._edge_half_edges[inner, 0]], self.edge_opposites[inner]])
 
     @cached_property
     def hinge_faces(self) -> np.ndarray:
         """(hinges, 2) int64 the two faces of each row of `hinges`."""
-        _, edge_of, counts, _ = self._half_edges
-        order = np.argsort(edge_of, kind="stable")
-        starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        shared = counts >= 2
-        half_edge = np.column_stack([order[starts[shared]], order[starts[shared] + 1]])
-        return half_edge % len(self.faces)
+        return self.edge_faces[self.edge_face_counts >= 2]
+
+    @cached_property
+    def border_vertices(self) -> np.ndarray:
+        """(vertices,) bool, at an edge that only one face uses."""
+        on_border = np.zeros(self.vertex_count, dtype=bool)
+        on_border[self.edges[self.edge_face_counts == 1]] = True
+        return on_border
 
     @cached_property
     def boundary_edges(self) -> np.ndarray:
         """(borders, 2) int64 directed half-edges that only one face uses, in that face's direction."""
-        _, edge_of, counts, half_edges = self._half_edges
-        return half_edges[counts[edge_of] == 1]
+        return self._half_edges[self.edge_face_counts[self.face_edges.T.reshape(-1)] == 1]
 
     @cached_property
     def boundary_loops(self) -> tuple[np.ndarray, ...]:
@@ -99,12 +131,7 @@ class Topology:
     @cached_property
     def piece_of_vertex(self) -> np.ndarray:
         """(vertices,) int32 label of the connected piece; an isolated vertex is a piece of its own."""
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
-
-        a, b = self.edges[:, 0], self.edges[:, 1]
-        graph = coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(self.vertex_count, self.vertex_count))
-        return connected_components(graph, directed=False)[1]
+        return connected_labels(self.vertex_count, *self.edges.T)
 
     @property
     def isolated_vertices(self) -> np.ndarray:
@@ -119,10 +146,59 @@ class Topology:
     @property
     def is_consistently_oriented(self) -> bool:
         """Whether no two faces run along a shared edge in the same direction."""
-        half_edges = self._half_edges[3]
-        return len(np.unique(half_edges, axis=0)) == len(half_edges)
+        keys = self._half_edges @ np.array([self.vertex_count, 1])
+        return len(np.unique(keys)) == len(keys)
 
     @property
     def is_closed(self) -> bool:
         """Whether every edge has exactly two faces."""
         return bool((self.edge_face_counts == 2).all())
+
+
+def connected_labels(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Labels of the connected components of an undirected graph.
+
+    Args:
+        count: number of nodes.
+        a: (links,) one end of each link.
+        b: (links,) the other end.
+
+    Returns:
+        (count,) int32 from 0; a node without links is a component of its own.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
+def faces_to_flip(topology: Topology) -> tuple[np.ndarray, bool]:
+    """Which faces to turn over so that neighbours agree, and whether that is possible.
+
+    In each piece the fewer faces are turned. Not possible means a one-sided surface (a Moebius strip): its faces are
+    then left alone.
+
+    Args:
+        topology: the mesh; each edge shared by two faces at most.
+
+    Returns:
+        flip: (faces,) bool.
+        orientable: whether every piece has two sides.
+    """
+    faces, pairs = topology.faces, topology.hinge_faces
+    count = len(faces)
+    start, end = topology.hinges[:, 0], topology.hinges[:, 1]
+    second = faces[pairs[:, 1]]
+    agree = ~((second == start[:, None]) & (np.roll(second, -1, axis=1) == end[:, None])).any(axis=1)
+    # Two copies of every face, as it is and turned over; an edge joins the copies that agree across it.
+    a, b = pairs.T
+    rows = np.concatenate([a, a + count])
+    columns = np.concatenate([np.where(agree, b, b + count), np.where(agree, b + count, b)])
+    labels = connected_labels(2 * count, rows, columns)
+    as_is, turned = labels[:count], labels[count:]
+    orientable = as_is != turned
+    size = np.bincount(as_is, minlength=labels.max(initial=0) + 1)
+    # The side with more faces as they are wins; on a tie the copy with the lower label does, on both its faces.
+    more = (size[turned] > size[as_is]) | ((size[turned] == size[as_is]) & (turned < as_is))
+    return more & orientable, bool(orientable.all())

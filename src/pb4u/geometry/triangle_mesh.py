@@ -7,19 +7,16 @@ import torch
 from torch import Tensor
 
 
-def face_normals_and_areas(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
-    """Unit normals (..., faces, 3) and areas (..., faces) [m^2] of `vertices` (..., vertices, 3) [m].
-
-    A degenerate face has area 0 and normal 0.
-    """
-    a, b, c = (vertices.index_select(-2, faces[:, k]) for k in range(3))
-    cross = torch.linalg.cross(b - a, c - a)
-    double_area = cross.norm(dim=-1, keepdim=True)
-    return cross / double_area.clamp_min(torch.finfo(vertices.dtype).tiny), 0.5 * double_area[..., 0]
-
-
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Area-weighted unit vertex normals (..., vertices, 3) of `vertices` (..., vertices, 3) [m]."""
+    """Area-weighted unit vertex normals.
+
+    Args:
+        vertices: (..., vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        (..., vertices, 3); 0 where no face is.
+    """
     a, b, c = (vertices.index_select(-2, faces[:, k]) for k in range(3))
     cross = torch.linalg.cross(b - a, c - a)
     total = torch.zeros_like(vertices)
@@ -28,10 +25,23 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     return total / total.norm(dim=-1, keepdim=True).clamp_min(torch.finfo(vertices.dtype).tiny)
 
 
+def face_cross_products(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(faces, 3) outward normals as long as twice the area [m^2] of a numpy mesh (vertices, 3) [m]."""
+    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
+    return np.cross(b - a, c - a)
+
+
+def area_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(vertices, 3) unit vertex normals of a numpy mesh (vertices, 3) [m], weighted by area; 0 where no face is."""
+    cross = np.repeat(face_cross_products(vertices, faces), 3, axis=0)
+    columns = [np.bincount(faces.reshape(-1), cross[:, k], len(vertices)) for k in range(3)]
+    normals = np.stack(columns, axis=1)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+
+
 def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(faces,) areas [m^2] of a numpy mesh (vertices, 3) [m]."""
-    a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return 0.5 * np.linalg.norm(face_cross_products(vertices, faces), axis=1)
 
 
 def edge_lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:

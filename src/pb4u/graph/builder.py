@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -13,28 +13,30 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.graph.features import FeatureLayout
-from pb4u.graph.garment_graph import GarmentEdges, GarmentGraph, garment_graph
-from pb4u.graph.graph import BODY, GARMENT, EdgeSet, Graph, NodeSet, NodeType, receiver_runs
-from pb4u.graph.incidence import incidence
+from pb4u.graph.garment_graph import GarmentEdges, GarmentGraph
+from pb4u.graph.graph import BODY, GARMENT, EdgeSet, Graph, NodeSet, NodeType
+from pb4u.graph.incidence import both_directions, incidence
 from pb4u.graph.world_edges import WorldEdgeRule, nearest_within
-from pb4u.scene.packed import ColliderFrame, PackedGarments
+from pb4u.scene.packed import ColliderFrame
 from pb4u.scene.state import State
 
 REFERENCE_DT = 1.0 / 30.0
+"""Time step [s] whose feature "dt" is 0: that of the training motions."""
 
 
 class EdgeFinder(Protocol):
     """Finds edges between garment vertices anew at every step, such as those of cloth that comes near itself."""
 
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:
-        """Undirected edges (edges, 2) int64 between vertices of a garment at `positions` (vertices, 3) [m], by kind.
+        """Undirected edges (edges, 2) int64 between vertices of one garment, by kind; empty kinds are named as well.
 
-        Every kind is always there, without edges where none is found.
+        Args:
+            positions: (vertices, 3) [m].
         """
 
 
 class NoFoundEdges:
-    """Finds nothing."""
+    """The finder of a network whose edges are all known beforehand."""
 
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:
         return {}
@@ -48,24 +50,15 @@ class GraphBuilder:
         static: mesh edges and rest-state features.
         layout: which columns to make.
         world_edges: which body vertices a garment vertex sees.
-        fixed_shapes: keep absent world edges, masked, and all body vertices, so that shapes never change (a captured
-            accelerator step); else only what is near.
-        finder: edges that change from step to step.
+        finder: of edges that change from step to step.
         rest: handed on to every graph (`Graph.rest`).
-
-    Raises InputError where shapes are to be fixed and a finder changes them.
     """
 
     static: GarmentGraph
     layout: FeatureLayout
     world_edges: WorldEdgeRule
-    fixed_shapes: bool = False
     finder: EdgeFinder = field(default_factory=NoFoundEdges)
     rest: Mapping[str, Tensor] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.fixed_shapes and not isinstance(self.finder, NoFoundEdges):
-            raise InputError("This network finds edges anew at every step; its graphs cannot have fixed shapes.")
 
     @property
     def dtype(self) -> torch.dtype:
@@ -85,30 +78,32 @@ class GraphBuilder:
             state: packed garments at time t.
             collider: bodies around t; None where there are none.
             dt: time step [s].
-            origin: (3,) [m] subtracted from all positions before they are rounded to the graph's precision.
+            origin: (3,) subtracted from all positions before they are rounded to the graph's precision [m].
             extra: (vertices, width) node features that the layout names as `extra`.
 
-        Raises InputError where an extra feature of the layout is absent or of another width.
+        Raises:
+            InputError: an extra feature of the layout is absent or of another width.
         """
         positions = self._localise(state.positions, origin)
         step_dt = positions.new_full((1,), math.log(dt / REFERENCE_DT))
-        nodes = {GARMENT: self._garment_nodes(state, positions, dt, step_dt, extra or {})}
+        velocities = (state.velocities * dt).to(self.dtype)
+        nodes = {GARMENT: self._garment_nodes(positions, velocities, step_dt, extra or {})}
         edges = {name: self._garment_edges(name, of, positions, step_dt) for name, of in self.static.edges.items()}
         for name, pairs in self.finder.find(positions).items():
-            edges[name] = self._found_edges(name, pairs, positions, (state.velocities * dt).to(self.dtype), step_dt)
+            edges[name] = self._found_edges(name, pairs, positions, velocities, step_dt)
         if collider is not None:
-            self._add_body(nodes, edges, collider, positions, state.velocities * dt, origin, step_dt)
+            self._add_body(nodes, edges, collider, positions, velocities, origin, step_dt)
         return Graph(nodes, edges, self.static.vertex_offsets, self.rest)
 
     def _localise(self, positions: Tensor, origin: Tensor | None) -> Tensor:
         return (positions if origin is None else positions - origin.to(positions)).to(self.dtype)
 
     def _garment_nodes(
-        self, state: State, positions: Tensor, dt: float, step_dt: Tensor, extra: Mapping[str, Tensor]
+        self, positions: Tensor, velocities: Tensor, step_dt: Tensor, extra: Mapping[str, Tensor]
     ) -> NodeSet:
         static = self.static
         columns = {
-            "velocity": (state.velocities * dt).to(self.dtype),
+            "velocity": velocities,
             "normal": vertex_normals(positions, static.faces),
             "dt": step_dt.expand(len(positions), 1),
             "areal_density": static.areal_density,
@@ -124,7 +119,7 @@ class GraphBuilder:
                     f"{len(positions)} vertices; it got {'nothing' if given is None else tuple(given.shape)}."
                 )
             chosen.append(given.to(self.dtype))
-        return NodeSet(torch.cat(chosen, dim=1), static.node_types, static.node_owner)
+        return NodeSet(torch.cat(chosen, dim=1), static.node_types, static.node_world)
 
     def _garment_edges(self, kind: str, edges: GarmentEdges, positions: Tensor, step_dt: Tensor) -> EdgeSet:
         vector = positions.index_select(0, edges.senders.index) - positions.index_select(0, edges.receivers.index)
@@ -141,13 +136,11 @@ class GraphBuilder:
             "rest_length": edges.rest_length,
         }
         features = torch.cat([columns[name] for name in self.layout.mesh_edge], dim=1)
-        return EdgeSet(kind, GARMENT, GARMENT, edges.senders, edges.receivers, features, runs=edges.runs)
+        return EdgeSet(kind, GARMENT, GARMENT, edges.senders, edges.receivers, features)
 
     def _found_edges(self, kind: str, pairs: Tensor, positions: Tensor, velocities: Tensor, step_dt: Tensor) -> EdgeSet:
-        count, material = len(positions), self.static.node_material
-        both = torch.cat([pairs, pairs.flip(1)])
-        both = both[torch.argsort(both[:, 1] * count + both[:, 0])]
-        sender, receiver = both[:, 0].contiguous(), both[:, 1].contiguous()
+        senders, receivers = both_directions(pairs, len(positions))
+        sender, receiver, material = senders.index, receivers.index, self.static.node_material
         vector = positions.index_select(0, sender) - positions.index_select(0, receiver)
         velocity = velocities.index_select(0, sender) - velocities.index_select(0, receiver)
         columns = {
@@ -157,21 +150,11 @@ class GraphBuilder:
             "previous_length": (vector - velocity).norm(dim=1, keepdim=True),
             "relative_velocity": velocity,
             "relative_speed": velocity.norm(dim=1, keepdim=True),
-            "dt": step_dt.expand(len(both), 1),
+            "dt": step_dt.expand(len(vector), 1),
             "material": 0.5 * (material.index_select(0, sender) + material.index_select(0, receiver)),
         }
         features = torch.cat([columns[name] for name in self.layout.found_edge], dim=1)
-        receivers = incidence(receiver, count)
-        return EdgeSet(
-            kind,
-            GARMENT,
-            GARMENT,
-            incidence(sender, count),
-            receivers,
-            features,
-            runs=receiver_runs(receivers.offsets),
-            columns="found_edge",
-        )
+        return EdgeSet(kind, GARMENT, GARMENT, senders, receivers, features, "found_edge")
 
     def _add_body(
         self,
@@ -183,89 +166,54 @@ class GraphBuilder:
         origin: Tensor | None,
         step_dt: Tensor,
     ) -> None:
+        """Add the body vertices that a garment vertex sees, and the edges between them, where there are any."""
         now = self._localise(collider.now.positions, origin)
         following = self._localise(collider.following.positions, origin)
-        near, found = self._nearest(positions, now, collider)
-        garment = torch.arange(len(positions), device=near.device).repeat_interleave(near.shape[1])
-        body, mask = near.reshape(-1), found.reshape(-1)
-        if self.fixed_shapes:
-            # Absent edges are spread over the body: heaped on one vertex they would be one long sum.
-            body = torch.where(mask, body, torch.arange(len(body), device=body.device) % max(len(now), 1))
-        else:
-            garment, body, mask = garment[mask], body[mask], mask[mask]
-        kept, body_node = self._kept_body_vertices(body, len(now))
-        if len(kept) == 0 or len(body) == 0:
+        garment, body = self._near_pairs(positions, now, collider.colliders.touchable)
+        if len(body) == 0:
             return
-
-        active = _any_at(body_node, mask, len(kept)) if self.fixed_shapes else None
-        nodes[BODY] = self._body_nodes(collider, now, kept, step_dt, active)
+        kept, body_node = torch.unique(body, return_inverse=True)
+        velocity = (collider.now.positions - collider.previous.positions).to(self.dtype)[kept]
+        normal = vertex_normals(now, collider.colliders.faces)[kept]
+        nodes[BODY] = self._body_nodes(velocity, normal, step_dt, collider.colliders.vertex_world[kept])
 
         relative_now = positions.index_select(0, garment) - now.index_select(0, body)
         relative_next = positions.index_select(0, garment) - following.index_select(0, body)
-        approach = velocities.to(self.dtype).index_select(0, garment) - (following - now).index_select(0, body)
-        edge_mask = mask[:, None].to(self.dtype) if self.fixed_shapes else None
-        to_garment = incidence(garment, len(positions))
-        from_body = incidence(body_node, len(kept))
+        approach = velocities.index_select(0, garment) - (following - now).index_select(0, body)
+        garments, bodies = incidence(garment, len(positions)), incidence(body_node, len(kept))
         features = self._world_features(relative_now, relative_next, approach, step_dt)
-        edges["body_to_garment"] = EdgeSet(
-            "world",
-            BODY,
-            GARMENT,
-            from_body,
-            to_garment,
-            features,
-            edge_mask,
-            receiver_runs(to_garment.offsets),
-            "world_edge",
-        )
-        order = from_body.order
-        to_body = incidence(body_node[order], len(kept))
-        edges["garment_to_body"] = EdgeSet(
-            "world",
-            GARMENT,
-            BODY,
-            incidence(garment[order], len(positions)),
-            to_body,
-            self._world_features(-relative_now[order], -relative_next[order], -approach[order], step_dt),
-            None if edge_mask is None else edge_mask[order],
-            receiver_runs(to_body.offsets),
-            "world_edge",
-        )
+        edges["body_to_garment"] = EdgeSet("world", BODY, GARMENT, bodies, garments, features, "world_edge")
+        order = bodies.order
+        garments, bodies = incidence(garment[order], len(positions)), incidence(body_node[order], len(kept))
+        features = self._world_features(-relative_now[order], -relative_next[order], -approach[order], step_dt)
+        edges["garment_to_body"] = EdgeSet("world", GARMENT, BODY, garments, bodies, features, "world_edge")
 
-    def _body_nodes(
-        self, collider: ColliderFrame, now: Tensor, kept: Tensor, step_dt: Tensor, active: Tensor | None
-    ) -> NodeSet:
-        velocity = (collider.now.positions - collider.previous.positions).to(self.dtype)[kept]
-        absent = velocity.new_full((1,), -1.0)
+    def _body_nodes(self, velocity: Tensor, normal: Tensor, step_dt: Tensor, world: Tensor) -> NodeSet:
+        count, absent = len(velocity), velocity.new_full((1,), -1.0)
         columns = {
             "velocity": velocity,
-            "normal": vertex_normals(now, collider.colliders.faces)[kept],
-            "dt": step_dt.expand(len(kept), 1),
-            "areal_density": absent.expand(len(kept), 1),
-            "vertex_mass": absent.expand(len(kept), 1),
-            "material": absent.expand(len(kept), 3),
+            "normal": normal,
+            "dt": step_dt.expand(count, 1),
+            "areal_density": absent.expand(count, 1),
+            "vertex_mass": absent.expand(count, 1),
+            "material": absent.expand(count, 3),
         }
         chosen = [columns[name] for name in self.layout.node]
-        chosen += [velocity.new_zeros(len(kept), feature.width) for feature in self.layout.extra]
-        types = torch.full((len(kept),), int(NodeType.BODY), device=kept.device)
-        return NodeSet(torch.cat(chosen, dim=1), types, collider.colliders.vertex_world[kept], active)
+        chosen += [velocity.new_zeros(count, feature.width) for feature in self.layout.extra]
+        types = torch.full((count,), int(NodeType.BODY), device=velocity.device)
+        return NodeSet(torch.cat(chosen, dim=1), types, world)
 
-    def _nearest(self, positions: Tensor, body: Tensor, collider: ColliderFrame) -> tuple[Tensor, Tensor]:
-        """Packed body vertices (vertices, neighbours) near each garment vertex, of its own body and in contact only."""
-        near, found = [], []
+    def _near_pairs(self, positions: Tensor, body: Tensor, touchable: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Garment vertex and body vertex, (pairs,) int64 each, of all pairs that the rule joins, world by world."""
+        garment, near = [], []
         offsets = self.static.world_offsets
-        for world, allowed in enumerate(collider.colliders.touchable):
-            points = positions[offsets[world] : offsets[world + 1]]
-            index, exists = nearest_within(points, body[allowed], self.world_edges)
-            near.append(allowed[index] if len(allowed) else index)
-            found.append(exists)
-        return torch.cat(near), torch.cat(found)
-
-    def _kept_body_vertices(self, body: Tensor, count: int) -> tuple[Tensor, Tensor]:
-        if self.fixed_shapes:
-            return torch.arange(count, device=body.device), body
-        kept, position = torch.unique(body, return_inverse=True)
-        return kept, position
+        for start, stop, allowed in zip(offsets, offsets[1:], touchable, strict=False):
+            index, within = nearest_within(positions[start:stop], body[allowed], self.world_edges)
+            rows = torch.arange(start, stop, device=index.device).repeat_interleave(index.shape[1])
+            chosen = within.reshape(-1)
+            garment.append(rows[chosen])
+            near.append(allowed[index.reshape(-1)[chosen]])
+        return torch.cat(garment), torch.cat(near)
 
     def _world_features(self, relative_now: Tensor, relative_next: Tensor, approach: Tensor, step_dt: Tensor) -> Tensor:
         columns = {
@@ -278,29 +226,3 @@ class GraphBuilder:
             "dt": step_dt.expand(len(relative_now), 1),
         }
         return torch.cat([columns[name] for name in self.layout.world_edge], dim=1)
-
-
-def _any_at(index: Tensor, mask: Tensor, count: int) -> Tensor:
-    """(count,) bool, whether any row of `index` whose `mask` is set names the entry."""
-    votes = torch.zeros(count, dtype=torch.int64, device=index.device)
-    return votes.index_add(0, index, mask.to(torch.int64)) > 0
-
-
-def graph_builder(
-    garments: PackedGarments,
-    layout: FeatureLayout,
-    world_edges: WorldEdgeRule,
-    dtype: torch.dtype = torch.float32,
-    fixed_shapes: bool = False,
-    further_edges: Mapping[str, Tensor] | None = None,
-    finder: EdgeFinder | None = None,
-    rest: Mapping[str, Tensor] | None = None,
-) -> GraphBuilder:
-    """A builder for `garments`, on their device, making features in `dtype`; `further_edges` as in `garment_graph`.
-
-    Raises InputError where shapes are to be fixed and a finder changes them.
-    """
-    static = garment_graph(garments, layout.material_range, dtype, further_edges)
-    return GraphBuilder(
-        static, layout, world_edges, fixed_shapes, finder=finder or NoFoundEdges(), rest=dict(rest or {})
-    )

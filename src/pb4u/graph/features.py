@@ -1,6 +1,7 @@
-"""Every feature a graph can carry: its width, unit, whether it is normalised, and where it comes from.
+"""Every feature a graph can have: its width, unit, whether it is normalised, and where it comes from.
 
-A `FeatureLayout` is an ordered choice of them; it is stored in a checkpoint, so a network always meets its own columns.
+A `FeatureLayout` is an ordered choice of them; it is stored in a checkpoint, so a network always gets the columns that
+it was trained with.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ class Feature:
         width: number of columns.
         unit: SI unit, "1" where it has none.
         normalised: whether running statistics centre and scale it.
-        typical: usual spread, taken where there are no statistics yet; a hundredth of it is the smallest spread
-            believed.
+        typical: usual spread, taken where there are no statistics yet; spreads below a hundredth of it are raised to
+            that.
         source: what it is and where the definition comes from; for the reader, so not compared.
     """
 
@@ -85,6 +86,12 @@ FOUND_EDGE_FEATURES = _index(
     Feature("material", 3, "1", False, 1.0, "mean of both ends' bending, mu, lambda"),
 )
 
+TABLES = {
+    "node": NODE_FEATURES,
+    "mesh_edge": MESH_EDGE_FEATURES,
+    "world_edge": WORLD_EDGE_FEATURES,
+    "found_edge": FOUND_EDGE_FEATURES,
+}
 
 DESCENT = Feature(
     "descent",
@@ -97,12 +104,17 @@ DESCENT = Feature(
 
 ADVANCE = Feature("advance", 3, "cm/step^2", False, 1.0, "acceleration from free flight to where the pass starts; ours")
 
-EXTRA_FEATURES = _index(DESCENT, ADVANCE)
-
 
 @dataclass(frozen=True)
 class MaterialRange:
-    """Where materials are mapped to [0, 1]: the training range (ref. 1.7)."""
+    """Where materials are mapped to [0, 1]: the training range (ref. 1.7).
+
+    Args:
+        density: [kg/m^2].
+        lame_mu: [Pa].
+        lame_lambda: [Pa].
+        bending: [J].
+    """
 
     density: tuple[float, float] = (0.0434, 0.7)
     lame_mu: tuple[float, float] = (15909.0, 63636.0)
@@ -115,10 +127,13 @@ class FeatureLayout:
     """Which columns a network reads, in order.
 
     Args:
-        node, mesh_edge, world_edge, found_edge: names from the tables above; found edges join garment vertices that
-            come near each other.
+        node: names from `NODE_FEATURES`.
+        mesh_edge: names from `MESH_EDGE_FEATURES`.
+        world_edge: names from `WORLD_EDGE_FEATURES`.
         extra: further node features that the caller hands over by name; zero on the body.
         material_range: where materials are mapped to [0, 1].
+        found_edge: names from `FOUND_EDGE_FEATURES`, for edges found anew at every step between garment vertices that
+            come near each other.
     """
 
     node: tuple[str, ...] = ("velocity", "normal", "dt", "areal_density", "material")
@@ -129,32 +144,15 @@ class FeatureLayout:
     found_edge: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        tables = (
-            ("node", NODE_FEATURES),
-            ("mesh_edge", MESH_EDGE_FEATURES),
-            ("world_edge", WORLD_EDGE_FEATURES),
-            ("found_edge", FOUND_EDGE_FEATURES),
-        )
-        for label, table in tables:
+        for label, table in TABLES.items():
             for name in getattr(self, label):
                 if name not in table:
                     raise InputError(f"There is no {label} feature {name!r}; there are: {', '.join(table)}.")
 
-    @property
-    def node_columns(self) -> tuple[Feature, ...]:
-        return (*(NODE_FEATURES[name] for name in self.node), *self.extra)
-
-    @property
-    def mesh_edge_columns(self) -> tuple[Feature, ...]:
-        return tuple(MESH_EDGE_FEATURES[name] for name in self.mesh_edge)
-
-    @property
-    def world_edge_columns(self) -> tuple[Feature, ...]:
-        return tuple(WORLD_EDGE_FEATURES[name] for name in self.world_edge)
-
-    @property
-    def found_edge_columns(self) -> tuple[Feature, ...]:
-        return tuple(FOUND_EDGE_FEATURES[name] for name in self.found_edge)
+    def columns(self, table: str) -> tuple[Feature, ...]:
+        """The chosen features of one of `TABLES`, with the extra ones of the nodes."""
+        chosen = tuple(TABLES[table][name] for name in getattr(self, table))
+        return (*chosen, *self.extra) if table == "node" else chosen
 
 
 def total_width(columns: tuple[Feature, ...]) -> int:
@@ -163,11 +161,21 @@ def total_width(columns: tuple[Feature, ...]) -> int:
 
 
 def map_log(values: Tensor, limits: tuple[float, float]) -> Tensor:
-    """`values` on a log scale, limits[0] -> 0 and limits[1] -> 1, kept within [-1, 2]."""
+    """Values on a log scale, limits[0] -> 0 and limits[1] -> 1, kept within [-1, 2].
+
+    Args:
+        values: of any shape, 0 or more.
+        limits: both above 0, in the unit of the values.
+    """
     low, high = (float(torch.tensor(limit, dtype=torch.float64).log()) for limit in limits)
     return ((values.clamp_min(torch.finfo(values.dtype).tiny).log() - low) / (high - low)).clamp(-1.0, 2.0)
 
 
 def map_linear(values: Tensor, limits: tuple[float, float]) -> Tensor:
-    """`values` on a linear scale, limits[0] -> 0 and limits[1] -> 1, kept within [-1, 2]."""
+    """Values on a linear scale, limits[0] -> 0 and limits[1] -> 1, kept within [-1, 2].
+
+    Args:
+        values: of any shape.
+        limits: in the unit of the values.
+    """
     return ((values - limits[0]) / (limits[1] - limits[0])).clamp(-1.0, 2.0)

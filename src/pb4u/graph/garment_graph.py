@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from pb4u.graph.features import MaterialRange, map_linear, map_log
-from pb4u.graph.graph import NodeType, receiver_runs
-from pb4u.graph.incidence import Incidence, Span, incidence
+from pb4u.graph.graph import NodeType
+from pb4u.graph.incidence import Incidence, both_directions
 from pb4u.scene.packed import PackedGarments
 
 
@@ -19,16 +19,17 @@ class GarmentEdges:
     """Edges between garment vertices, both directions, in ascending order of receiver.
 
     Args:
-        senders, receivers: the ends of the directed edges.
-        runs: spans of edges and receivers that fit in cache.
+        senders: vertex at the start of each directed edge.
+        receivers: vertex at its end.
         rest_vector: (edges, 3) sender - receiver at rest [m].
-        rest_length: (edges, 1) [m]. inverse_rest_length: (edges, 1) [1/m]. rest_direction: (edges, 3) unit vectors.
+        rest_length: (edges, 1) [m].
+        inverse_rest_length: (edges, 1) [1/m].
+        rest_direction: (edges, 3) unit vectors.
         material: (edges, 3) mean of both ends' bending, mu, lambda mapped to [0, 1].
     """
 
     senders: Incidence
     receivers: Incidence
-    runs: tuple[tuple[Span, Span], ...]
     rest_vector: Tensor
     rest_length: Tensor
     inverse_rest_length: Tensor
@@ -44,6 +45,7 @@ class GarmentGraph:
         edges: by name; "mesh" always, and what a network adds, such as "coarse".
         node_types: (vertices,) int64 `NodeType`.
         node_owner: (vertices,) int64 garment.
+        node_world: (vertices,) int64 world.
         areal_density: (vertices, 1) log areal density mapped to [0, 1].
         vertex_mass: (vertices, 1) log of the vertex mass [kg].
         node_material: (vertices, 3) bending, mu, lambda mapped to [0, 1].
@@ -57,6 +59,7 @@ class GarmentGraph:
     edges: dict[str, GarmentEdges]
     node_types: Tensor
     node_owner: Tensor
+    node_world: Tensor
     areal_density: Tensor
     vertex_mass: Tensor
     node_material: Tensor
@@ -73,9 +76,13 @@ def garment_graph(
     dtype: torch.dtype = torch.float32,
     further_edges: Mapping[str, Tensor] | None = None,
 ) -> GarmentGraph:
-    """The static graph of `garments`, on their device, floating arrays in `dtype`.
+    """The static graph of garments, on their device.
 
-    `further_edges` names more undirected edges (edges, 2) between vertices of the same garment.
+    Args:
+        garments: the pack.
+        material_range: where materials are mapped to [0, 1].
+        dtype: of the floating arrays.
+        further_edges: undirected edges (edges, 2) int64 between vertices of one garment beyond its mesh, by name.
     """
     material = _vertex_material(garments, material_range)
     pairs = {"mesh": garments.edges, **(further_edges or {})}
@@ -86,6 +93,7 @@ def garment_graph(
         edges={name: _garment_edges(garments, edges, material, dtype) for name, edges in pairs.items()},
         node_types=torch.where(garments.pinned, int(NodeType.PINNED), int(NodeType.GARMENT)),
         node_owner=garments.vertex_garment,
+        node_world=garments.vertex_world,
         areal_density=map_log(density, material_range.density)[:, None].to(dtype),
         vertex_mass=_known_or_mean(mass.log(), garments)[:, None].to(dtype),
         node_material=material.to(dtype),
@@ -98,10 +106,7 @@ def garment_graph(
 
 
 def _garment_edges(garments: PackedGarments, pairs: Tensor, material: Tensor, dtype: torch.dtype) -> GarmentEdges:
-    count = garments.vertex_count
-    both = torch.cat([pairs, pairs.flip(1)])
-    both = both[torch.argsort(both[:, 1] * count + both[:, 0])]
-    senders, receivers = incidence(both[:, 0].contiguous(), count), incidence(both[:, 1].contiguous(), count)
+    senders, receivers = both_directions(pairs, garments.vertex_count)
     rest = garments.rest_positions.to(torch.float64)
     vector = rest[senders.index] - rest[receivers.index]
     length = vector.norm(dim=1, keepdim=True)
@@ -109,7 +114,6 @@ def _garment_edges(garments: PackedGarments, pairs: Tensor, material: Tensor, dt
     return GarmentEdges(
         senders=senders,
         receivers=receivers,
-        runs=receiver_runs(receivers.offsets),
         rest_vector=vector.to(dtype),
         rest_length=length.to(dtype),
         inverse_rest_length=inverse_length.to(dtype),
@@ -119,7 +123,7 @@ def _garment_edges(garments: PackedGarments, pairs: Tensor, material: Tensor, dt
 
 
 def _vertex_material(garments: PackedGarments, limits: MaterialRange) -> Tensor:
-    """(vertices, 3) float64 bending, mu, lambda: means over what meets at a vertex, mapped to [0, 1]."""
+    """(vertices, 3) float64 bending, mu, lambda: means over the elements at a vertex, mapped to [0, 1]."""
     corners = garments.faces.reshape(-1)
     mu = _mean_at(corners, garments.lame_mu.repeat_interleave(3), garments)
     lam = _mean_at(corners, garments.lame_lambda.repeat_interleave(3), garments)

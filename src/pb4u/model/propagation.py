@@ -1,4 +1,4 @@
-"""Propagation before update: messages travel K steps with one set of weights, then nodes are updated once.
+"""Propagation before update: K message-passing steps with one set of weights, then nodes are updated once.
 
 Paper, "Propagation-before-Update": h^0 = v; h~_i = LayerNorm(sum_j f_m(h_i, h_j, e_ij)); h_i <- gamma h_i + h~_i.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -44,7 +45,12 @@ RELEASED_PROPAGATION = PropagationForm(norm="accumulated", message_norm=True, wo
 
 
 class Propagation(nn.Module):
-    """K weight-shared message steps over the garment. Body vertices send what they are and are not changed."""
+    """K weight-shared message steps over the garment; the latents of body vertices are sent, but do not change.
+
+    Args:
+        width: of all latents and hidden layers.
+        form: the paper's or the released one.
+    """
 
     def __init__(self, width: int, form: PropagationForm) -> None:
         super().__init__()
@@ -53,42 +59,40 @@ class Propagation(nn.Module):
         self.norm = nn.LayerNorm(width)
 
     def forward(self, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph, steps: Sequence[int]) -> Tensor:
-        """h^K (garment vertices, width) from node and edge latents by set name; `steps` holds K of each garment.
+        """h^K (garment vertices, width); a garment is dropped from the computation after its last step.
 
-        Garments that have taken their last step leave; the others go on without them.
+        Args:
+            nodes: latents (nodes, width) by set name.
+            edges: latents (edges, width) by set name.
+            graph: what joins what.
+            steps: K of each garment.
         """
         inflows = self._inflows(nodes, edges, graph)
-        offsets = graph.vertex_offsets
-        walking = {garment: (offsets[garment], offsets[garment + 1]) for garment in range(len(offsets) - 1)}
-        state, taken = nodes[GARMENT], 0
+        state, done, depths = nodes[GARMENT], 0, sorted(set(steps))
+        running = dict(enumerate(pairwise(graph.vertex_offsets)))
         finished: dict[int, Tensor] = {}
-        while True:
-            goal = min(steps[garment] for garment in walking)
-            for _ in range(goal - taken):
+        for depth in depths:
+            for _ in range(depth - done):
                 state = self._step(state, inflows)
-            taken = goal
-            staying = {garment: span for garment, span in walking.items() if steps[garment] > goal}
-            if not staying and not finished:
-                return state
-            for garment, (start, stop) in walking.items():
-                if garment not in staying:
-                    finished[garment] = state[start:stop]
-            if not staying:
-                return torch.cat([finished[garment] for garment in range(len(offsets) - 1)])
-            spans = list(staying.values())
-            state = torch.cat([state[start:stop] for start, stop in spans])
-            inflows = [inflow.restrict(spans) for inflow in inflows]
-            walking = dict(zip(staying, _packed(spans), strict=True))
+            done = depth
+            finished |= {garment: state[slice(*span)] for garment, span in running.items() if steps[garment] == depth}
+            running = {garment: span for garment, span in running.items() if steps[garment] > depth}
+            if running:
+                spans = list(running.values())
+                state = torch.cat([state[start:stop] for start, stop in spans])
+                inflows = [inflow.restrict(spans) for inflow in inflows]
+                running = dict(zip(running, _packed(spans), strict=True))
+        return state if len(depths) == 1 else torch.cat([finished[garment] for garment in sorted(finished)])
 
     def _inflows(self, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph) -> list[EdgeSet]:
         """Edges into the garment; as their features, the part of the first layer that is the same at every step."""
         inflows = []
         for name, edge_set in graph.edges.items():
-            moving = edge_set.sender_set == GARMENT
-            if edge_set.receiver_set != GARMENT or not (moving or self.form.world_edges):
+            from_garment = edge_set.sender_set == GARMENT
+            if edge_set.receiver_set != GARMENT or not (from_garment or self.form.world_edges):
                 continue
             constant = self.message.project(EDGE, edges[name], bias=True)
-            if not moving:
+            if not from_garment:
                 constant += gather(self.message.project(SENDER, nodes[edge_set.sender_set]), edge_set.senders)
             inflows.append(replace(edge_set, features=constant))
         return inflows
@@ -107,7 +111,7 @@ class Propagation(nn.Module):
                 sent = message.up_to_last(hidden)
                 if form.message_norm:
                     sent = message.after_second(sent)
-                sums.append(segment_sum(sent if piece.mask is None else sent * piece.mask, piece.receivers))
+                sums.append(segment_sum(sent, piece.receivers))
             total = joined(sums) + total
             degrees = inflow.degrees() + degrees
         if not form.message_norm:

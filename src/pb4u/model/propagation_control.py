@@ -1,4 +1,4 @@
-"""How many propagation steps? One small object answers (paper, "Resolution-Aware Propagation Control")."""
+"""How many propagation steps a garment takes (paper, "Resolution-Aware Propagation Control")."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pb4u.errors import InputError
 
 
 class PropagationControl(Protocol):
-    """Asked for the propagation steps of a garment."""
+    """A rule for the number of propagation steps of a garment."""
 
     def steps(self, mean_edge_length: float) -> int:
         """Number of steps, at least 1, for a mean rest edge length [m]."""
@@ -52,7 +52,16 @@ class FixedSteps:
 
 
 class RandomSteps:
-    """Training: a number drawn anew each time, from 1 up to the K of the finest mesh supported (ref. 7)."""
+    """Training: a number drawn anew each time, from 1 up to the K of the finest mesh supported (ref. 7).
+
+    Args:
+        most: largest number drawn.
+        generator: draws.
+        least: smallest number drawn.
+
+    Raises:
+        InputError: the bounds are not 1 <= least <= most.
+    """
 
     def __init__(self, most: int, generator: np.random.Generator, least: int = 1) -> None:
         if not 1 <= least <= most:

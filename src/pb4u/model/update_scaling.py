@@ -1,4 +1,4 @@
-"""How large is an update? One small object answers (paper, "Resolution-Aware Update Scaling")."""
+"""By which factor predicted accelerations are scaled (paper, "Resolution-Aware Update Scaling")."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pb4u.graph.garment_graph import GarmentGraph
 
 
 class UpdateScaling(Protocol):
-    """Asked for the factors on the predicted accelerations."""
+    """A rule for the factors on the predicted accelerations."""
 
     def factors(self, garments: GarmentGraph) -> Tensor | None:
         """Dimensionless factors (vertices, 1), or None for 1."""

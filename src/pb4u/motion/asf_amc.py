@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import multiply, rotate
+from pb4u.geometry.rotation import conjugate, from_euler, multiply, rotate
 from pb4u.motion.correspondences import CMU
-from pb4u.motion.euler import euler_quaternions
 from pb4u.motion.recording import Recording, finite_frames
 
 # The database names no rate; its trials were captured at 120 Hz.
@@ -35,7 +34,14 @@ class AcclaimSkeleton:
 
 
 def read_asf(path: Path) -> AcclaimSkeleton:
-    """Read an .asf skeleton. Raises InputError on a file that is cut short or is not one."""
+    """A skeleton in its rest pose.
+
+    Args:
+        path: the .asf.
+
+    Raises:
+        InputError: it is cut short or is not such a file.
+    """
     sections = _sections(path)
     missing = [name for name in ("root", "bonedata", "hierarchy") if not sections.get(name)]
     if missing:
@@ -52,7 +58,7 @@ def read_asf(path: Path) -> AcclaimSkeleton:
         if parent >= 0:
             # A bone's head is its parent's tail.
             joints[i] = joints[parent] + bones[names[parent]].offset
-    axes = np.stack([euler_quaternions(bones[n].axis_angles[None], bones[n].axis_order, degrees)[0] for n in names])
+    axes = np.stack([from_euler(bones[n].axis_angles[None], bones[n].axis_order, degrees)[0] for n in names])
     channels = tuple(bones[name].channels for name in names)
     return AcclaimSkeleton(Skeleton(names, parent_index, joints), axes, channels)
 
@@ -60,25 +66,33 @@ def read_asf(path: Path) -> AcclaimSkeleton:
 def find_asf(amc: Path) -> Path:
     """The skeleton beside a trial: named like its subject (07_02.amc -> 07.asf), or the only one in the folder.
 
-    Raises InputError when there is none, or several without a match.
+    Args:
+        amc: the trial.
+
+    Raises:
+        InputError: there is none, or several without a match.
     """
-    found = sorted(p for p in amc.parent.iterdir() if p.suffix.lower() == ".asf")
+    beside = sorted(p for p in amc.parent.iterdir() if p.suffix.lower() == ".asf")
     subjects = (amc.stem, amc.stem.split("_")[0])
-    named = [p for subject in subjects for p in found if p.stem == subject]
-    if named:
-        return named[0]
-    if len(found) == 1:
-        return found[0]
-    what = f"{len(found)} .asf skeletons, none called {subjects[-1]}.asf" if found else "no .asf skeleton"
+    named = [p for subject in subjects for p in beside if p.stem == subject]
+    if named or len(beside) == 1:
+        return (named or beside)[0]
+    what = f"{len(beside)} .asf skeletons, none called {subjects[-1]}.asf" if beside else "no .asf skeleton"
     raise InputError(f"{amc}: its folder holds {what}; put the skeleton {subjects[-1]}.asf beside the recording.")
 
 
-def read_amc(path: Path, asf: Path) -> Recording:
-    """Read a CMU trial made with the skeleton file `asf`, both in the file's unit of length.
+def read_amc(path: Path) -> Recording:
+    """A CMU trial, in the file's unit of length, with the skeleton that `find_asf` gives.
 
     World rotation of a bone = parent's C R C^T, with R from its Euler angles and C from the skeleton's `axis`.
-    Raises InputError naming frame and bone where the recording is cut short or does not fit the skeleton.
+
+    Args:
+        path: the .amc.
+
+    Raises:
+        InputError: the recording is cut short or does not fit the skeleton (naming frame and bone), or there is none.
     """
+    asf = find_asf(path)
     rest = read_asf(asf)
     if missing := sorted(CMU.bones - set(rest.skeleton.names)):
         raise InputError(
@@ -88,26 +102,24 @@ def read_amc(path: Path, asf: Path) -> Recording:
     frames = len(values)
     skeleton = rest.skeleton
     starts = dict(zip(names, np.cumsum([0] + [len(rest.channels[skeleton.index(n)]) for n in names]), strict=False))
-    world = np.zeros((frames, skeleton.bone_count, 4))
+    local = np.zeros((frames, skeleton.bone_count, 4))
+    local[..., 0] = 1.0
     root_positions = np.zeros((frames, 3))
     for i, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):
         channels = rest.channels[i]
-        local = np.broadcast_to(np.array([1.0, 0.0, 0.0, 0.0]), (frames, 4))
         if name in starts:
             block = values[:, starts[name] : starts[name] + len(channels)]
             turning = [k for k, channel in enumerate(channels) if channel[0] == "r"]
             if turning:
                 order = "".join(channels[k][1] for k in turning)
-                turned = euler_quaternions(block[:, turning], order, degrees)
-                inverse_axes = rest.axes[i] * np.array([1.0, -1.0, -1.0, -1.0])
-                local = multiply(multiply(rest.axes[i], turned), inverse_axes)
+                turned = from_euler(block[:, turning], order, degrees)
+                local[:, i] = multiply(multiply(rest.axes[i], turned), conjugate(rest.axes[i]))
             if parent < 0:
                 for k, channel in enumerate(channels):
                     if channel[0] == "t":
                         root_positions[:, "xyz".index(channel[1])] = block[:, k]
-        world[:, i] = local if parent < 0 else multiply(world[:, parent], local)
     root_positions = rotate(rest.axes[0], root_positions)
-    poses = PoseSequence(world, root_positions, CAPTURE_RATE)
+    poses = PoseSequence(world_rotations(local, skeleton.parents), root_positions, CAPTURE_RATE)
     return Recording(path.stem, CMU, skeleton, poses).with_vertical_legs()
 
 

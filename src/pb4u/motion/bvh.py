@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import multiply
+from pb4u.geometry.rotation import from_euler
 from pb4u.motion.correspondences import BVH_SOURCES, SourceMap
-from pb4u.motion.euler import euler_quaternions
 from pb4u.motion.recording import Recording, finite_frames
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
@@ -27,10 +26,14 @@ class _Joint:
 
 
 def read_bvh(path: Path) -> Recording:
-    """Read a .bvh, in its own unit of length.
+    """A recording in its own unit of length.
 
-    Raises InputError, with the line or frame, when it is cut short or malformed, has no frames or no frame time, or
-    its joints are not of a known skeleton.
+    Args:
+        path: the .bvh.
+
+    Raises:
+        InputError: it is cut short or malformed (naming the joint or frame), has no frames or no frame time, or its
+            joints are not of a known skeleton.
     """
     text = path.read_text(encoding="utf-8", errors="replace")
     head, motion, tail = text.partition("MOTION")
@@ -41,27 +44,22 @@ def read_bvh(path: Path) -> Recording:
     source = _source(path, joints)
     values, fps = _motion(path, tail, sum(len(joint.channels) for joint in joints))
 
-    rotations = np.empty((len(values), len(joints), 4))
+    local = np.empty((len(values), len(joints), 4))
     rest = np.zeros((len(joints), 3))
     for i, joint in enumerate(joints):
         columns = list(range(joint.first_channel, joint.first_channel + len(joint.channels)))
         turning = [c for c in columns if joint.channels[c - joint.first_channel].endswith("rotation")]
         # The channel written first turns last.
         order = "".join(joint.channels[c - joint.first_channel][0] for c in reversed(turning))
-        local = (
-            euler_quaternions(values[:, turning[::-1]], order)
-            if turning
-            else np.tile([1.0, 0.0, 0.0, 0.0], (len(values), 1))
-        )
-        rotations[:, i] = local if joint.parent < 0 else multiply(rotations[:, joint.parent], local)
+        local[:, i] = from_euler(values[:, turning[::-1]], order) if turning else [1.0, 0.0, 0.0, 0.0]
         rest[i] = (rest[joint.parent] if joint.parent >= 0 else 0.0) + joint.offset
     root_positions = np.tile(rest[0], (len(values), 1))
     for k, channel in enumerate(joints[0].channels):
         if channel.endswith("position"):
             root_positions[:, "XYZ".index(channel[0])] = values[:, k]
-    names = tuple(_plain(joint.name) for joint in joints)
-    skeleton = Skeleton(names, np.array([joint.parent for joint in joints], dtype=np.int64), rest)
-    poses = PoseSequence(rotations, root_positions, fps)
+    parents = np.array([joint.parent for joint in joints], dtype=np.int64)
+    skeleton = Skeleton(tuple(_plain(joint.name) for joint in joints), parents, rest)
+    poses = PoseSequence(world_rotations(local, parents), root_positions, fps)
     return Recording(path.stem, source, skeleton, poses).facing_forward().with_vertical_legs()
 
 
@@ -158,14 +156,14 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         raise InputError(f"{path} holds no frames.")
     if frame_time <= 0.0:
         raise InputError(f"{path}: the frame time is {frame_time:g} s; it should be positive, such as 0.00833333.")
-    found = len(words) - 5
-    if found < frames * channels:
+    count = len(words) - 5
+    if count < frames * channels:
         raise InputError(
             f"{path} is cut short: it should have {frames} frames of {channels} numbers, and ends in frame "
-            f"{found // channels + 1}."
+            f"{count // channels + 1}."
         )
-    if found > frames * channels:
-        raise InputError(f"{path} has {found} numbers, not the {frames} frames of {channels} that its header tells.")
+    if count > frames * channels:
+        raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
     try:
         values = np.array(list(map(float, words[5:])))
     except ValueError as problem:

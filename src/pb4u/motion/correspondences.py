@@ -6,7 +6,7 @@ name, or a `Blend` of two where the other skeleton divides the body elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -69,95 +69,56 @@ class TargetMap:
     elbow_flexion: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
-def _both_sides(left: str, right: str, **patterns: str) -> dict[str, str]:
-    """{role: pattern} -> {role.L: name, role.R: name}; `{}` in a pattern stands for the side."""
-    return {
-        f"{role}.{side}": pattern.format(word)
-        for side, word in (("L", left), ("R", right))
-        for role, pattern in patterns.items()
-    }
-
-
+# Role -> bone, or blend of bones, in the columns' skeletons. Of a limb role `{}` stands for the side.
+_COLUMNS = ("CMU ASF", "CMU BVH (cgspeed)", "CMU BVH (MotionBuilder)", "Poser / DAZ BVH", "Mixamo", "SMPL")
+_SIDE_WORDS = (("l", "r"), ("Left", "Right"), ("Left", "Right"), ("l", "r"), ("Left", "Right"), ("left", "right"))
+_PARTS: Mapping[str, tuple[Part, ...]] = {
+    "pelvis": ("root", "Hips", "Hips", "hip", "Hips", "pelvis"),
+    "spine_lower": ("lowerback", "LowerBack", "lowerback", Blend("hip", "abdomen", 0.67), "Spine", "spine1"),
+    "spine_middle": ("upperback", "Spine", "Chest", "abdomen", "Spine1", "spine2"),
+    "spine_upper": ("thorax", "Spine1", "Chest2", "chest", "Spine2", "spine3"),
+    "neck_lower": ("lowerneck", "Neck", "lowerneck", "neck", "Neck", "neck"),
+    "neck_upper": (
+        "upperneck", "Neck1", "Neck", Blend("neck", "head"), Blend("Neck", "Head"), Blend("neck", "head"),
+    ),
+    "head": ("head", "Head", "Head", "head", "Head", "head"),
+    "clavicle": ("{}clavicle", "{}Shoulder", "{}Collar", "{}Collar", "{}Shoulder", "{}_collar"),
+    "upper_arm": ("{}humerus", "{}Arm", "{}Shoulder", "{}Shldr", "{}Arm", "{}_shoulder"),
+    "forearm": ("{}radius", "{}ForeArm", "{}Elbow", "{}ForeArm", "{}ForeArm", "{}_elbow"),
+    "forearm_end": ("{}wrist", "{}ForeArm", "{}Elbow", "{}ForeArm", "{}ForeArm", "{}_elbow"),
+    "hand": ("{}hand", "{}Hand", "{}Wrist", "{}Hand", "{}Hand", "{}_wrist"),
+    "thigh": ("{}femur", "{}UpLeg", "{}Hip", "{}Thigh", "{}UpLeg", "{}_hip"),
+    "shin": ("{}tibia", "{}Leg", "{}Knee", "{}Shin", "{}Leg", "{}_knee"),
+    "foot": ("{}foot", "{}Foot", "{}Ankle", "{}Foot", "{}Foot", "{}_ankle"),
+    "toes": ("{}toes", "{}ToeBase", "{}Toe", "{}Foot", "{}ToeBase", "{}_foot"),
+}  # fmt: skip
 # The humerus and radius of the CMU skeleton turn about axes that stand 30 degrees off the vertical in its T-pose.
 _CMU_ELBOW = (0.0, 0.5, 3**0.5 / 2)
 
-CMU = SourceMap(
-    "CMU ASF",
-    {
-        "pelvis": "root", "spine_lower": "lowerback", "spine_middle": "upperback", "spine_upper": "thorax",
-        "neck_lower": "lowerneck", "neck_upper": "upperneck", "head": "head",
-        **_both_sides(
-            "l", "r", clavicle="{}clavicle", upper_arm="{}humerus", forearm="{}radius", forearm_end="{}wrist",
-            hand="{}hand", thigh="{}femur", shin="{}tibia", foot="{}foot", toes="{}toes",
-        ),
-    },
-    _CMU_ELBOW,
-)  # fmt: skip
 
-CGSPEED = SourceMap(
-    "CMU BVH (cgspeed)",
-    {
-        "pelvis": "Hips", "spine_lower": "LowerBack", "spine_middle": "Spine", "spine_upper": "Spine1",
-        "neck_lower": "Neck", "neck_upper": "Neck1", "head": "Head",
-        **_both_sides(
-            "Left", "Right", clavicle="{}Shoulder", upper_arm="{}Arm", forearm="{}ForeArm", forearm_end="{}ForeArm",
-            hand="{}Hand", thigh="{}UpLeg", shin="{}Leg", foot="{}Foot", toes="{}ToeBase",
-        ),
-    },
-    _CMU_ELBOW,
-)  # fmt: skip
+def _source_maps() -> Iterator[SourceMap]:
+    for column, (family, words) in enumerate(zip(_COLUMNS, _SIDE_WORDS, strict=True)):
+        roles = {role: _PARTS[role][column] for role in TORSO_ROLES}
+        for side, word in zip("LR", words, strict=True):
+            roles |= {f"{role}.{side}": str(_PARTS[role][column]).format(word) for role in LIMB_ROLES}
+        elbow = _CMU_ELBOW if family.startswith("CMU") else (0.0, 0.0, 1.0)
+        yield SourceMap(family, roles, elbow, ("smpl", "smplh", "smplx") if family == "SMPL" else ())
 
-MOTIONBUILDER = SourceMap(
-    "CMU BVH (MotionBuilder)",
-    {
-        "pelvis": "Hips", "spine_lower": "lowerback", "spine_middle": "Chest", "spine_upper": "Chest2",
-        "neck_lower": "lowerneck", "neck_upper": "Neck", "head": "Head",
-        **_both_sides(
-            "Left", "Right", clavicle="{}Collar", upper_arm="{}Shoulder", forearm="{}Elbow", forearm_end="{}Elbow",
-            hand="{}Wrist", thigh="{}Hip", shin="{}Knee", foot="{}Ankle", toes="{}Toe",
-        ),
-    },
-    _CMU_ELBOW,
-)  # fmt: skip
 
-POSER = SourceMap(
-    "Poser / DAZ BVH",
-    {
-        "pelvis": "hip", "spine_lower": Blend("hip", "abdomen", 0.67), "spine_middle": "abdomen",
-        "spine_upper": "chest", "neck_lower": "neck", "neck_upper": Blend("neck", "head"), "head": "head",
-        **_both_sides(
-            "l", "r", clavicle="{}Collar", upper_arm="{}Shldr", forearm="{}ForeArm", forearm_end="{}ForeArm",
-            hand="{}Hand", thigh="{}Thigh", shin="{}Shin", foot="{}Foot", toes="{}Foot",
-        ),
-    },
-)  # fmt: skip
+CMU, _CGSPEED, _MOTIONBUILDER, _POSER, _MIXAMO, SMPL = _source_maps()
+# In this order: the bones of Mixamo are a part of those of cgspeed.
+BVH_SOURCES = (_CGSPEED, _MIXAMO, _MOTIONBUILDER, _POSER)
 
-MIXAMO = SourceMap(
-    "Mixamo",
-    {
-        "pelvis": "Hips", "spine_lower": "Spine", "spine_middle": "Spine1", "spine_upper": "Spine2",
-        "neck_lower": "Neck", "neck_upper": Blend("Neck", "Head"), "head": "Head",
-        **_both_sides(
-            "Left", "Right", clavicle="{}Shoulder", upper_arm="{}Arm", forearm="{}ForeArm", forearm_end="{}ForeArm",
-            hand="{}Hand", thigh="{}UpLeg", shin="{}Leg", foot="{}Foot", toes="{}ToeBase",
-        ),
-    },
-)  # fmt: skip
 
-SMPL = SourceMap(
-    "SMPL",
-    {
-        "pelvis": "pelvis", "spine_lower": "spine1", "spine_middle": "spine2", "spine_upper": "spine3",
-        "neck_lower": "neck", "neck_upper": Blend("neck", "head"), "head": "head",
-        **_both_sides(
-            "left", "right", clavicle="{}_collar", upper_arm="{}_shoulder", forearm="{}_elbow",
-            forearm_end="{}_elbow", hand="{}_wrist", thigh="{}_hip", shin="{}_knee", foot="{}_ankle", toes="{}_foot",
-        ),
-    },
-    same_as=("smpl", "smplh", "smplx"),
-)  # fmt: skip
-
-BVH_SOURCES = (CGSPEED, MIXAMO, MOTIONBUILDER, POSER)
+# Limb role -> bone whose head marks the upper end of that limb segment.
+_ANNY_JOINTS = {
+    "clavicle": "clavicle", "upper_arm": "upperarm01", "forearm": "lowerarm01", "hand": "wrist",
+    "thigh": "upperleg01", "shin": "lowerleg01", "foot": "foot", "toes": "toe2-1",
+}  # fmt: skip
+_SMPL_JOINTS = {
+    "clavicle": "collar", "upper_arm": "shoulder", "forearm": "elbow", "hand": "wrist",
+    "thigh": "hip", "shin": "knee", "foot": "ankle", "toes": "foot",
+}  # fmt: skip
 
 
 def _anny() -> TargetMap:
@@ -166,40 +127,28 @@ def _anny() -> TargetMap:
         "spine03": "spine_middle", "spine02": Blend("spine_middle", "spine_upper"), "spine01": "spine_upper",
         "neck01": "neck_lower", "neck02": Blend("neck_lower", "neck_upper"), "neck03": "neck_upper", "head": "head",
     }  # fmt: skip
-    joints: dict[str, str] = {}
     for side in "LR":
-        limb: dict[str, Part] = {
-            "pelvis": "pelvis", "clavicle": f"clavicle.{side}",
-            "shoulder01": Blend(f"clavicle.{side}", f"upper_arm.{side}", 0.35),
-            "upperarm01": f"upper_arm.{side}", "upperarm02": f"upper_arm.{side}", "lowerarm01": f"forearm.{side}",
-            "lowerarm02": Blend(f"forearm.{side}", f"forearm_end.{side}"), "wrist": f"hand.{side}",
-            "upperleg01": f"thigh.{side}", "upperleg02": f"thigh.{side}", "lowerleg01": f"shin.{side}",
-            "lowerleg02": f"shin.{side}", "foot": f"foot.{side}",
-            **{f"toe{k}-1": f"toes.{side}" for k in range(1, 6)},
-        }  # fmt: skip
-        bones |= {f"{name}.{side}": part for name, part in limb.items()}
-        ends = {
-            "clavicle": "clavicle", "upper_arm": "upperarm01", "forearm": "lowerarm01", "hand": "wrist",
-            "thigh": "upperleg01", "shin": "lowerleg01", "foot": "foot", "toes": "toe2-1",
-        }  # fmt: skip
-        joints |= {f"{role}.{side}": f"{bone}.{side}" for role, bone in ends.items()}
-    return TargetMap(bones, joints)
+        bones |= {f"toe{k}-1.{side}": f"toes.{side}" for k in range(1, 6)}
+        bones |= {f"{bone}.{side}": f"{role}.{side}" for role, bone in _ANNY_JOINTS.items()}
+        halves = {"upperarm02": "upper_arm", "upperleg02": "thigh", "lowerleg02": "shin"}
+        bones |= {f"{bone}.{side}": f"{role}.{side}" for bone, role in halves.items()}
+        bones |= {
+            f"pelvis.{side}": "pelvis",
+            f"shoulder01.{side}": Blend(f"clavicle.{side}", f"upper_arm.{side}", 0.35),
+            f"lowerarm02.{side}": Blend(f"forearm.{side}", f"forearm_end.{side}"),
+        }
+    return TargetMap(bones, {f"{r}.{side}": f"{bone}.{side}" for side in "LR" for r, bone in _ANNY_JOINTS.items()})
 
 
 def _smpl() -> TargetMap:
+    joints = {
+        f"{r}.{s}": f"{word}_{bone}" for s, word in (("L", "left"), ("R", "right")) for r, bone in _SMPL_JOINTS.items()
+    }
     bones: dict[str, Part] = {
         "pelvis": "pelvis", "spine1": "spine_lower", "spine2": "spine_middle", "spine3": "spine_upper",
-        "neck": Blend("neck_lower", "neck_upper"), "head": "head",
+        "neck": Blend("neck_lower", "neck_upper"), "head": "head", **{bone: role for role, bone in joints.items()},
     }  # fmt: skip
-    joints: dict[str, str] = {}
-    for side, word in (("L", "left"), ("R", "right")):
-        limb = {
-            "clavicle": "collar", "upper_arm": "shoulder", "forearm": "elbow", "hand": "wrist",
-            "thigh": "hip", "shin": "knee", "foot": "ankle", "toes": "foot",
-        }  # fmt: skip
-        bones |= {f"{word}_{bone}": f"{role}.{side}" for role, bone in limb.items()}
-        joints |= {f"{role}.{side}": f"{word}_{bone}" for role, bone in limb.items()}
     return TargetMap(bones, joints)
 
 
-TARGETS: Mapping[str, TargetMap] = {"anny": _anny(), "smpl": _smpl(), "smplh": _smpl(), "smplx": _smpl()}
+TARGETS: Mapping[str, TargetMap] = {"anny": _anny(), **dict.fromkeys(("smpl", "smplh", "smplx"), _smpl())}

@@ -33,9 +33,14 @@ def hermite(
     velocities: Sequence[float] | Sequence[np.ndarray] | None = None,
     accelerations: Sequence[float] | Sequence[np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Piecewise quintic (C2) through `values`, numbers or vectors, at `knots`.
+    """Piecewise quintic (C2); constant before the first knot and after the last one.
 
-    First and second derivatives there are given or zero. Constant before the first knot and after the last one.
+    Args:
+        time: (n,).
+        knots: times in increasing order.
+        values: number or vector at each knot.
+        velocities: first derivative at each knot, zero by default.
+        accelerations: second derivative at each knot, zero by default.
     """
     t, p = np.asarray(knots, dtype=np.float64), np.asarray(values, dtype=np.float64)
     v = np.zeros_like(p) if velocities is None else np.asarray(velocities, dtype=np.float64)
@@ -55,7 +60,13 @@ def hermite(
 
 
 def keyframes(phase: np.ndarray, knots: Sequence[float], values: Sequence[float]) -> np.ndarray:
-    """Periodic spline (C2) through `values` at `knots` in [0, 1), of a phase counted in cycles."""
+    """Periodic spline (C2).
+
+    Args:
+        phase: (n,) counted in cycles.
+        knots: phases in [0, 1), increasing.
+        values: number at each knot.
+    """
     from scipy.interpolate import CubicSpline
 
     spline = CubicSpline([*knots, knots[0] + 1.0], [*values, values[0]], bc_type="periodic")

@@ -34,9 +34,13 @@ class Gait:
         bounce: vertical travel of the hips, half [m]; highest at phase `top`.
         sway: sideways travel of the hips, half [m].
         lean: forward lean of the trunk.
-        hip_yaw, hip_list, chest_yaw: half turns of pelvis and chest.
-        arm_swing, arm_forward: half swing of the upper arm, and its middle.
-        elbow, elbow_swing: bend of the elbow and how much it changes.
+        hip_yaw: half turn of the pelvis about the vertical.
+        hip_list: half tilt of the pelvis sideways.
+        chest_yaw: half turn of the chest about the vertical.
+        arm_swing: half swing of the upper arm.
+        arm_forward: middle of that swing, forward of hanging.
+        elbow: bend of the elbow.
+        elbow_swing: half of how much that changes.
     """
 
     cycle: float

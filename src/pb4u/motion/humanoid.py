@@ -7,19 +7,30 @@ from functools import lru_cache
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import angle_between, conjugate, multiply, rotate, slerp
+from pb4u.geometry.rotation import angle_between, between, conjugate, from_axis_angle, multiply, rotate, slerp
 from pb4u.motion.correspondences import ROLE_INDEX, TARGETS, Blend
-from pb4u.motion.reference_pose import ReferencePose, alignment, between
+from pb4u.motion.reference_pose import ReferencePose, alignment, leg_length
 
+# Between these angles [rad] of two rotations, slerp between them is blended over to swing alone: from the first on it
+# may turn the other way round within a frame or two.
 _NEARLY_OPPOSITE = np.deg2rad((115.0, 165.0))
+_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+_ARM_ROLES = ("upper_arm", "forearm", "forearm_end", "hand")
 
 
 class Humanoid:
-    """What retargeting and procedural clips need to know of one body."""
+    """What retargeting and procedural clips need to know of one body.
+
+    Args:
+        body: the body at rest.
+
+    Raises:
+        InputError: its bones play no known roles.
+    """
 
     def __init__(self, body: ShapedBody) -> None:
-        """Raises InputError for a body whose bones play no known roles."""
         target = TARGETS.get(body.family)
         skeleton = body.skeleton
         if target is None:
@@ -50,11 +61,7 @@ class Humanoid:
     @property
     def leg_length(self) -> float:
         """Hip to knee to ankle at rest [m], mean of both legs."""
-        total = 0.0
-        for side in "LR":
-            hip, knee, ankle = (self.joint(f"{role}.{side}") for role in ("thigh", "shin", "foot"))
-            total += float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
-        return 0.5 * total
+        return leg_length(self.joint)
 
     def aligned(self, roles: np.ndarray, source: ReferencePose) -> np.ndarray:
         """Role rotations (frames, roles, 4) counted from `source`, counted from this body's rest pose instead."""
@@ -79,10 +86,48 @@ class Humanoid:
     def root_positions(self, rotations: np.ndarray, hip_midpoints: np.ndarray) -> np.ndarray:
         """World positions (frames, 3) of the root joint that put the middle of the hips at `hip_midpoints`.
 
-        Holds for skeletons whose hip joints are carried by the root alone, as all supported ones are.
+        Holds for skeletons whose hip joints move with the root alone, as all supported ones are.
         """
         arm = self.hip_midpoint - self.body.skeleton.joints[0]
         return hip_midpoints - rotate(rotations[:, 0], arm)
+
+    def arms_swung_out(self, poses: PoseSequence, degrees: float) -> PoseSequence:
+        """The poses with hanging arms swung outward about the front axis of the chest, to make room for a garment.
+
+        Args:
+            poses: poses of this body.
+            degrees: the swing of a hanging arm; it falls with the cosine of the angle between upper arm and the
+                chest's downward axis, to none for an arm that is level or raised.
+        """
+        skeleton = self.body.skeleton
+        chest = poses.rotations[:, skeleton.index(self.bone_of("spine_upper"))]
+        front, down = rotate(chest, np.array([0.0, 0.0, 1.0])), rotate(chest, np.array([0.0, -1.0, 0.0]))
+        rotations = poses.rotations.copy()
+        for side, sign in (("L", 1.0), ("R", -1.0)):
+            upper = skeleton.index(self.bone_of(f"upper_arm.{side}"))
+            arm = rotate(poses.rotations[:, upper], self.reference.directions[f"upper_arm.{side}"])
+            hanging = np.clip(np.sum(arm * down, axis=-1), 0.0, 1.0)
+            swing = from_axis_angle(sign * np.deg2rad(degrees) * hanging[:, None] * front)
+            for bone, share in enumerate(self._shares_of_arm(side)):
+                if share:
+                    turn = slerp(_IDENTITY, swing, np.full(len(swing), share))
+                    rotations[:, bone] = multiply(turn, rotations[:, bone])
+        return PoseSequence(rotations, poses.root_positions, poses.fps)
+
+    def _shares_of_arm(self, side: str) -> list[float]:
+        """How much of the arm's swing each bone takes."""
+        arm = {f"{role}.{side}" for role in _ARM_ROLES}
+        skeleton = self.body.skeleton
+        shares: list[float] = []
+        for name, parent in zip(skeleton.names, skeleton.parents.tolist(), strict=True):
+            part = self.target.bones.get(name)
+            if part is None:
+                shares.append(shares[parent])
+            elif isinstance(part, Blend):
+                shares.append((1.0 - part.amount) * (part.first in arm) + part.amount * (part.second in arm))
+            else:
+                shares.append(float(part in arm))
+        return shares
 
 
 def _part_way(first: np.ndarray, second: np.ndarray, amount: float, along: np.ndarray | None) -> np.ndarray:
@@ -97,8 +142,8 @@ def _part_way(first: np.ndarray, second: np.ndarray, amount: float, along: np.nd
     angle = angle_between(first, second)
     if angle.max() < _NEARLY_OPPOSITE[0]:
         return whole
-    carried = rotate(multiply(conjugate(first), second), along)
-    swing = multiply(first, between(np.broadcast_to(along, carried.shape), carried))
+    turned = rotate(multiply(conjugate(first), second), along)
+    swing = multiply(first, between(np.broadcast_to(along, turned.shape), turned))
     s = np.clip((angle - _NEARLY_OPPOSITE[0]) / (_NEARLY_OPPOSITE[1] - _NEARLY_OPPOSITE[0]), 0.0, 1.0)
     return slerp(whole, slerp(first, swing, np.full(len(first), amount)), s * s * (3.0 - 2.0 * s))
 

@@ -8,21 +8,26 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, from_axis_angle, multiply, rotate, slerp
-from pb4u.motion.ground import lowest_heights
-from pb4u.motion.retargeting import heading
+from pb4u.motion.retargeting import heading, lowest_heights
 
 # How long the motion is thought to have gone on before its first frame, slowing down backwards in time [s].
 _RUN_UP = 0.12
 
 
 def lead_in(poses: PoseSequence, body: ShapedBody, frames: int) -> PoseSequence:
-    """The poses with `frames` frames before them that lead from the body's rest pose to the first one.
+    """Poses with more frames before them, that lead from the body's rest pose to the first one.
 
     Frame 0 is the rest pose, standing on the ground where and as the first frame of the motion stands and faces; frame
     `frames` is the first one of the motion. Bones are interpolated by slerp, away from rest without velocity and into
     the motion with the motion's own. No frame is lower than the straight line from rest to the motion would have it.
 
-    Raises InputError when `frames` is negative.
+    Args:
+        poses: the motion.
+        body: who performs it.
+        frames: how many frames lead in.
+
+    Raises:
+        InputError: `frames` is negative.
     """
     if frames < 0:
         raise InputError(f"A lead-in of {frames} frames is not possible; give 0 or more.")

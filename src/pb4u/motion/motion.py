@@ -4,30 +4,59 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
+import numpy as np
+
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
+from pb4u.errors import InputError
+from pb4u.motion.humanoid import humanoid_of
 
 
 class Motion(ABC):
     """A motion that any supported skeleton can perform.
 
-    Attributes:
+    Args:
         name: what the user called it.
         duration: length [s]; None for a procedural clip, which has no end.
         notes: plain sentences on what was repaired or ignored while reading (may be empty).
+        arms_away_degrees: hanging arms are swung outward by so much, which keeps them clear of loose garments.
     """
 
-    name: str
-    duration: float | None
-    notes: tuple[str, ...] = ()
+    def __init__(
+        self, name: str, duration: float | None, notes: tuple[str, ...] = (), arms_away_degrees: float = 0.0
+    ) -> None:
+        self.name = name
+        self.duration = duration
+        self.notes = notes
+        self.arms_away_degrees = arms_away_degrees
 
-    @abstractmethod
     def poses(self, body: ShapedBody, fps: float, frames: int, start: int = 0) -> PoseSequence:
-        """Poses of `body` for frames start..start+frames-1 at `fps`.
+        """Poses of a body.
 
-        Raises InputError when a recording ends before the last frame asked for.
+        Args:
+            body: who performs.
+            fps: frames per second.
+            frames: number of frames.
+            start: first frame, counted at `fps`.
+
+        Raises:
+            InputError: a number is out of range, or a recording ends before the last frame asked for.
         """
+        if frames < 1 or start < 0 or not fps > 0:
+            raise InputError(f"{self.name}: asked for {frames} frame(s) from frame {start} at {fps:g} fps.")
+        available = self.available_frames(fps)
+        if available is not None and start + frames > available:
+            raise InputError(
+                f"{self.name} ends after {available} frames at {fps:g} fps and {start + frames} were asked for; "
+                f"ask for at most {max(available - start, 0)} from frame {start}, or crop less."
+            )
+        poses = self._perform(body, fps, np.arange(start, start + frames))
+        return humanoid_of(body).arms_swung_out(poses, self.arms_away_degrees) if self.arms_away_degrees else poses
 
     def available_frames(self, fps: float) -> int | None:
         """How many frames there are at `fps`; None where the motion has no end."""
         return None if self.duration is None else int(self.duration * fps + 1e-6) + 1
+
+    @abstractmethod
+    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> PoseSequence:
+        """Poses of `body` at `frames` (frames,), counted at `fps`."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pb4u.body.skeleton import PoseSequence
-from pb4u.geometry.rotation import conjugate, multiply, rotate, slerp
+from pb4u.geometry.rotation import about_axis, between, conjugate, multiply, rotate, slerp
 from pb4u.motion.correspondences import ROLE_INDEX, ROLES
 from pb4u.motion.humanoid import Humanoid
 from pb4u.motion.reference_pose import T_POSE
@@ -99,15 +99,19 @@ class Performance:
 
 def about(axis: str, degrees: Angle, frames: int) -> np.ndarray:
     """Quaternions (frames, 4) wxyz about a world axis."""
-    half = 0.5 * np.deg2rad(np.broadcast_to(np.asarray(degrees, dtype=np.float64), (frames,)))
-    q = np.zeros((frames, 4))
-    q[:, 0] = np.cos(half)
-    q[:, 1 + "xyz".index(axis)] = np.sin(half)
-    return q
+    return about_axis(axis, np.deg2rad(np.broadcast_to(np.asarray(degrees, dtype=np.float64), (frames,))))
 
 
 def role_rotations(performance: Performance, humanoid: Humanoid) -> np.ndarray:
-    """Role rotations (frames, roles, 4) from the rest pose of the body; legs are solved by inverse kinematics."""
+    """Role rotations of a performance; legs are solved by inverse kinematics.
+
+    Args:
+        performance: what the body does.
+        humanoid: the body.
+
+    Returns:
+        (frames, roles, 4) unit quaternions wxyz from the rest pose of the body.
+    """
     frames = len(performance.hips)
     roles = np.tile([1.0, 0.0, 0.0, 0.0], (frames, len(ROLES), 1))
     pelvis = performance.pelvis.quaternions(frames)
@@ -208,9 +212,6 @@ def _frame_quaternions(along: np.ndarray, pole: np.ndarray) -> np.ndarray:
     z = pole - np.sum(pole * y, axis=1, keepdims=True) * y
     z /= np.linalg.norm(z, axis=1, keepdims=True)
     # Y to its place by the smallest rotation, then a twist about it.
-    swing = np.concatenate([1.0 + y[:, 1:2], np.cross(np.array([0.0, 1.0, 0.0]), y)], axis=1)
-    swing /= np.linalg.norm(swing, axis=1, keepdims=True)
+    swing = between(np.array([0.0, 1.0, 0.0]), y)
     local = rotate(conjugate(swing), z)
-    half = 0.5 * np.arctan2(local[:, 0], local[:, 2])
-    twist = np.stack([np.cos(half), np.zeros_like(half), np.sin(half), np.zeros_like(half)], axis=1)
-    return multiply(swing, twist)
+    return multiply(swing, about_axis("y", np.arctan2(local[:, 0], local[:, 2])))

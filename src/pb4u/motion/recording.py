@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pb4u.body.skeleton import PoseSequence, Skeleton
-from pb4u.body.skinning import joint_positions
+from pb4u.body.skeleton import PoseSequence, Skeleton, joint_positions
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import conjugate, multiply, rotate, slerp
+from pb4u.geometry.rotation import about_axis, conjugate, multiply, rotate, slerp
 from pb4u.motion.correspondences import ROLES, Blend, SourceMap
+from pb4u.motion.reference_pose import leg_length
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,15 @@ class Recording:
         return (len(self.poses) - 1) / self.poses.fps
 
     def cropped(self, start: int, stop: int) -> Recording:
-        """Frames start..stop-1 of the recording, counted at its own rate. Raises InputError outside it."""
+        """A part of the recording.
+
+        Args:
+            start: first frame, counted at the recording's own rate.
+            stop: frame after the last.
+
+        Raises:
+            InputError: the part is not inside the recording.
+        """
         frames = len(self.poses)
         if not 0 <= start < stop <= frames:
             raise InputError(
@@ -67,11 +75,9 @@ class Recording:
 
         The reference pose is taken to stand along the axes of its file, whichever they are.
         """
-        joints = self.skeleton.joints
-        hips = [joints[self.joint_index(f"thigh.{side}")] for side in "LR"]
-        ankles = [joints[self.joint_index(f"foot.{side}")] for side in "LR"]
+        hips, ankles = (np.stack([self.joint(f"{role}.{side}") for side in "LR"]) for role in ("thigh", "foot"))
         left = _nearest_axis(hips[0] - hips[1])
-        up = _nearest_axis(sum(hips) - sum(ankles))
+        up = _nearest_axis(hips.sum(axis=0) - ankles.sum(axis=0))
         axes = np.stack([left, up, np.cross(left, up)])
         if np.array_equal(axes, np.eye(3)) or np.dot(left, up) != 0.0:
             return self
@@ -79,7 +85,7 @@ class Recording:
         rotations = multiply(multiply(q, self.poses.rotations), conjugate(q))
         return replace(
             self,
-            skeleton=replace(self.skeleton, joints=joints @ axes.T),
+            skeleton=replace(self.skeleton, joints=self.skeleton.joints @ axes.T),
             poses=PoseSequence(rotations, self.poses.root_positions @ axes.T, self.poses.fps),
         )
 
@@ -94,8 +100,7 @@ class Recording:
         for side in "LR":
             hip, ankle = (self.joint_index(f"{role}.{side}") for role in ("thigh", "foot"))
             leg = joints[ankle] - joints[hip]
-            half = 0.5 * -np.arctan2(leg[0], -leg[1])
-            turn = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+            turn = about_axis("z", -np.arctan2(leg[0], -leg[1]))
             branch = {hip}
             for bone, parent in enumerate(parents):
                 if parent in branch:
@@ -113,6 +118,10 @@ class Recording:
         """Index of the bone whose head marks the upper end of a limb role."""
         part = self.source.roles[role]
         return self.skeleton.index(part.first if isinstance(part, Blend) else part)
+
+    def joint(self, role: str) -> np.ndarray:
+        """Position (3,) of the upper joint of a limb role in the reference pose."""
+        return self.skeleton.joints[self.joint_index(role)]
 
     def role_rotations(self, poses: PoseSequence) -> np.ndarray:
         """World rotations (frames, roles, 4) from the reference pose of every role."""
@@ -133,13 +142,8 @@ class Recording:
 
     @property
     def leg_length(self) -> float:
-        """Hip to knee to ankle at rest, mean of both legs."""
-        joints = self.skeleton.joints
-        total = 0.0
-        for side in "LR":
-            hip, knee, ankle = (joints[self.joint_index(f"{role}.{side}")] for role in ("thigh", "shin", "foot"))
-            total += float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
-        return 0.5 * total
+        """Hip to knee to ankle in the reference pose, mean of both legs, in the unit of the recording."""
+        return leg_length(self.joint)
 
 
 def _nearest_axis(v: np.ndarray) -> np.ndarray:
@@ -148,7 +152,15 @@ def _nearest_axis(v: np.ndarray) -> np.ndarray:
 
 
 def finite_frames(values: np.ndarray, path: Path) -> np.ndarray:
-    """The values (frames, numbers) unchanged. Raises InputError naming the first frame with a NaN or an infinity."""
+    """The values unchanged, where all are finite.
+
+    Args:
+        values: (frames, numbers).
+        path: their file, for the message.
+
+    Raises:
+        InputError: a value is a NaN or an infinity; names its frame.
+    """
     bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
         raise InputError(

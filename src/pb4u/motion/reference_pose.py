@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
+from pb4u.geometry.rotation import between, from_axis_angle, multiply, rotate
 from pb4u.motion.correspondences import ROLE_INDEX, ROLES
 
 _SEGMENT_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
@@ -65,17 +65,31 @@ T_POSE = ReferencePose(
 )
 
 
-def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Smallest rotation (..., 4) wxyz that takes unit vectors a (..., 3) to b (..., 3), which must not be opposite."""
-    q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)
-    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+def leg_length(joint: Callable[[str], np.ndarray]) -> float:
+    """Hip to knee to ankle, mean of both legs, in the unit of the joints.
+
+    Args:
+        joint: position (3,) of the upper joint of a limb role.
+    """
+    total = 0.0
+    for side in "LR":
+        hip, knee, ankle = (joint(f"{role}.{side}") for role in ("thigh", "shin", "foot"))
+        total += float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
+    return 0.5 * total
 
 
 def alignment(source: ReferencePose, target: ReferencePose) -> np.ndarray:
-    """Rotations (roles, 4) that bring the limbs of `target` at rest into the reference pose of `source`.
+    """Rotations that bring the limbs of one skeleton at rest into the reference pose of another.
 
     Torso, clavicles and feet are taken to rest alike. A limb's upper segment takes the smallest rotation, and the
     upper arm the twist that makes the elbows fold the same way; lower segments unbend from the aligned upper ones.
+
+    Args:
+        source: the pose that they are brought into.
+        target: the pose that is turned.
+
+    Returns:
+        (roles, 4) unit quaternions wxyz.
     """
     result = np.tile([1.0, 0.0, 0.0, 0.0], (len(ROLES), 1))
     for side in "LR":

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pb4u.body.skeleton import world_rotations
 from pb4u.geometry.rotation import angle_between, conjugate, multiply, rotate, slerp
 from pb4u.motion.recording import Recording
 
@@ -25,8 +26,7 @@ _START_FRAMES, _START_SPEED = 6, np.deg2rad(3000.0)
 
 def without_flips(recording: Recording) -> Recording:
     """Joints that jump, or turn faster than a limb can, are led over it by slerp; repairs are counted in `notes`."""
-    parents = recording.skeleton.parents.tolist()
-    world, fps = recording.poses.rotations, recording.poses.fps
+    fps = recording.poses.fps
     local = _local(recording)
     counts: dict[str, int] = {}
     for role in (f"{r}.{side}" for r in _FLIPPING for side in "LR"):
@@ -39,9 +39,7 @@ def without_flips(recording: Recording) -> Recording:
             counts[recording.skeleton.names[bone]] = len(flips)
     if not counts:
         return recording
-    mended = np.empty_like(world)
-    for i, parent in enumerate(parents):
-        mended[:, i] = local[:, i] if parent < 0 else multiply(mended[:, parent], local[:, i])
+    mended = world_rotations(local, recording.skeleton.parents)
     told = ", ".join(f"{name} {count}" for name, count in counts.items())
     note = f"{recording.name}: {sum(counts.values())} joint flip(s) led over by slerp ({told})."
     return replace(recording, poses=replace(recording.poses, rotations=mended), notes=(*recording.notes, note))
@@ -79,8 +77,7 @@ def _limb_direction(recording: Recording, role: str) -> np.ndarray | None:
     part, side = role.split(".")
     if part not in _LIMB_ENDS:
         return None
-    joints = recording.skeleton.joints
-    along = joints[recording.joint_index(f"{_LIMB_ENDS[part]}.{side}")] - joints[recording.joint_index(role)]
+    along = recording.joint(f"{_LIMB_ENDS[part]}.{side}") - recording.joint(role)
     return along / np.linalg.norm(along)
 
 
@@ -95,8 +92,8 @@ def _flips(rotations: np.ndarray, along: np.ndarray | None, fps: float) -> list[
         angle = angle_between(before, after)
         impossible = angle > _TURN_ANGLE
         if along is not None:
-            carried, now = rotate(before, along), rotate(after, along)
-            swing = np.arccos(np.clip(np.sum(carried * now, axis=-1), -1.0, 1.0))
+            dot = np.sum(rotate(before, along) * rotate(after, along), axis=-1)
+            swing = np.arccos(np.clip(dot, -1.0, 1.0))
             impossible |= angle - swing > _TWIST_ANGLE
         spans += [(i, i + window) for i in np.flatnonzero(impossible).tolist()]
     merged: list[tuple[int, int]] = []

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import lru_cache, partial
+
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
-from pb4u.geometry.rotation import conjugate, multiply, rotate
-from pb4u.motion.ground import lowest_heights
+from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms
+from pb4u.geometry.rotation import about_axis, conjugate, multiply, rotate
 from pb4u.motion.humanoid import humanoid_of
+from pb4u.motion.motion import Motion
 from pb4u.motion.recording import Recording
 from pb4u.motion.reference_pose import ReferencePose
 
@@ -29,9 +33,7 @@ class Retargeting:
         self.humanoid = humanoid_of(body)
         self.direct = body.family in recording.source.same_as
         self.scale = 1.0 if self.direct else self.humanoid.leg_length / recording.leg_length
-        self.reference = ReferencePose.of_joints(
-            lambda role: recording.skeleton.joints[recording.joint_index(role)], recording.source.elbow_flexion
-        )
+        self.reference = ReferencePose.of_joints(recording.joint, recording.source.elbow_flexion)
         self.turn = np.array([1.0, 0.0, 0.0, 0.0])
         self.origin = np.zeros(3)
         first = self.poses(np.zeros(1))
@@ -66,5 +68,50 @@ def heading(rotation: np.ndarray) -> np.ndarray:
     """The turn about Y (..., 4) in a pelvis rotation (..., 4); the identity where the front points up or down."""
     front = rotate(rotation, np.array([0.0, 0.0, 1.0]))
     level = np.hypot(front[..., 0], front[..., 2])
-    half = 0.5 * np.where(level > 0.2, np.arctan2(front[..., 0], front[..., 2]), 0.0)
-    return np.stack([np.cos(half), np.zeros_like(half), np.sin(half), np.zeros_like(half)], axis=-1)
+    return about_axis("y", np.where(level > 0.2, np.arctan2(front[..., 0], front[..., 2]), 0.0))
+
+
+def lowest_heights(body: ShapedBody, poses: PoseSequence) -> np.ndarray:
+    """How low a posed body reaches, by the outermost vertices of each bone.
+
+    Args:
+        body: the body.
+        poses: poses of its skeleton.
+
+    Returns:
+        (frames,) height y [m] of its lowest point.
+    """
+    transforms = bone_transforms(body.skeleton, poses)
+    return _outermost_surface(body).positions(transforms)[..., 1].min(dim=1).values.double().numpy()
+
+
+@lru_cache(maxsize=16)
+def _outermost_surface(body: ShapedBody) -> SkinnedSurface:
+    """The vertices that lie farthest out in some direction among those that one bone moves most."""
+    directions = np.stack(np.meshgrid(*[[-1.0, -0.4, 0.0, 0.4, 1.0]] * 3), -1).reshape(-1, 3)
+    directions = directions[np.abs(directions).max(1) == 1.0]
+    bones, weights = body.weights.bones, body.weights.weights
+    owner = bones[np.arange(len(bones)), weights.argmax(1)]
+    chosen: set[int] = set()
+    for bone in np.unique(owner):
+        rows = np.flatnonzero(owner == bone)
+        chosen.update(rows[np.argmax(body.vertices[rows] @ directions.T, axis=0)].tolist())
+    outer = np.array(sorted(chosen), dtype=np.int64)
+    return SkinnedSurface(body.vertices[outer], SkinningWeights(bones[outer], weights[outer]), body.skeleton.bone_count)
+
+
+class RecordedMotion(Motion):
+    """A recording performed by any body; it ends where the recording does.
+
+    Args:
+        recording: the performance.
+        arms_away_degrees: see `Motion`.
+    """
+
+    def __init__(self, recording: Recording, arms_away_degrees: float = 0.0) -> None:
+        super().__init__(recording.name, recording.duration, recording.notes, arms_away_degrees)
+        self.recording = recording
+        self._retargeting = lru_cache(maxsize=4)(partial(Retargeting, recording))
+
+    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> PoseSequence:
+        return replace(self._retargeting(body).poses(frames / fps), fps=fps)

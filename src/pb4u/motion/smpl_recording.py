@@ -1,17 +1,21 @@
-"""Recordings given as SMPL, SMPL-H or SMPL-X pose parameters."""
+"""Recordings given as SMPL, SMPL-H or SMPL-X pose parameters: files of AMASS, and of the VTO dataset and HOOD."""
 
 from __future__ import annotations
 
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.body.smpl import JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames
+from pb4u.restricted_pickle import load_pickle
 
 _FAMILY_OF_WIDTH = {3 * len(names): family for family, names in JOINT_NAMES.items()}
 _Z_UP_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
@@ -31,7 +35,107 @@ _PARENTS = {
 }  # fmt: skip
 
 
-def smpl_recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps: float, z_up: bool) -> Recording:
+_RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "fps")
+_POSE_KEYS = ("poses", "pose", "body_pose")
+_TRANSLATION_KEYS = ("trans", "translation", "transl")
+# The files do not tell their rate; it is that of the released VTO sequences.
+_VTO_RATE = 30.0
+# A recorded shape is told where a beta exceeds this, else it counts as average; so many betas are told.
+_SLIGHT_BETA, _BETAS_TOLD = 0.05, 4
+
+
+def read_amass(path: Path) -> Recording:
+    """An AMASS recording (Mahmood et al. 2019) of SMPL, SMPL-H or SMPL-X; Z is up.
+
+    Its `betas` and `gender` are told in a note: any body may perform the motion.
+
+    Args:
+        path: an .npz with `poses` (frames, 72, 156 or 165), `trans` (frames, 3) and a frame rate.
+
+    Raises:
+        InputError: a key is missing, a shape is wrong, or it is no .npz of plain arrays.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            missing = [key for key in ("poses", "trans") if key not in file]
+            if missing and "faces" in file and {"positions", "vertices"} & set(file):
+                raise InputError(f"{path} is a body that moves, not a recording; give it as --body {path}.")
+            rate_key = next((key for key in _RATE_KEYS if key in file), None)
+            if missing or rate_key is None:
+                wanted = missing or [" or ".join(_RATE_KEYS[:2])]
+                raise InputError(f"{path} has no {' and no '.join(wanted)}; it holds {', '.join(sorted(file)[:10])}.")
+            poses, translations, rate = file["poses"], file["trans"], file[rate_key]
+            betas, gender = (_optional(file, key) for key in ("betas", "gender"))
+    except InputError:
+        raise
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        raise InputError(f"{path} cannot be read as an .npz of plain arrays ({error}).") from None
+    if rate.size != 1 or not all(np.issubdtype(a.dtype, np.number) for a in (poses, translations, rate)):
+        raise InputError(f"{path}: poses, trans and {rate_key} should be numbers, the last a single one.")
+    recording = _recording(path, poses, translations, float(rate.reshape(-1)[0]), z_up=True)
+    return replace(recording, notes=(*recording.notes, *_shape_note(path, betas, gender)))
+
+
+def _optional(file: np.lib.npyio.NpzFile, key: str) -> np.ndarray | None:
+    try:
+        return np.asarray(file[key])
+    except (KeyError, ValueError):  # absent, or a pickled object: a recording is used without
+        return None
+
+
+def _shape_note(path: Path, betas: np.ndarray | None, gender: np.ndarray | None) -> tuple[str, ...]:
+    """Which shape of body was recorded, where the file tells one: the body is chosen apart from the motion."""
+    if betas is None or betas.dtype.kind != "f" or not betas.size:
+        return ()
+    values = betas.reshape(-1, betas.shape[-1])[0] if betas.ndim else betas.reshape(1)
+    if not np.isfinite(values).all() or np.abs(values).max() <= _SLIGHT_BETA:
+        return ()
+    told = values[:_BETAS_TOLD]
+    shape = ",".join(f"beta{k}={round(value, 2) + 0.0:g}" for k, value in enumerate(told.tolist()))
+    rest = f" (the first {len(told)} of {len(values)})" if len(values) > len(told) else ""
+    # Older files write it as bytes; "female" holds "male".
+    figure = next((f" ({name})" for name in ("female", "male", "neutral") if name in str(gender)), "")
+    return (
+        f"{path.name}: the shape of the recorded body is not taken over; on an SMPL-family body{figure} it is "
+        f"--body-shape {shape}{rest}.",
+    )
+
+
+def read_vto(path: Path) -> Recording:
+    """A pickled sequence of the VTO dataset or of HOOD, at 30 fps with Y up; nothing in it is run.
+
+    Args:
+        path: a .pkl with `poses` (frames, 72), or `body_pose` (frames, 69) and `global_orient` (frames, 3) as HOOD
+            writes them, and `trans` (frames, 3).
+
+    Raises:
+        InputError: a key is missing, a shape is wrong, or the pickle asks for code.
+    """
+    content = load_pickle(path)
+    if not isinstance(content, Mapping):
+        raise InputError(f"{path} holds a {type(content).__name__}, not the dictionary of a sequence.")
+    pose_key = next((key for key in _POSE_KEYS if key in content), None)
+    translation_key = next((key for key in _TRANSLATION_KEYS if key in content), None)
+    if pose_key is None or translation_key is None:
+        wanted = "poses" if pose_key is None else "trans"
+        raise InputError(f"{path} has no {wanted}; it holds {', '.join(sorted(map(str, content))[:10])}.")
+    poses, translations = _numbers(path, content[pose_key], pose_key), _numbers(path, content[translation_key], "trans")
+    if poses.ndim == 2 and poses.shape[1] == 69 and "global_orient" in content:
+        root = _numbers(path, content["global_orient"], "global_orient")
+        if root.shape != (len(poses), 3):
+            raise InputError(f"{path}: global_orient has the shape {root.shape}, not ({len(poses)}, 3).")
+        poses = np.concatenate([root, poses], axis=1)
+    return _recording(path, poses, translations, _VTO_RATE, z_up=False)
+
+
+def _numbers(path: Path, value: object, key: str) -> np.ndarray:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f'{path}: "{key}" is not an array of numbers.') from None
+
+
+def _recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps: float, z_up: bool) -> Recording:
     """A recording from pose parameters.
 
     Args:
@@ -41,7 +145,8 @@ def smpl_recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps:
         fps: frames per second.
         z_up: whether files of this kind have Z up; the other axis is taken where the pelvis plainly stands on it.
 
-    Raises InputError on wrong shapes, no frames or values that are not finite.
+    Raises:
+        InputError: a shape is wrong, there are no frames or values that are not finite.
     """
     if poses.ndim != 2 or poses.shape[1] not in _FAMILY_OF_WIDTH:
         widths = ", ".join(f"{width} ({family})" for width, family in sorted(_FAMILY_OF_WIDTH.items()))
@@ -55,10 +160,7 @@ def smpl_recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps:
     skeleton = nominal_skeleton(_FAMILY_OF_WIDTH[poses.shape[1]])
     numbers = np.concatenate([poses, translations], axis=1, dtype=np.float64)
     local = from_axis_angle(finite_frames(numbers, path)[:, :-3].reshape(len(poses), -1, 3))
-    world = np.empty_like(local)
-    for i, parent in enumerate(skeleton.parents.tolist()):
-        world[:, i] = local[:, i] if parent < 0 else multiply(world[:, parent], local[:, i])
-    sequence = PoseSequence(world, numbers[:, -3:], fps)
+    sequence = PoseSequence(world_rotations(local, skeleton.parents), numbers[:, -3:], fps)
     _, y, z = np.abs(rotate(sequence.rotations[:, 0], np.array([0.0, 1.0, 0.0])).mean(0))
     notes: tuple[str, ...] = ()
     if (z_up and y > 0.7 > z) or (not z_up and z > 0.7 > y):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from pb4u.motion.curves import bump, ease, hermite, keyframes, wave
@@ -9,43 +11,55 @@ from pb4u.motion.footwork import FootShape
 from pb4u.motion.humanoid import Humanoid
 from pb4u.motion.performance import FULL_STRETCH, Arm, Foot, Performance, Turn
 
-GRAVITY = 9.81
+# Of the person who jumps [m/s^2]: a clip is a human movement on Earth, whatever the gravity of the scene is.
+_GRAVITY = 9.81
 
 
-class Stance:
-    """Both feet on the ground, side by side.
+class StandingClip(ABC):
+    """A clip that starts with both feet on the ground, side by side.
 
     Args:
         humanoid: the body.
-        half_width: from the middle to each ankle, as a share of the leg length.
-        toes_out: how far the feet are turned outward from rest [deg].
+        amplitude: how large the movement is, 1 as it was made.
     """
 
-    def __init__(self, humanoid: Humanoid, half_width: float = 0.15, toes_out: float = 0.0) -> None:
-        self.humanoid = humanoid
+    HALF_WIDTH = 0.15
+    """From the middle to each ankle, as a share of the leg length."""
+    TOES_OUT = 0.0
+    """How far the feet are turned outward from rest [deg]."""
+
+    def __init__(self, humanoid: Humanoid, amplitude: float = 1.0) -> None:
+        self.amplitude = amplitude
         self.leg = humanoid.leg_length
-        self.toes_out = toes_out
         self.shapes = {side: FootShape.of(humanoid, side) for side in "LR"}
         # The middle of the hips is over the middle of the feet, between heel and ball.
         shape = self.shapes["L"]
-        forward = -0.5 * float(shape.heel[2] + shape.ball[2])
-        self.places = {
-            side: np.array([sign * half_width * self.leg, 0.0, forward]) for side, sign in (("L", 1.0), ("R", -1.0))
-        }
+        width, self.forward = self.HALF_WIDTH * self.leg, -0.5 * float(shape.heel[2] + shape.ball[2])
+        self.places = {side: np.array([sign * width, 0.0, self.forward]) for side, sign in (("L", 1.0), ("R", -1.0))}
         hip = humanoid.joint("thigh.L") - humanoid.hip_midpoint
-        level = np.hypot(half_width * self.leg - hip[0], forward - hip[2])
+        level = np.hypot(width - hip[0], self.forward - hip[2])
         # Knees are never quite straight in a relaxed stance.
         reach = (FULL_STRETCH - 0.003) * self.leg
         self.height = float(shape.ankle[1] + np.sqrt(reach**2 - level**2) - hip[1])
 
+    @abstractmethod
+    def __call__(self, time: np.ndarray) -> Performance:
+        """The performance at `time` (frames,) [s]."""
+
     def feet(self, frames: int, pitch: np.ndarray | float = 0.0, lift: np.ndarray | float = 0.0) -> dict[str, Foot]:
-        """Both feet in place, rolled over the ball by `pitch` [deg] and lifted by `lift` [m]; toes stay flat."""
+        """Both feet in place; toes stay flat.
+
+        Args:
+            frames: number of frames.
+            pitch: (frames,) how far they are rolled over the ball [deg].
+            lift: (frames,) how far they are lifted [m].
+        """
         pitch, lift = np.broadcast_to(pitch, (frames,)), np.broadcast_to(lift, (frames,))
+        free = ease(lift / (0.05 * self.leg))
         result = {}
         for side, sign in (("L", 1.0), ("R", -1.0)):
             place = self.places[side] + lift[:, None] * np.array([0.0, 1.0, 0.0])
-            free = ease(lift / (0.05 * self.leg))
-            yaw = np.full(frames, sign * self.toes_out)
+            yaw = np.full(frames, sign * self.TOES_OUT)
             result[side] = self.shapes[side].foot(place, yaw, pitch, 0.5 * pitch * free)
         return result
 
@@ -55,18 +69,13 @@ class Stance:
         return self.leg * np.stack(path, axis=1) + np.array([0.0, self.height, 0.0])
 
 
-class ArmRaises:
+class ArmRaises(StandingClip):
     """Arms are lifted to the sides and overhead, to the front, and swept across the chest."""
 
     PERIOD = 8.8
     _KNOTS = (0.0, 0.09, 0.18, 0.28, 0.36, 0.46, 0.54, 0.64, 0.74, 0.84, 0.93)
 
-    def __init__(self, humanoid: Humanoid, amplitude: float = 1.0) -> None:
-        self.stance = Stance(humanoid)
-        self.amplitude = amplitude
-
     def __call__(self, time: np.ndarray) -> Performance:
-        """The performance at `time` (frames,) [s]."""
         phase, a, frames = time / self.PERIOD, min(self.amplitude, 1.1), len(time)
         #        hang  side  over  side  hang  front  over  front wide  cross hang
         lift = (14.0, 88.0, 158.0, 90.0, 15.0, 16.0, 16.0, 16.0, 84.0, 62.0, 17.0)
@@ -88,26 +97,23 @@ class ArmRaises:
         raised = bump((np.mod(phase, 1.0) - 0.05) / 0.28) + bump((np.mod(phase, 1.0) - 0.40) / 0.26)
         sway = wave(2 * phase, 0.2)
         return Performance(
-            hips=self.stance.hips(0.012 * sway, -0.006 + 0.002 * wave(4 * phase), -0.015 * raised, frames),
+            hips=self.hips(0.012 * sway, -0.006 + 0.002 * wave(4 * phase), -0.015 * raised, frames),
             pelvis=Turn(roll=0.8 * sway, pitch=-1.5 * raised),
             chest=Turn(pitch=-4.0 * raised + 1.0, roll=-1.2 * sway, yaw=2.0 * wave(phase, 0.8)),
             head=Turn(pitch=-7.0 * raised, yaw=3.0 * wave(phase, 0.3)),
             arms=arms,
-            feet=self.stance.feet(frames),
+            feet=self.feet(frames),
         )
 
 
-class TrunkTwist:
+class TrunkTwist(StandingClip):
     """The trunk turns from side to side, arms swinging out with it."""
 
     PERIOD = 2.9
-
-    def __init__(self, humanoid: Humanoid, amplitude: float = 1.0) -> None:
-        self.stance = Stance(humanoid, half_width=0.20, toes_out=4.0)
-        self.amplitude = amplitude
+    HALF_WIDTH = 0.20
+    TOES_OUT = 4.0
 
     def __call__(self, time: np.ndarray) -> Performance:
-        """The performance at `time` (frames,) [s]."""
         phase, a, frames = time / self.PERIOD, self.amplitude, len(time)
         turn, late = wave(phase), wave(phase, 0.07)
         arms = {}
@@ -122,66 +128,60 @@ class TrunkTwist:
                 twist=10.0 + 12.0 * across,
             )
         return Performance(
-            hips=self.stance.hips(0.03 * turn, -0.018 - 0.006 * wave(2 * phase), 0.0, frames),
+            hips=self.hips(0.03 * turn, -0.018 - 0.006 * wave(2 * phase), 0.0, frames),
             pelvis=Turn(yaw=13.0 * a * turn, pitch=2.0),
             chest=Turn(yaw=34.0 * a * wave(phase, 0.03), pitch=3.0, roll=2.0 * turn),
             head=Turn(yaw=12.0 * a * wave(phase, 0.05), pitch=-3.0),
             arms=arms,
-            feet=self.stance.feet(frames),
+            feet=self.feet(frames),
         )
 
 
-class Squat:
+class Squat(StandingClip):
     """Knees bend until the thighs are near level, arms reaching forward for balance, and up again."""
 
     PERIOD = 3.4
-
-    def __init__(self, humanoid: Humanoid, amplitude: float = 1.0) -> None:
-        self.stance = Stance(humanoid, half_width=0.22, toes_out=12.0)
-        self.amplitude = amplitude
+    HALF_WIDTH = 0.22
+    TOES_OUT = 12.0
 
     def __call__(self, time: np.ndarray) -> Performance:
-        """The performance at `time` (frames,) [s]."""
         phase, a, frames = np.mod(time / self.PERIOD, 1.0), min(self.amplitude, 1.05), len(time)
         deep = hermite(phase, [0.0, 0.08, 0.45, 0.54, 0.90, 1.0], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]) * a
         reach = hermite(phase, [0.0, 0.04, 0.42, 0.56, 0.94, 1.0], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]) * a
         arm = Arm(flexion=4.0 + 108.0 * reach, abduction=15.0 + 2.0 * reach, elbow=16.0 + 4.0 * reach, twist=6.0)
         return Performance(
-            hips=self.stance.hips(0.0, -0.46 * deep, -0.19 * deep, frames),
+            hips=self.hips(0.0, -0.46 * deep, -0.19 * deep, frames),
             pelvis=Turn(pitch=30.0 * deep),
             chest=Turn(pitch=10.0 * deep + 1.0),
             head=Turn(pitch=-27.0 * deep),
             arms={"L": arm, "R": arm},
-            feet=self.stance.feet(frames),
+            feet=self.feet(frames),
         )
 
 
-class Jump:
+class Jump(StandingClip):
     """A jump on the spot: crouch and swing the arms back, take off, land softly, stand up."""
 
     PERIOD = 2.5
     FLIGHT = 0.44
-
-    def __init__(self, humanoid: Humanoid, amplitude: float = 1.0) -> None:
-        self.stance = Stance(humanoid, half_width=0.16, toes_out=3.0)
-        self.amplitude = amplitude
+    HALF_WIDTH = 0.16
+    TOES_OUT = 3.0
 
     def __call__(self, time: np.ndarray) -> Performance:
-        """The performance at `time` (frames,) [s]."""
-        t, frames, leg = np.mod(time, self.PERIOD), len(time), self.stance.leg
+        t, frames, leg = np.mod(time, self.PERIOD), len(time), self.leg
         flight = self.FLIGHT * np.sqrt(self.amplitude)
         crouch, off = 0.64, 0.92
         land = off + flight
         low, up = land + 0.24, land + 0.85
         # Hips in metres: a parabola in flight, joined with its velocity and acceleration.
-        speed = 0.5 * GRAVITY * flight
+        speed = 0.5 * _GRAVITY * flight
         tall = 0.012 * leg
         y = hermite(
             t,
             [0.0, 0.12, crouch, off, land, low, up, self.PERIOD],
             [0.0, 0.0, -0.27 * leg, tall, tall - 0.02 * leg, -0.22 * leg, 0.0, 0.0],
             [0.0, 0.0, 0.0, speed, -speed, 0.0, 0.0, 0.0],
-            [0.0, 0.0, 6.0, -GRAVITY, -GRAVITY, 6.0, 0.0, 0.0],
+            [0.0, 0.0, 6.0, -_GRAVITY, -_GRAVITY, 6.0, 0.0, 0.0],
         )
         bent = hermite(t, [0.0, 0.12, crouch, off, land, low, up], [0.0, 0.0, 1.0, 0.0, 0.12, 0.75, 0.0])
         pitch = hermite(
@@ -192,7 +192,7 @@ class Jump:
         )
         s = (t - off) / flight
         # The feet follow the hips up a little less, so that the legs are drawn up towards landing.
-        rise = 0.5 * GRAVITY * (t - off) * (land - t) * ease(s / 0.3) * ease((1.0 - s) / 0.3)
+        rise = 0.5 * _GRAVITY * (t - off) * (land - t) * ease(s / 0.3) * ease((1.0 - s) / 0.3)
         lift = np.where((s > 0.0) & (s < 1.0), rise + 0.03 * leg * bump(s, 0.6), 0.0)
         arm = Arm(
             flexion=hermite(
@@ -204,10 +204,10 @@ class Jump:
             twist=6.0,
         )  # fmt: skip
         return Performance(
-            hips=self.stance.hips(0.0, y / leg, -0.09 * bent + 0.02 * bump(s), frames),
+            hips=self.hips(0.0, y / leg, -0.09 * bent + 0.02 * bump(s), frames),
             pelvis=Turn(pitch=26.0 * bent),
             chest=Turn(pitch=14.0 * bent - 4.0 * bump((t - off + 0.1) / (flight + 0.1))),
             head=Turn(pitch=-26.0 * bent),
             arms={"L": arm, "R": arm},
-            feet=self.stance.feet(frames, pitch, lift),
+            feet=self.feet(frames, pitch, lift),
         )

@@ -9,19 +9,19 @@ from pb4u.motion.curves import keyframes, wave
 from pb4u.motion.footwork import Step, stepping_foot
 from pb4u.motion.humanoid import Humanoid
 from pb4u.motion.performance import Arm, Performance, Turn, about
-from pb4u.motion.standing_clips import Stance
+from pb4u.motion.standing_clips import StandingClip
 
 
-class SpotTurn:
+class SpotTurn(StandingClip):
     """Turning to the left on the spot, stepping with one foot after the other, arms lifted by the turn."""
 
     PERIOD = 1.2
     TURN = 84.0
+    HALF_WIDTH = 0.13
 
     def __init__(self, humanoid: Humanoid, amplitude: float = 1.0) -> None:
-        self.stance = Stance(humanoid, half_width=0.13)
-        self.amplitude = amplitude
-        half, forward = 0.13 * self.stance.leg, float(self.stance.places["L"][2])
+        super().__init__(humanoid, amplitude)
+        half, forward = self.HALF_WIDTH * self.leg, self.forward
         turn = self.TURN * amplitude
         self.turn = turn
         # Each foot is planted turned half way ahead of the body, and left when the body has turned past it.
@@ -38,14 +38,13 @@ class SpotTurn:
         )
 
     def __call__(self, time: np.ndarray) -> Performance:
-        """The performance at `time` (frames,) [s]."""
         cycles, frames = time / self.PERIOD, len(time)
         yaw = self.turn * (cycles + 0.035 * np.sin(4.0 * np.pi * (cycles - 0.1)))
         # Weight is on the standing foot: right while the left one steps.
         sway = -wave(cycles, 0.22)
-        hips = self.stance.hips(0.035 * sway, -0.022 - 0.006 * wave(2 * cycles, 0.22), 0.0, frames)
+        hips = self.hips(0.035 * sway, -0.022 - 0.006 * wave(2 * cycles, 0.22), 0.0, frames)
         turned = about("y", yaw, frames)
-        shapes = self.stance.shapes
+        shapes = self.shapes
         feet = {side: stepping_foot(shapes[side], cycles, [step], self.turn) for side, step in self.steps.items()}
         arms = {
             side: Arm(
@@ -67,18 +66,19 @@ class SpotTurn:
         )
 
 
-class Dance:
+class Dance(StandingClip):
     """Side steps on the beat with swaying hips and arms that sweep wide, overhead and across, over sixteen beats."""
 
     BEAT = 0.52
     BEATS = 16
+    HALF_WIDTH = 0.14
+    TOES_OUT = 4.0
 
     def __init__(self, humanoid: Humanoid, amplitude: float = 1.0) -> None:
-        self.stance = Stance(humanoid, half_width=0.14, toes_out=4.0)
-        self.amplitude = amplitude
-        leg = self.stance.leg
-        forward = float(self.stance.places["L"][2])
-        near, stride, beat = 0.14 * leg, 0.28 * leg, 1.0 / self.BEATS
+        super().__init__(humanoid, amplitude)
+        leg = self.leg
+        forward = self.forward
+        near, stride, beat = self.HALF_WIDTH * leg, 0.28 * leg, 1.0 / self.BEATS
         # Four beats to the left and four to the right, twice: step, together, step, together.
         self.steps: dict[str, list[Step]] = {"L": [], "R": []}
         for bar in range(4):
@@ -92,16 +92,15 @@ class Dance:
                     self.steps[foot].append(Step(start, start + 0.83 * beat, middle + sign * near, forward, sign * 6.0))
 
     def __call__(self, time: np.ndarray) -> Performance:
-        """The performance at `time` (frames,) [s]."""
         beats = time / self.BEAT
         cycles, a, frames = beats / self.BEATS, self.amplitude, len(time)
-        leg = self.stance.leg
-        feet = {side: stepping_foot(self.stance.shapes[side], cycles, steps) for side, steps in self.steps.items()}
-        # Hips are carried over the feet, a little late, and sway to the side that is stepped to.
+        leg = self.leg
+        feet = {side: stepping_foot(self.shapes[side], cycles, steps) for side, steps in self.steps.items()}
+        # Hips travel over the feet, a little late, and sway to the side that is stepped to.
         middle = 0.5 * (feet["L"].ankle[:, 0] + feet["R"].ankle[:, 0])
         sway = wave(beats / 2, 0.45) * wave(cycles * 2, 0.125)
         side_to_side = np.sin(2.0 * np.pi * (beats / 2.0 - 0.1))
-        path = self.stance.hips(0.0, -0.048 - 0.016 * a * wave(beats, 0.3), 0.012 * wave(beats / 2), frames)
+        path = self.hips(0.0, -0.048 - 0.016 * a * wave(beats, 0.3), 0.012 * wave(beats / 2), frames)
         path[:, 0] += middle + 0.02 * leg * a * side_to_side
         knots = tuple(k / 16 for k in range(16))
         up = (20, 60, 120, 150, 110, 40, 25, 70, 130, 140, 90, 45, 30, 80, 70, 30)

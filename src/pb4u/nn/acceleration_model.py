@@ -3,37 +3,60 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges, graph_builder
+from pb4u.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges
 from pb4u.graph.features import Feature, FeatureLayout
-from pb4u.graph.garment_graph import GarmentGraph
+from pb4u.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.graph.graph import EdgeSet, Graph
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.nn.normaliser import Normaliser
-from pb4u.scene.packed import ColliderFrame, PackedGarments
-from pb4u.scene.state import State
+from pb4u.scene.packed import PackedGarments
 
 ACCELERATION = Feature("acceleration", 3, "m/step^2", True, 3e-3, "x(t+1) - 2 x(t) + x(t-1), in displacement units")
 MOST_PROPAGATION_STEPS = 500
+"""Far above the 31 that the rule gives at 38,000 triangles; beyond lies a slip of the keyboard."""
 
 
 class FurtherLoss(Protocol):
-    """What a method minimises in training besides the incremental potential."""
+    """What a method minimises in training besides the incremental potential, for the garments of one pack."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Under which it is logged."""
 
-    def energies(self, garments: PackedGarments, before: Tensor, after: Tensor, progress: float) -> Tensor:
-        """(garments,) losses [J] of a step between positions `before` and `after` (vertices, 3) [m]; differentiable.
+    def energies(self, before: Tensor, after: Tensor, progress: float) -> Tensor:
+        """(garments,) losses of a step [J], differentiable with respect to `after`.
 
-        `progress` is the fraction of the training's budget that is spent.
+        Args:
+            before: (vertices, 3) positions before the step [m].
+            after: (vertices, 3) positions after it [m].
+            progress: fraction of the training's budget that is spent.
         """
+
+
+@dataclass(frozen=True, eq=False)
+class Derived:
+    """What a method derives once from the garments of a pack, beyond their meshes; nothing by default.
+
+    Args:
+        edges: undirected edges (edges, 2) int64 between vertices of one garment, by kind, such as "coarse"; they carry
+            the columns of mesh edges and share their normaliser.
+        finder: finds edges anew at every step; they carry the layout's `found_edge` columns.
+        rest: tensors handed on in `Graph.rest`, by name.
+        losses: what training minimises besides the incremental potential.
+    """
+
+    edges: Mapping[str, Tensor] = field(default_factory=dict)
+    finder: EdgeFinder = field(default_factory=NoFoundEdges)
+    rest: Mapping[str, Tensor] = field(default_factory=dict)
+    losses: tuple[FurtherLoss, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,15 +67,15 @@ class NetworkConfiguration(ABC):
         width: of all latents and hidden layers.
         layout: the columns read.
         world_edges: which body vertices a garment vertex sees.
-        passes: how often the network is asked in one time step, each time from where it left off; 1 in the paper. Above
-            1 the layout should name "descent" and "advance".
-        carried_shares: shares of the body's motion that a time step may start with, the best of them and free flight;
-            none in the paper. With any the layout should name the same two.
+        passes: evaluations of the network in one time step, each adding to the accelerations of the one before; 1 in
+            the paper. Above 1 the layout should name "descent" and "advance".
+        carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
+            flight, is taken; none in the paper. With any the layout should name the same two.
     """
 
-    width: int
-    layout: FeatureLayout
-    world_edges: WorldEdgeRule
+    width: int = 128
+    layout: FeatureLayout = field(default_factory=FeatureLayout)
+    world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
 
@@ -71,7 +94,7 @@ class GraphNetwork(nn.Module, ABC):
     """A network on normalised features; a baseline differs from ours in this and in nothing else.
 
     Args:
-        configuration: what it reads, and how it is asked.
+        configuration: what it reads, and how often it is evaluated in a step.
     """
 
     def __init__(self, configuration: NetworkConfiguration) -> None:
@@ -83,34 +106,24 @@ class GraphNetwork(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
-        """Normalised accelerations (garment vertices, 3), with `steps` propagation steps for each garment."""
+        """Normalised accelerations (garment vertices, 3).
+
+        Args:
+            graph: with normalised features.
+            steps: propagation steps of each garment.
+        """
 
     def propagation_steps(self, mean_edge_length: float) -> int:
-        """How many propagation steps a garment of this mean rest edge length [m] takes; 0 where there are none."""
+        """Propagation steps of a garment of this mean rest edge length [m]; 0 for a method without them."""
         return 0
 
     def update_scale(self, garments: GarmentGraph) -> Tensor | None:
         """Dimensionless factors (vertices, 1) on the accelerations, or None for 1."""
         return None
 
-    def further_edges(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        """Undirected edges (edges, 2) between vertices of a garment beyond its mesh, by kind, such as "coarse".
-
-        They carry the columns of mesh edges and share their normaliser.
-        """
-        return {}
-
-    def edge_finder(self, garments: PackedGarments) -> EdgeFinder:
-        """What finds edges between garment vertices anew at every step; they have the layout's `found_edge` columns."""
-        return NoFoundEdges()
-
-    def rest_quantities(self, garments: PackedGarments) -> Mapping[str, Tensor]:
-        """Tensors derived once from the garments at rest and found again in `Graph.rest`, by name."""
-        return {}
-
-    def further_losses(self) -> tuple[FurtherLoss, ...]:
-        """What is minimised in training besides the incremental potential."""
-        return ()
+    def derive(self, garments: PackedGarments) -> Derived:
+        """What the method needs of a pack beyond its meshes; called once a pack."""
+        return Derived()
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,30 +133,28 @@ class PreparedGarments:
     Args:
         builder: makes the graph of a step.
         steps: propagation steps of each garment.
-        scale: (vertices, 1) dimensionless factors on the accelerations, or None.
+        scale: (vertices, 1) dimensionless factors on the accelerations, or None for 1.
+        losses: what the method minimises in training besides the incremental potential.
     """
 
     builder: GraphBuilder
     steps: tuple[int, ...]
     scale: Tensor | None
+    losses: tuple[FurtherLoss, ...] = ()
 
-    def graph(
-        self,
-        state: State,
-        collider: ColliderFrame | None,
-        dt: float,
-        origin: Tensor | None = None,
-        extra: Mapping[str, Tensor] | None = None,
-    ) -> Graph:
-        """The graph at `state`; see `GraphBuilder.build`."""
-        return self.builder.build(state, collider, dt, origin, extra)
+    @property
+    def graph(self) -> Callable[..., Graph]:
+        """Makes the graph of a step; see `GraphBuilder.build`."""
+        return self.builder.build
 
     def with_steps(self, steps: int | Sequence[int]) -> PreparedGarments:
-        """The same garments taking other numbers of propagation steps, one for all or one a garment.
+        """The same garments taking other numbers of propagation steps; no change for a method without such steps.
 
-        A method without propagation steps takes none whatever is asked.
+        Args:
+            steps: one number for all garments, or one for each.
 
-        Raises InputError where a number is not between 1 and 500.
+        Raises:
+            InputError: a number is not between 1 and 500.
         """
         if not any(self.steps):
             return self
@@ -162,27 +173,25 @@ class AccelerationModel(nn.Module):
     """A network between its normalisers: acceleration x dt^2 from a graph of raw features.
 
     Called as `model(prepared.graph(state, collider, dt, origin), prepared)`. On an accelerator cast the network alone,
-    `model.network.to(torch.bfloat16)`: normalisers and what comes out stay in full precision. `model.network.compile()`
-    compiles it; garments prepared with fixed shapes then never make it compile again.
+    `model.network.to(torch.bfloat16)`: normalisers and what comes out stay in full precision.
     """
 
     def __init__(self, network: GraphNetwork) -> None:
         super().__init__()
         self.network = network
         layout = network.layout
-        self.node_normaliser = Normaliser(layout.node_columns)
-        self.mesh_edge_normaliser = Normaliser(layout.mesh_edge_columns)
-        self.world_edge_normaliser = Normaliser(layout.world_edge_columns)
+        self.node_normaliser = Normaliser(layout.columns("node"))
+        self.mesh_edge_normaliser = Normaliser(layout.columns("mesh_edge"))
+        self.world_edge_normaliser = Normaliser(layout.columns("world_edge"))
         self.acceleration_normaliser = Normaliser((ACCELERATION,))
         # Absent where no edges are found, so that such a network's checkpoint holds nothing of them.
-        self.found_edge_normaliser = Normaliser(layout.found_edge_columns) if layout.found_edge else None
+        self.found_edge_normaliser = Normaliser(layout.columns("found_edge")) if layout.found_edge else None
 
     def prepare(
         self,
         garments: PackedGarments,
         propagation_steps: int | None = None,
         dtype: torch.dtype = torch.float32,
-        fixed_shapes: bool = False,
     ) -> PreparedGarments:
         """Everything that is the same at every step of `garments`.
 
@@ -190,27 +199,25 @@ class AccelerationModel(nn.Module):
             garments: on the device to compute on.
             propagation_steps: overrides what the resolution asks for.
             dtype: precision of features and accelerations.
-            fixed_shapes: same shapes every step, for a captured accelerator step.
 
-        Raises InputError where the override is not between 1 and 500, or where shapes are to be fixed that change.
+        Raises:
+            InputError: the override is not between 1 and 500.
         """
-        network = self.network
-        builder = graph_builder(
-            garments,
-            network.layout,
-            network.world_edges,
-            dtype,
-            fixed_shapes,
-            network.further_edges(garments),
-            network.edge_finder(garments),
-            network.rest_quantities(garments),
-        )
+        network, layout = self.network, self.network.layout
+        derived = network.derive(garments)
+        static = garment_graph(garments, layout.material_range, dtype, derived.edges)
+        builder = GraphBuilder(static, layout, network.world_edges, derived.finder, derived.rest)
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
-        prepared = PreparedGarments(builder, steps, network.update_scale(builder.static))
+        prepared = PreparedGarments(builder, steps, network.update_scale(static), derived.losses)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
     def forward(self, graph: Graph, prepared: PreparedGarments) -> Tensor:
-        """Acceleration x dt^2 (garment vertices, 3) [m per step^2]."""
+        """Acceleration x dt^2 (garment vertices, 3) [m per step^2].
+
+        Args:
+            graph: with features as they are.
+            prepared: the garments.
+        """
         output = self.network(self.normalised(graph), prepared.steps).to(prepared.builder.dtype)
         acceleration = self.acceleration_normaliser.restore(output)
         return acceleration if prepared.scale is None else prepared.scale * acceleration
@@ -224,20 +231,23 @@ class AccelerationModel(nn.Module):
 
     @torch.no_grad()
     def gather_statistics(self, graph: Graph, acceleration: Tensor) -> None:
-        """Warm-up: add a step's features and skinning's accelerations (garment vertices, 3) [m per step^2].
+        """Warm-up: add a step to the statistics; every world of the graph weighs the same.
 
-        Every garment of the graph weighs the same. Raises RuntimeError once frozen.
+        Args:
+            graph: with features as they are.
+            acceleration: (garment vertices, 3) accelerations of skinning [m per step^2].
+
+        Raises:
+            RuntimeError: the statistics are frozen.
         """
-        garments = len(graph.vertex_offsets) - 1
+        most = len(graph.vertex_offsets) - 1
         node_sets = list(graph.nodes.values())
-        owner = torch.cat([node_set.owner for node_set in node_sets])
-        counted = torch.cat([_counted(s.active, len(s.owner), owner.device) for s in node_sets])
-        self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), owner, garments, counted)
+        worlds = torch.cat([node_set.world for node_set in node_sets])
+        self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), worlds, most)
         for edge_set in graph.edges.values():
-            edge_owner = graph.nodes[edge_set.receiver_set].owner[edge_set.receivers.index]
-            present = None if edge_set.mask is None else edge_set.mask[:, 0] > 0
-            self._edge_normaliser(edge_set).gather(edge_set.features, edge_owner, garments, present)
-        self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].owner, garments)
+            edge_worlds = graph.nodes[edge_set.receiver_set].world[edge_set.receivers.index]
+            self._edge_normaliser(edge_set).gather(edge_set.features, edge_worlds, most)
+        self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].world, most)
 
     def normalisers(self) -> tuple[Normaliser, ...]:
         """All there are, in a fixed order: to add their sums over devices."""
@@ -257,7 +267,3 @@ class AccelerationModel(nn.Module):
     def _edge_normaliser(self, edges: EdgeSet) -> Normaliser:
         normaliser: Normaliser = getattr(self, f"{edges.columns}_normaliser")
         return normaliser
-
-
-def _counted(active: Tensor | None, rows: int, device: torch.device) -> Tensor:
-    return torch.ones(rows, dtype=torch.bool, device=device) if active is None else active

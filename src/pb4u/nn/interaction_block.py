@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +16,10 @@ class InteractionBlock(nn.Module):
     """Edges e' = f_e([v_i, v_j, e_ij]), nodes v_i + f_v([v_i, sum of e' a kind]), then e_ij + e'.
 
     What is summed is the edge output before its residual. All node sets share f_v; all edge sets of a kind share f_e.
+
+    Args:
+        width: of all latents and hidden layers.
+        kinds: of the edges that messages pass over; others are left out.
     """
 
     def __init__(self, width: int, kinds: Sequence[str]) -> None:
@@ -30,11 +34,17 @@ class InteractionBlock(nn.Module):
         edges: dict[str, Tensor],
         graph: Graph,
         receivers: Sequence[str] | None = None,
+        masks: Mapping[str, Tensor] | None = None,
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """New node and edge latents (rows, width) by set name.
+        """New node latents, and those of the edges passed over, (rows, width) by set name.
 
-        `receivers` names the node sets still wanted; edges are then left as they are, since nothing reads them again.
-        While gradients are off, `edges` is overwritten.
+        Args:
+            nodes: latents (nodes, width) by set name.
+            edges: latents (edges, width) by set name; overwritten while gradients are off.
+            graph: what joins what.
+            receivers: node sets still wanted, all by default; where given, edge latents are left as they are, since
+                nothing reads them again.
+            masks: (edges, 1) factors on the messages by set name, 1 where a set is not named.
         """
         hidden = {
             name: self.node_mlp.project(0, values, bias=True)
@@ -43,16 +53,17 @@ class InteractionBlock(nn.Module):
         }
         new_edges = {}
         for name, edge_set in graph.edges.items():
-            if edge_set.receiver_set not in hidden:
+            if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
                 continue
-            sums, new_edges[name] = self._messages(edge_set, nodes, edges[name], keep_edges=receivers is None)
+            mask = None if masks is None else masks.get(name)
+            sums, new_edges[name] = self._messages(edge_set, nodes, edges[name], mask, keep_edges=receivers is None)
             share = self.node_mlp.project(1 + self.kinds.index(edge_set.kind), sums)
             hidden[edge_set.receiver_set] = hidden[edge_set.receiver_set] + share
         updated = {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}
         return updated, new_edges
 
     def _messages(
-        self, edge_set: EdgeSet, nodes: dict[str, Tensor], latents: Tensor, keep_edges: bool
+        self, edge_set: EdgeSet, nodes: dict[str, Tensor], latents: Tensor, mask: Tensor | None, keep_edges: bool
     ) -> tuple[Tensor, Tensor]:
         mlp: SplitMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
         at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set], bias=True)
@@ -64,7 +75,7 @@ class InteractionBlock(nn.Module):
             hidden += gather(at_sender, piece.senders)
             hidden += gather(at_receiver, piece.receivers)
             new = mlp.after_first(hidden)
-            sums.append(segment_sum(new if piece.mask is None else new * piece.mask, piece.receivers))
+            sums.append(segment_sum(new if mask is None else new * mask[piece.edges], piece.receivers))
             if keep_edges:
                 updated.append(old + new if torch.is_grad_enabled() else old.add_(new))
         if not keep_edges:

@@ -1,4 +1,4 @@
-"""Multi-layer perceptrons: two hidden layers, ReLU, a linear output, and a LayerNorm where asked (ref. 1.1)."""
+"""Multi-layer perceptrons: two hidden layers, ReLU, a linear output, and an optional LayerNorm (ref. 1.1)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from torch import Tensor, nn
 
 
 class MLP(nn.Module):
-    """inputs -> width -> width -> outputs."""
+    """inputs -> width -> width -> outputs.
+
+    Args:
+        inputs: columns.
+        width: of both hidden layers.
+        outputs: columns.
+        norm: whether a LayerNorm ends it.
+    """
 
     def __init__(self, inputs: int, width: int, outputs: int, norm: bool) -> None:
         super().__init__()
@@ -40,6 +47,12 @@ class SplitMLP(MLP):
 
     W [a, b, c] = W_a a + W_b b + W_c c: a node's share is computed once a node instead of once an edge, and nothing as
     wide as all parts together is built.
+
+    Args:
+        parts: columns of each part.
+        width: of both hidden layers.
+        outputs: columns.
+        norm: whether a LayerNorm ends it.
     """
 
     def __init__(self, parts: Sequence[int], width: int, outputs: int, norm: bool) -> None:
@@ -47,15 +60,23 @@ class SplitMLP(MLP):
         self.parts = tuple(parts)
 
     def project(self, part: int, values: Tensor, bias: bool = False) -> Tensor:
-        """The first layer's share (..., width) of one part; exactly one part of a sum carries the bias."""
+        """The first layer's share (..., width) of one part.
+
+        Args:
+            part: which one.
+            values: (..., columns of that part).
+            bias: whether to add the layer's bias, which exactly one part of a sum does.
+        """
         start = sum(self.parts[:part])
         weight = self.first.weight[:, start : start + self.parts[part]]
         return F.linear(values, weight, self.first.bias if bias else None)
 
     def last_of_sums(self, sums: Tensor, degrees: Tensor) -> Tensor:
-        """Sum of outputs over edges, given sums (nodes, width) of what enters the last layer and the edges counted.
+        """Sum of outputs over edges, where the MLP ends linear: the sum of W x + b is W (sum of x) + degree b.
 
-        Valid where the MLP ends linear: the sum of W x + b is W (sum of x) + degree b.
+        Args:
+            sums: (nodes, width) of what enters the last layer.
+            degrees: (nodes, 1) number of edges summed.
         """
         return F.linear(sums, self.last.weight) + degrees * self.last.bias
 

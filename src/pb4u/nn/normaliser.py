@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from pb4u.graph.features import Feature, total_width
 
 SMALLEST_SPREAD = 1e-2
+"""Smallest spread as a share of the typical one: dividing by less would blow up rounding in a constant column."""
 
 
 class Normaliser(nn.Module):
@@ -18,6 +19,9 @@ class Normaliser(nn.Module):
     `sums` holds everything gathered, [garments, sum of means, sum of mean squares] in float64: add it over devices to
     reduce, then call `refresh`. Columns that are not normalised pass through unchanged. Before anything is gathered the
     mean is 0 and the spread the feature's typical one.
+
+    Args:
+        columns: the features, in order.
     """
 
     sums: Tensor
@@ -53,21 +57,23 @@ class Normaliser(nn.Module):
         return values * self.spread + self.mean
 
     @torch.no_grad()
-    def gather(self, values: Tensor, owner: Tensor, garments: int, counted: Tensor | None = None) -> None:
-        """Add one step's `values` (rows, width), each row of garment `owner` (rows,), to the statistics.
+    def gather(self, values: Tensor, world: Tensor, most: int) -> None:
+        """Add one step to the statistics: each world its mean and mean square once, however many rows it has.
 
-        Each garment that has a row adds its mean and mean square once, however many rows it has. `counted` (rows,) bool
-        leaves rows out. Raises RuntimeError once frozen.
+        Args:
+            values: (rows, width).
+            world: (rows,) int64 of each row.
+            most: more than any world's number; numbers without a row add nothing.
+
+        Raises:
+            RuntimeError: the statistics are frozen.
         """
         if bool(self.frozen):
             raise RuntimeError("The statistics are frozen; they are gathered during warm-up only.")
         rows = values.to(torch.float64)
-        weight = torch.ones(len(rows), 1, dtype=torch.float64, device=rows.device)
-        if counted is not None:
-            weight = counted[:, None].to(torch.float64)
-        stacked = torch.cat([weight, rows * weight, rows.square() * weight], dim=1)
-        totals = torch.zeros(garments, stacked.shape[1], dtype=torch.float64, device=rows.device)
-        totals.index_add_(0, owner, stacked)
+        stacked = torch.cat([torch.ones_like(rows[:, :1]), rows, rows.square()], dim=1)
+        totals = torch.zeros(most, stacked.shape[1], dtype=torch.float64, device=rows.device)
+        totals.index_add_(0, world, stacked)
         present = (totals[:, :1] > 0).to(torch.float64)
         means = totals[:, 1:] / totals[:, :1].clamp_min(1.0)
         self.sums += torch.cat([present, means * present], dim=1).sum(dim=0)

@@ -1,6 +1,6 @@
 """Reading node values at edges and summing edge values at nodes, deterministic in both directions of differentiation.
 
-Each is the other's derivative. Sums run through `embedding_bag`, which walks the edges of one node at a time: on a CPU
+Each is the other's derivative. Sums run through `embedding_bag`, which adds up one node's edges at a time: on a CPU
 it took a tenth of the time of `segment_reduce` and less than half of that of `index_add_` (33,000 edges, 128 wide).
 """
 

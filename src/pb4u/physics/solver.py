@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.overrun import lifted_off_the_body
 from pb4u.physics.contact.planes import ContactPlanes
-from pb4u.physics.contact.tracking import TrackedContact
+from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.energy_term import EnergyTerm
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
 from pb4u.physics.linear_solver import LinearSolution, PatchBasis, TwoLevelPreconditioner, conjugate_gradient
@@ -27,6 +27,9 @@ from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 _SUFFICIENT_DECREASE = 1e-4
 """Share of the decrease that the slope promises with which a line search is content (Nocedal and Wright, 3.1)."""
@@ -110,6 +113,7 @@ class Solver:
         self._prepared_for: tuple[PackedGarments, tuple[EnergyTerm, ...]] | None = None
         self._pattern: StiffnessPattern
         self._basis: PatchBasis
+        self._threads: ThreadpoolController
 
     def minimise(
         self,
@@ -128,8 +132,19 @@ class Solver:
 
         Raises DivergedError when `start` or its energy is not finite.
         """
-        garments = potential.step.garments
         self._prepare(potential)
+        # Tensors of cloth are small: threads gain little, and wait for one another wherever another process is at work.
+        with self._threads.limit(limits=1, user_api="openmp"):
+            return self._minimise(potential, start, iterations, watch)
+
+    def _minimise(
+        self,
+        potential: StepPotential,
+        start: Tensor,
+        iterations: int | None,
+        watch: Callable[[Iteration], None] | None,
+    ) -> Solution:
+        garments = potential.step.garments
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
@@ -163,6 +178,10 @@ class Solver:
         if self._prepared_for is None or self._prepared_for[0] is not garments or self._prepared_for[1] != terms:
             if garments.dtype != torch.float64 or garments.device.type != "cpu":
                 raise ValueError(f"the solver needs garments packed in float64 on the CPU, not {garments.dtype}")
+            from threadpoolctl import ThreadpoolController
+
+            # Of this thread alone: torch's own setting would be that of every thread begun meanwhile, for good.
+            self._threads = ThreadpoolController()
             self._pattern = StiffnessPattern(garments, terms)
             self._basis = PatchBasis(garments, self._pattern.free.numpy())
             self._prepared_for = garments, terms

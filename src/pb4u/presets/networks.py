@@ -9,7 +9,7 @@ from pb4u.baselines.contourcraft import ContourCraftConfiguration
 from pb4u.baselines.eslr import EslrConfiguration
 from pb4u.baselines.hood import HoodConfiguration, LevelsByLength
 from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
-from pb4u.errors import InputError
+from pb4u.errors import unknown_name
 from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
@@ -21,10 +21,11 @@ from pb4u.nn.acceleration_model import NetworkConfiguration
 Configuration = TypeVar("Configuration", bound=NetworkConfiguration)
 
 
-def carried(configuration: Configuration) -> Configuration:
-    """`configuration` with each step started part of the way that the body carries the garment (decision 17).
+def with_start_shares(configuration: Configuration) -> Configuration:
+    """`configuration` with each step started where the potential is least along the body's motion (decision 17).
 
-    Which part is up to the potential; what descends it there, and how far there is from free flight, the network sees.
+    Tried are free flight and quarters of the way on which the body takes the garment with it; the network sees what
+    descends the potential there, and how far there is from free flight.
     """
     layout = replace(configuration.layout, extra=(DESCENT, ADVANCE))
     return replace(configuration, layout=layout, carried_shares=(0.25, 0.5, 0.75, 1.0))
@@ -37,105 +38,99 @@ pb4u_paper = Pb4uConfiguration(
     control=ConstantDistance(0.225),
     scaling=PerVertexScaling(0.015),
 )
-
-pb4u_release = replace(
-    pb4u_paper,
-    propagation=RELEASED_PROPAGATION,
-    scaling=MeanScaling(0.01),
-    layout=FeatureLayout(node=("velocity", "normal", "dt", "vertex_mass", "material")),
-)
-
-pb4u_bare_edges = replace(pb4u_paper, layout=FeatureLayout(mesh_edge=("direction", "rest_direction", "length_ratio")))
-
-pb4u_all_pairs = replace(pb4u_paper, world_edges=WorldEdgeRule(radius=0.03, neighbours=16))
-
 pb4u_small = replace(pb4u_paper, width=64, blocks=4)
-
-pb4u_small_descent = replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT,)))
-
-pb4u_small_carried = carried(pb4u_small)
-
+pb4u_small_carried = with_start_shares(pb4u_small)
 pb4u_small_two_passes = replace(pb4u_small_carried, passes=2)
-
-without_propagation_control = replace(pb4u_paper, control=FixedSteps(15))
-
-without_update_scaling = replace(pb4u_paper, scaling=NoScaling())
-
-without_both = replace(pb4u_paper, control=FixedSteps(15), scaling=NoScaling())
-
-small_without_propagation_control = replace(pb4u_small_carried, control=FixedSteps(5))
-"""Five steps: what the paper's rule gives for a T-shirt of 1,200 triangles, the finest that `comparison` trains on."""
-
-small_without_update_scaling = replace(pb4u_small_carried, scaling=NoScaling())
-
-small_mean_scaling = replace(pb4u_small_carried, scaling=MeanScaling(0.015))
-
-small_without_both = replace(small_without_propagation_control, scaling=NoScaling())
+_small_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
 
 mgn = MeshGraphNetConfiguration()
-
-mgn_48 = replace(mgn, blocks=48)
-
-mgn_relative = replace(mgn, layout=FeatureLayout())
-"""Our edge features in MeshGraphNet, which the paper's tables never show alone (reference 8)."""
-
 hood = HoodConfiguration()
-
-hood_metric = replace(hood, choice=LevelsByLength(0.03, 0.06))
-
 eslr = EslrConfiguration()
-
 contourcraft = ContourCraftConfiguration()
-
 # The small ones take about as long as `pb4u_small` for a step of training at 2,500 triangles (docs/baselines.md), and
 # start as `pb4u_small_carried` does: from free flight none holds a garment after what a processor affords.
-mgn_small = carried(replace(mgn, width=64, blocks=7))
+_mgn_small = with_start_shares(replace(mgn, width=64, blocks=7))
+_hood_small = with_start_shares(replace(hood, width=64, repeats=1))
 
-mgn_relative_small = replace(mgn_small, layout=pb4u_small_carried.layout)
-
-hood_small = carried(replace(hood, width=64, repeats=1))
-
-hood_metric_small = replace(hood_small, choice=LevelsByLength(0.07, 0.14))
-
-eslr_small = carried(replace(eslr, width=64, layers=3, landmarks=64))
-
-contourcraft_small = carried(replace(contourcraft, width=64, blocks=4, level=2))
-"""A level less: at the 30 mm of its finest training mesh, coarse edges of 0.24 m as ContourCraft's are at 15 mm."""
-
-NETWORKS: dict[str, NetworkConfiguration] = {
-    "pb4u_paper": pb4u_paper,
-    "pb4u_release": pb4u_release,
-    "pb4u_bare_edges": pb4u_bare_edges,
-    "pb4u_all_pairs": pb4u_all_pairs,
-    "pb4u_small": pb4u_small,
-    "pb4u_small_descent": pb4u_small_descent,
-    "pb4u_small_carried": pb4u_small_carried,
-    "pb4u_small_two_passes": pb4u_small_two_passes,
-    "without_propagation_control": without_propagation_control,
-    "without_update_scaling": without_update_scaling,
-    "without_both": without_both,
-    "small_without_propagation_control": small_without_propagation_control,
-    "small_without_update_scaling": small_without_update_scaling,
-    "small_mean_scaling": small_mean_scaling,
-    "small_without_both": small_without_both,
-    "mgn": mgn,
-    "mgn_48": mgn_48,
-    "mgn_relative": mgn_relative,
-    "hood": hood,
-    "hood_metric": hood_metric,
-    "eslr": eslr,
-    "contourcraft": contourcraft,
-    "mgn_small": mgn_small,
-    "mgn_relative_small": mgn_relative_small,
-    "hood_small": hood_small,
-    "hood_metric_small": hood_metric_small,
-    "eslr_small": eslr_small,
-    "contourcraft_small": contourcraft_small,
+PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
+    "pb4u_paper": (pb4u_paper, "the paper's network"),
+    "pb4u_release": (
+        replace(
+            pb4u_paper,
+            propagation=RELEASED_PROPAGATION,
+            scaling=MeanScaling(0.01),
+            layout=FeatureLayout(node=("velocity", "normal", "dt", "vertex_mass", "material")),
+        ),
+        "the same as in the released code",
+    ),
+    "pb4u_bare_edges": (
+        replace(pb4u_paper, layout=FeatureLayout(mesh_edge=("direction", "rest_direction", "length_ratio"))),
+        "mesh edges with the three features that the paper names, and nothing else",
+    ),
+    "pb4u_all_pairs": (
+        replace(pb4u_paper, world_edges=WorldEdgeRule(radius=0.03, neighbours=16)),
+        "world edges to the 16 nearest body vertices instead of to one",
+    ),
+    "pb4u_small": (pb4u_small, "64 wide with 4 blocks, for a processor"),
+    "pb4u_small_descent": (
+        replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT,))),
+        "the small one, which sees the descent of the potential",
+    ),
+    "pb4u_small_carried": (pb4u_small_carried, "the small one, each step started part of the way with the body"),
+    "pb4u_small_two_passes": (pb4u_small_two_passes, "that one, evaluated twice a step"),
+    "without_propagation_control": (replace(pb4u_paper, control=FixedSteps(15)), "15 steps at every resolution"),
+    "without_update_scaling": (replace(pb4u_paper, scaling=NoScaling()), "updates as predicted at every resolution"),
+    "without_both": (replace(pb4u_paper, control=FixedSteps(15), scaling=NoScaling()), "neither of the two"),
+    "small_without_propagation_control": (
+        _small_without_control,
+        "5 steps: the paper's rule for a T-shirt of 1,200 triangles, the finest that `comparison` trains on",
+    ),
+    "small_without_update_scaling": (
+        replace(pb4u_small_carried, scaling=NoScaling()),
+        "the small one with updates as predicted",
+    ),
+    "small_mean_scaling": (
+        replace(pb4u_small_carried, scaling=MeanScaling(0.015)),
+        "the small one with one scale a garment",
+    ),
+    "small_without_both": (replace(_small_without_control, scaling=NoScaling()), "5 steps, updates as predicted"),
+    "mgn": (mgn, "MeshGraphNet, 15 blocks"),
+    "mgn_48": (replace(mgn, blocks=48), "MeshGraphNet with HOOD's reach"),
+    "mgn_relative": (
+        replace(mgn, layout=FeatureLayout()),
+        "our edge features in MeshGraphNet, which the paper's tables never show alone (reference 8)",
+    ),
+    "hood": (hood, "HOOD, two coarse levels"),
+    "hood_metric": (
+        replace(hood, choice=LevelsByLength(0.03, 0.06)),
+        "HOOD with coarse edges of 3 and 6 cm at every resolution",
+    ),
+    "eslr": (eslr, "ESLR, a reconstruction"),
+    "contourcraft": (contourcraft, "ContourCraft"),
+    "mgn_small": (_mgn_small, "MeshGraphNet for a processor"),
+    "mgn_relative_small": (
+        replace(_mgn_small, layout=pb4u_small_carried.layout),
+        "the same with our edge features",
+    ),
+    "hood_small": (_hood_small, "HOOD for a processor, one block a stage"),
+    "hood_metric_small": (
+        replace(_hood_small, choice=LevelsByLength(0.07, 0.14)),
+        "the same with coarse edges of 7 and 14 cm",
+    ),
+    "eslr_small": (with_start_shares(replace(eslr, width=64, layers=3, landmarks=64)), "ESLR for a processor"),
+    "contourcraft_small": (
+        with_start_shares(replace(contourcraft, width=64, blocks=4, level=2)),
+        "ContourCraft for a processor, a level less: at the 30 mm of its finest training mesh, coarse edges of 0.24 m "
+        "as ContourCraft's are at 15 mm",
+    ),
 }
+"""Every network that can be trained by name, and what it is."""
+
+NETWORKS: dict[str, NetworkConfiguration] = {name: configuration for name, (configuration, _) in PRESETS.items()}
 
 
 def network_preset(name: str) -> NetworkConfiguration:
     """The configuration called `name`. Raises InputError listing the names."""
     if name not in NETWORKS:
-        raise InputError(f"There is no network preset {name!r}; there are: {', '.join(NETWORKS)}.")
+        raise unknown_name("network preset", name, NETWORKS)
     return NETWORKS[name]

@@ -1,193 +1,285 @@
-"""Makes a Scene from names and files: body, motion and garment loaded, fitted and placed."""
+"""Makes a Scene of its specification: body, motion and garments loaded, fitted and placed."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
 from pb4u.body.library import load_body
+from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.diagnosis import require_worn
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
-from pb4u.garment.garment import Garment
-from pb4u.garment.garment_file import read_garment
+from pb4u.garment.garment import Garment, SourceMap
+from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.remeshing import remesh
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
+from pb4u.motion.motion import Motion
 from pb4u.scene.scene import DressedGarment, Scene
+from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 
 DEFAULT_FRAMES = 60
 """Frames written of a motion without end when none are asked for: two seconds at 30 frames per second."""
 
 DEFAULT_MOTION = "walk"
+DEFAULT_MATERIAL = "default"
 
-DEFAULT_LEAD_IN = 30
-"""Frames from the garment's rest pose into the motion (reference 1.9)."""
+GarmentChoice: TypeAlias = str | Path | Garment | GarmentSpecification
+MaterialChoice: TypeAlias = str | Path | Material | None
+PinChoice: TypeAlias = str | Path | Sequence[int] | None
 
 
 def make_scene(
-    garment: str | Path | Garment = "tshirt",
-    body: str | Path | ShapedBody | AnimatedBody = "woman",
-    motion: str | Path | None = None,
+    garment: GarmentChoice | Sequence[GarmentChoice] = GarmentSpecification.garment,
+    body: str | Path | ShapedBody | AnimatedBody = SceneSpecification.body,
+    motion: str | Path | Motion | None = None,
     *,
-    triangles: int | None = None,
-    material: str | Path | Material = "default",
-    pins: str | Path | None = None,
+    triangles: int | Sequence[int | None] | None = None,
+    material: MaterialChoice | Sequence[MaterialChoice] = None,
+    pins: PinChoice | Sequence[PinChoice] = None,
     body_shape: Mapping[str, float] | None = None,
     frames: int | None = None,
-    lead_in: int = DEFAULT_LEAD_IN,
-    keep_lead_in: bool = False,
+    lead_in: int = SceneSpecification.lead_in,
+    keep_lead_in: bool = SceneSpecification.keep_lead_in,
     crop: tuple[int, int] | None = None,
-    fps: float = 30.0,
-    arms_away: float = 0.0,
-    seed: int = 0,
+    fps: float = SceneSpecification.fps,
+    arms_away: float = SceneSpecification.arms_away,
+    seed: int = SceneSpecification.seed,
 ) -> Scene:
-    """A garment on a moving body, ready to simulate.
+    """Garments on a moving body, ready to simulate.
+
+    Names, paths and loaded objects are taken alike. `triangles`, `material` and `pins` are one for all garments, or a
+    list with one for each; they hold where a GarmentSpecification leaves them open.
 
     Args:
-        garment: built-in name, mesh file, or a Garment fitted to this body at rest.
+        garment: built-in name, mesh file, Garment fitted to this body at rest, or GarmentSpecification; of several, a
+            list, inner first.
         body: built-in name, model or sequence file, or a body already loaded.
-        motion: built-in name or file; default "walk". A body that is a sequence of vertices brings its own.
+        motion: built-in name, file or Motion; default "walk". A body that is a sequence of vertices brings its own.
         triangles: number of triangles to simulate; default the garment's own.
-        material: built-in name, JSON file or Material.
-        pins: name, boundary loop or file of vertices that follow the body; default the garment's own.
+        material: built-in name, JSON file or Material; default that of a loaded Garment, else "default".
+        pins: name, boundary loop, file or indices of vertices that follow the body; default the garment's own.
         body_shape: shape parameters of the body, see `pb4u assets`.
         frames: frames to write; default the whole recording, or 60 of a motion without end.
         lead_in: frames simulated before the first written one, from the rest pose into the motion.
         keep_lead_in: write those frames as well, before the `frames` asked for.
         crop: (first, stop) frames of a recording, counted at its own rate.
-        fps: frames per second of the simulation.
+        fps: frames per second of the simulation [1/s].
         arms_away: degrees by which hanging arms are held away from the torso.
         seed: seed of procedural motion and of everything random.
 
-    Raises InputError when anything cannot be used. Warns of a motion that the body does not perform, and of
-    a garment from a file that is given without pins and that the shoulders do not hold up.
+    Raises:
+        InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
+
+    Warns:
+        InputWarning: the body does not perform the motion, or nothing holds a garment up that comes from a file and is
+            given without pins.
     """
-    _check_counts(frames, lead_in, fps)
-    _check_choices(seed, arms_away)
-    figure = load_body(body, body_shape) if isinstance(body, str | Path) else body
-    notes: list[str] = []
-    collider: AnimatedBody
-    if isinstance(figure, ShapedBody):
-        motion_name = DEFAULT_MOTION if motion is None else str(motion)
-        collider, frames = _animate(figure, motion_name, frames, lead_in, crop, fps, arms_away, seed, notes)
-    else:
-        _refuse_unused(figure, crop, arms_away)
-        if motion is not None:
-            _say(f"{figure.name} is a sequence of vertices that moves by itself; the motion {motion} is not used.")
-        collider, frames = _use_sequence(figure, frames, lead_in, fps)
-        motion_name = figure.name
-    worn = _load_garment(
-        garment,
-        figure,
-        triangles,
-        load_material(material) if not isinstance(material, Material) else material,
-        pins_given=pins is not None,
+    specification = SceneSpecification(
+        garments=_specified(garment, triangles, material, pins),
+        body=body,
+        body_shape=body_shape or {},
+        motion=motion,
+        frames=frames,
+        lead_in=lead_in,
+        keep_lead_in=keep_lead_in,
+        crop=crop,
+        fps=fps,
+        arms_away=arms_away,
+        seed=seed,
     )
-    if pins is not None:
-        worn = worn.with_pins(resolve_pins(str(pins), worn))
-    placement: Placement = (
-        SkinnedPlacement(worn, collider) if isinstance(collider, PosedBody) else AttachedPlacement(worn, collider)
-    )
-    if keep_lead_in and lead_in:
-        notes.append(f"The first {lead_in} frames lead from the rest pose into the motion.")
+    return assemble(specification)
+
+
+def assemble(specification: SceneSpecification) -> Scene:
+    """The scene of a specification, everything in it loaded.
+
+    Args:
+        specification: what the scene is made of.
+
+    Raises:
+        InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
+
+    Warns:
+        InputWarning: as `make_scene` does.
+    """
+    body = _load_body(specification)
+    performance = _perform(body, specification) if isinstance(body, ShapedBody) else _play(body, specification)
+    collider, frames, lead_in, notes = performance.body, performance.frames, specification.lead_in, performance.notes
+    dressed = []
+    for each in specification.garments:
+        garment = _load_garment(each, body)
+        if each.pins is not None:
+            garment = garment.with_pins(resolve_pins(each.pins, garment))
+        placement: Placement = (
+            SkinnedPlacement(garment, collider)
+            if isinstance(collider, PosedBody)
+            else AttachedPlacement(garment, collider)
+        )
+        dressed.append(DressedGarment(garment, placement))
+    if specification.keep_lead_in and lead_in:
+        notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
     return Scene(
-        garments=(DressedGarment(worn, placement),),
+        garments=tuple(dressed),
         colliders=(collider,),
         frames=frames,
         lead_in=lead_in,
-        fps=fps,
-        seed=seed,
-        labels={"garment": worn.name, "body": collider.name, "motion": motion_name},
-        notes=tuple(notes),
+        fps=specification.fps,
+        seed=specification.seed,
+        labels={
+            "garment": "+".join(each.garment.name for each in dressed),
+            "body": collider.name,
+            "body_shape": dict(body.shape) if isinstance(body, ShapedBody) else {},
+            "motion": performance.motion,
+        },
+        notes=notes,
     )
 
 
-def _check_counts(frames: int | None, lead_in: int, fps: float) -> None:
-    if frames is not None and frames < 1:
-        raise InputError(f"The number of frames must be 1 or more, not {frames}.")
-    if lead_in < 0:
-        raise InputError(f"The lead-in must be 0 frames or more, not {lead_in}.")
-    if not 1.0 <= fps <= 1000.0:
-        raise InputError(f"Frames per second must lie between 1 and 1000, not {fps:g}.")
+def _specified(
+    garment: GarmentChoice | Sequence[GarmentChoice],
+    triangles: int | Sequence[int | None] | None,
+    material: MaterialChoice | Sequence[MaterialChoice],
+    pins: PinChoice | Sequence[PinChoice],
+) -> tuple[GarmentSpecification, ...]:
+    worn = garment if isinstance(garment, list | tuple) else [garment]
+    # Whole numbers in a list are the indices of one choice of pins.
+    chosen_pins = [pins] * len(worn) if isinstance(pins, list | tuple) and _all_whole(pins) else pins
+    columns = [
+        _one_each(name, value, len(worn))
+        for name, value in (("triangles", triangles), ("material", material), ("pins", chosen_pins))
+    ]
+    specified = []
+    for each, count, cloth, pinned in zip(worn, *columns, strict=True):
+        given = each if isinstance(each, GarmentSpecification) else GarmentSpecification(each)
+        specified.append(
+            replace(
+                given,
+                triangles=count if given.triangles is None else given.triangles,
+                material=cloth if given.material is None else given.material,
+                pins=pinned if given.pins is None else given.pins,
+            )
+        )
+    return tuple(specified)
 
 
-def _check_choices(seed: int, arms_away: float) -> None:
-    if seed < 0:
-        raise InputError(f"The seed must be 0 or more, not {seed}.")
-    if not 0.0 <= arms_away <= 90.0:
-        raise InputError(f"Arms are held away by 0 to 90 degrees, not {arms_away:g}.")
+def _all_whole(values: Sequence[object]) -> bool:
+    return all(isinstance(value, int | np.integer) for value in values)
 
 
-def _refuse_unused(body: AnimatedBody, crop: tuple[int, int] | None, arms_away: float) -> None:
-    """A sequence starts in the pose that garments are fitted to, so it is neither cut nor posed anew."""
-    for given, flag in ((crop is not None, "crop"), (arms_away != 0.0, "arms-away")):
+def _one_each(what: str, value: object, count: int) -> Sequence:
+    if not isinstance(value, list | tuple):
+        return [value] * count
+    if len(value) != count:
+        raise InputError(f"The list for {what} has {len(value)} entries for {count} garments; give one each.")
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class _Performance:
+    """A body in motion.
+
+    Args:
+        body: the moving body, lead-in included.
+        frames: frames that are there to write.
+        motion: name of what it performs.
+        notes: plain sentences on what was changed or ignored.
+    """
+
+    body: AnimatedBody
+    frames: int
+    motion: str
+    notes: tuple[str, ...] = ()
+
+
+def _load_body(specification: SceneSpecification) -> ShapedBody | VertexSequence:
+    body = specification.body
+    if isinstance(body, str | Path):
+        return load_body(body, specification.body_shape)
+    if not isinstance(body, ShapedBody | VertexSequence):
+        raise InputError("A moving body must be a shaped body or a vertex sequence.")
+    if specification.body_shape:
+        raise InputError(f"{body.name} is a body already loaded, with its shape; give body_shape to load_body instead.")
+    return body
+
+
+def _perform(body: ShapedBody, specification: SceneSpecification) -> _Performance:
+    """A body with bones performs a motion."""
+    clip, name = _load_motion(specification)
+    frames, fps = specification.frames, specification.fps
+    available = clip.available_frames(fps)
+    if frames is None:
+        frames = available or DEFAULT_FRAMES
+    elif available is not None and frames > available:
+        _say_shorter(name, available, frames, fps)
+        frames = available
+    poses = clip.poses(body, fps, frames)
+    for note in clip.notes:
+        _say(note)
+    return _Performance(body.posed(prepend_lead_in(poses, body, specification.lead_in)), frames, name, clip.notes)
+
+
+def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
+    motion = DEFAULT_MOTION if specification.motion is None else specification.motion
+    crop, arms_away = specification.crop, specification.arms_away
+    if isinstance(motion, str | Path):
+        return load_motion(motion, crop, seed=specification.seed, arms_away_degrees=arms_away), str(motion)
+    if not isinstance(motion, Motion):
+        raise InputError(f"The motion must be a name, a path or a Motion, not {motion!r}.")
+    for given, option in ((crop is not None, "crop"), (arms_away != 0.0, "arms_away")):
+        if given:
+            raise InputError(
+                f"{motion.name} is a motion already loaded, so {option} cannot be applied; give it to load_motion."
+            )
+    return motion, motion.name
+
+
+def _play(body: VertexSequence, specification: SceneSpecification) -> _Performance:
+    """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed anew."""
+    motion, frames, fps = specification.motion, specification.frames, specification.fps
+    for given, flag in ((specification.crop is not None, "crop"), (specification.arms_away != 0.0, "arms-away")):
         if given:
             raise InputError(
                 f"{body.name} is a sequence of vertices that moves by itself, so --{flag} cannot be applied; change "
                 "the sequence where it comes from."
             )
-
-
-def _animate(
-    body: ShapedBody,
-    motion: str,
-    frames: int | None,
-    lead_in: int,
-    crop: tuple[int, int] | None,
-    fps: float,
-    arms_away: float,
-    seed: int,
-    notes: list[str],
-) -> tuple[PosedBody, int]:
-    clip = load_motion(motion, crop=crop, arms_away_degrees=arms_away, seed=seed)
-    available = clip.available_frames(fps)
-    if frames is None:
-        frames = available or DEFAULT_FRAMES
-    elif available is not None and frames > available:
-        _say(f"{motion} ends after {available} frames at {fps:g} fps; {frames} were asked for, {available} are there.")
-        frames = available
-    poses = clip.poses(body, fps, frames)
-    for note in clip.notes:
-        notes.append(note)
-        _say(note)
-    return body.posed(prepend_lead_in(poses, body, lead_in)), frames
-
-
-def _use_sequence(body: AnimatedBody, frames: int | None, lead_in: int, fps: float) -> tuple[AnimatedBody, int]:
-    from pb4u.body.vertex_sequence import VertexSequence
-
-    if not isinstance(body, VertexSequence):
-        raise InputError("A moving body must be a shaped body or a vertex sequence.")
+    if motion is not None:
+        ignored = motion if isinstance(motion, str | Path) else motion.name
+        _say(f"{body.name} is a sequence of vertices that moves by itself; the motion {ignored} is not used.")
     # A body that never moves has no end: it stands for as long as is asked.
     standing = (frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
-    held = body.resampled(fps).with_held_start(lead_in + standing)
-    available = held.frame_count - lead_in
+    held = body.resampled(fps).with_held_start(specification.lead_in + standing)
+    available = held.frame_count - specification.lead_in
     if frames is not None and frames > available:
-        _say(
-            f"{body.name} ends after {available} frames at {fps:g} fps; {frames} were asked for, {available} are there."
-        )
-    return held, min(frames or available, available)
+        _say_shorter(body.name, available, frames, fps)
+    return _Performance(held, min(frames or available, available), body.name)
 
 
-def _load_garment(
-    garment: str | Path | Garment,
-    body: ShapedBody | AnimatedBody,
-    triangles: int | None,
-    material: Material,
-    pins_given: bool,
-) -> Garment:
+def _load_garment(specification: GarmentSpecification, body: ShapedBody | VertexSequence) -> Garment:
+    """The garment in its material, without the pins of the specification."""
+    garment, triangles = specification.garment, specification.triangles
     if isinstance(garment, Garment):
-        return garment
+        cloth = garment.material if specification.material is None else _load_material(specification.material)
+        return _remeshed(garment, triangles).with_material(cloth)
+    if not isinstance(garment, str | Path):
+        raise InputError(f"The garment must be a name, a path or a Garment, not {garment!r}.")
+    cloth = _load_material(specification.material or DEFAULT_MATERIAL)
     if Path(garment).suffix:
-        loaded = read_garment(Path(garment), material, triangles=triangles)
-        require_worn(loaded, body, garment, pins_given=pins_given)
+        loaded = read_garment(Path(garment), cloth, triangles=triangles)
+        require_worn(loaded, body, garment, pins_given=specification.pins is not None)
         return loaded
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())
@@ -196,7 +288,38 @@ def _load_garment(
             "give the garment as a mesh file that fits its first frame."
         )
     options = {} if triangles is None else {"triangles": triangles}
-    return build_garment(str(garment), body, **options).with_material(material)
+    return build_garment(str(garment), body, **options).with_material(cloth)
+
+
+def _load_material(material: str | Path | Material) -> Material:
+    if isinstance(material, Material):
+        return material
+    if not isinstance(material, str | Path):
+        raise InputError(f"The material must be a name, a path or a Material, not {material!r}.")
+    return load_material(material)
+
+
+def _remeshed(garment: Garment, triangles: int | None) -> Garment:
+    """A loaded garment with about `triangles` triangles; exports and pins follow the mesh it had."""
+    if triangles is None or triangles == garment.triangle_count:
+        return garment
+    vertices, faces = remesh(garment.vertices, garment.faces, triangles)
+    uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
+    simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+    places = nearest_places(simulated.vertices, vertices, faces)
+    remeshed = replace(
+        garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
+        source=SourceMap(simulated, *places),
+    )  # fmt: skip
+    remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))
+    if garment.source is None:
+        return remeshed
+    author = garment.source.source
+    return replace(remeshed, source=SourceMap(author, *nearest_places(author.vertices, vertices, faces)))
+
+
+def _say_shorter(name: str, available: int, asked: int, fps: float) -> None:
+    _say(f"{name} ends after {available} frames at {fps:g} fps; {asked} were asked for, {available} are there.")
 
 
 def _say(sentence: str) -> None:

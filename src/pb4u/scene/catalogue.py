@@ -9,12 +9,12 @@ works without.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 
-from pb4u.errors import InputError
-from pb4u.scene.assembly import make_scene
+from pb4u.errors import InputError, unknown_name
+from pb4u.scene.assembly import assemble
 from pb4u.scene.scene import Scene
+from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 
 TRAINING_GARMENTS = ("tshirt", "tanktop", "longsleeve", "dress")
 UNSEEN_GARMENTS = ("fitted_dress", "cardigan")
@@ -72,7 +72,7 @@ def scene_names(split: str | None = None, recordings: bool = True) -> tuple[Scen
     names = []
     for each in RECORDINGS if split is None else (split,):
         if each not in RECORDINGS:
-            raise InputError(f"There is no split {each!r}; choose one of {', '.join(RECORDINGS)}.")
+            raise unknown_name("split", each, RECORDINGS)
         garments = TRAINING_GARMENTS + (UNSEEN_GARMENTS if each == "test" else ())
         for garment in garments:
             names += [SceneName(each, garment, motion, seed) for motion in MOTIONS[each] for seed in SEEDS[each]]
@@ -97,27 +97,27 @@ def catalogue_scene(
         body: built-in body.
         recordings: folder of CMU files, SUBJECT/TRIAL.amc beside SUBJECT/SUBJECT.asf.
 
-    Raises InputError for an unknown name, or a recording that is not in the folder.
+    Raises:
+        InputError: an unknown name, or a recording that is not in the folder.
     """
     entry = _find(name) if isinstance(name, str) else name
-    if not entry.needs_recording:
-        return make_scene(
-            entry.garment, body, entry.motion, triangles=triangles, frames=frames, seed=int(entry.seed or 0)
-        )
-    subject = entry.motion.split("_")[0]
-    file = Path(recordings or ".") / subject / f"{entry.motion}.amc"
+    worn = GarmentSpecification(entry.garment, triangles=triangles)
+    motion = _recording(entry, recordings) if entry.needs_recording else entry.motion
+    return assemble(SceneSpecification((worn,), body=body, motion=motion, frames=frames, seed=entry.seed or 0))
+
+
+def _recording(entry: SceneName, recordings: str | Path | None) -> Path:
+    file = Path(recordings or ".") / entry.motion.split("_")[0] / f"{entry.motion}.amc"
     if recordings is None or not file.is_file():
         raise InputError(
             f"The scene {entry} needs the CMU trial {entry.motion} as {file}; give the folder of recordings, or take a "
             "scene on a built-in motion."
         )
-    return make_scene(entry.garment, body, file, triangles=triangles, frames=frames)
+    return file
 
 
 def _find(name: str) -> SceneName:
     known = {str(entry): entry for entry in scene_names()}
-    if name in known:
-        return known[name]
-    near = get_close_matches(name, known, n=3)
-    hint = f"; near it are {', '.join(near)}" if near else ""
-    raise InputError(f"The catalogue has no scene {name!r}{hint}.")
+    if name not in known:
+        raise unknown_name("scene of the catalogue", name, known)
+    return known[name]

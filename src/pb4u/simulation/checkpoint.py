@@ -70,10 +70,9 @@ class Checkpoint:
         garments: PackedGarments,
         propagation_steps: int | None = None,
         dtype: torch.dtype = torch.float32,
-        fixed_shapes: bool = False,
     ) -> PreparedGarments:
         """`AccelerationModel.prepare`, warning about resolutions and propagation steps never seen in training."""
-        prepared = self.model.prepare(garments, propagation_steps, dtype, fixed_shapes)
+        prepared = self.model.prepare(garments, propagation_steps, dtype)
         for garment in garments.garments:
             self.warn_of_resolution(garment)
         fewest, most = self.record.propagation_steps

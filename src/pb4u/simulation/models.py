@@ -8,8 +8,6 @@ from pathlib import Path
 from pb4u.errors import InputError, unknown_name
 from pb4u.simulation.simulator import Simulator
 
-FIRST_FRAMES = ("auto", "settled", "long_step")
-
 _BEST = "best.safetensors"
 _TRAINING_STATE = "pb4u_training"
 """What the header of a training's last.safetensors holds; `training`, which writes it, lies above this package."""
@@ -59,8 +57,8 @@ def load_simulator(
         propagation_steps: override of K for a network; None follows the paper's rule.
         passes: how often a network is asked in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
-        first_frame: how a network's frame 0 is made: "settled" by the solver, in one "long_step" of its own as in the
-            paper, or "auto": settled where the solver refines.
+        first_frame: how frame 0 is made: "settled" by the solver, in one "long_step" of the method's own as in the
+            paper, or "auto": settled where the solver runs.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
@@ -69,16 +67,19 @@ def load_simulator(
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
-    if first_frame not in FIRST_FRAMES:
-        raise unknown_name("first frame", first_frame, FIRST_FRAMES)
+    ways: dict[str, type[FirstFrame]] = {"settled": Settled, "long_step": OneLongStep}
+    if first_frame not in ("auto", *ways):
+        raise unknown_name("first frame", first_frame, ("auto", *ways))
     if refine < 0:
         raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
     wanted = default_model() if str(name) == "auto" else str(name)
     answering: Contact = ContactResponse() if contact else NoContact()
+    if wanted in ("skinning", "newton") and first_frame != "auto":
+        raise InputError(f"{wanted} starts in a way of its own; leave the first frame to it.")
     if wanted == "skinning":
         return SkinningSimulator()
     if wanted == "solver":
-        return SolverSimulator(contact=answering)
+        return SolverSimulator(contact=answering, first_frame=ways.get(first_frame, Settled)())
     if wanted == "newton":
         from pb4u.simulation.newton_simulator import NewtonSimulator
 
@@ -90,8 +91,7 @@ def load_simulator(
     from pb4u.simulation.checkpoint import from_pretrained
 
     # What a further pass improves, and what one long step settles, the solver does better and more cheaply.
-    settled = refine > 0 if first_frame == "auto" else first_frame == "settled"
-    beginning: FirstFrame = Settled() if settled else OneLongStep()
+    beginning = ways.get(first_frame, Settled if refine else OneLongStep)()
     asked = 1 if passes is None and refine else passes
     return NetworkSimulator(
         from_pretrained(wanted), propagation_steps, refine, answering, _device(device), asked, beginning

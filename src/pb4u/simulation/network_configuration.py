@@ -1,49 +1,16 @@
-"""Network configurations as JSON, and back: frozen dataclasses by name, from a fixed list of types."""
+"""Network configurations as JSON, and back: frozen dataclasses tagged with the name of their type.
+
+The types that may be read are those of the presets and, from there, every dataclass that a field is annotated with.
+"""
 
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
-from typing import Any, cast
+from typing import Any, cast, get_args, get_type_hints
 
-from pb4u.baselines.contact_losses import ContourLength, Ramp, Repulsion
-from pb4u.baselines.contourcraft import ContourCraftConfiguration
-from pb4u.baselines.eslr import EslrConfiguration
-from pb4u.baselines.hood import HoodConfiguration, LevelsByHops, LevelsByLength
-from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.errors import InputError
-from pb4u.graph.features import Feature, FeatureLayout, MaterialRange
-from pb4u.graph.world_edges import WorldEdgeRule
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.model.propagation import PropagationForm
-from pb4u.model.propagation_control import ConstantDistance, FixedSteps
-from pb4u.model.update_scaling import MeanScaling, NoScaling, PerVertexScaling
 from pb4u.nn.acceleration_model import NetworkConfiguration
-
-NETWORK_TYPES: tuple[type, ...] = (
-    Pb4uConfiguration,
-    MeshGraphNetConfiguration,
-    HoodConfiguration,
-    EslrConfiguration,
-    ContourCraftConfiguration,
-)
-
-PART_TYPES: tuple[type, ...] = (
-    FeatureLayout,
-    Feature,
-    MaterialRange,
-    WorldEdgeRule,
-    PropagationForm,
-    ConstantDistance,
-    FixedSteps,
-    PerVertexScaling,
-    MeanScaling,
-    NoScaling,
-    LevelsByHops,
-    LevelsByLength,
-    Ramp,
-    Repulsion,
-    ContourLength,
-)
+from pb4u.presets.networks import NETWORKS
 
 
 def configuration_to_json(configuration: NetworkConfiguration) -> dict[str, Any]:
@@ -54,12 +21,29 @@ def configuration_to_json(configuration: NetworkConfiguration) -> dict[str, Any]
 def configuration_from_json(data: Any) -> NetworkConfiguration:
     """The configuration that `configuration_to_json` wrote.
 
-    Raises InputError where a type or a field is unknown or a value is refused.
+    Args:
+        data: plain JSON data.
+
+    Raises:
+        InputError: a type or a field is unknown, or a value is refused.
     """
-    decoded = _decode(data)
-    if not isinstance(decoded, NETWORK_TYPES):
+    decoded = _decode(data, _known_types())
+    if not isinstance(decoded, NetworkConfiguration):
         raise InputError(f"The configuration describes a {type(decoded).__name__}, not a network.")
-    return cast(NetworkConfiguration, decoded)
+    return decoded
+
+
+def _known_types() -> dict[str, type]:
+    """The dataclasses that configurations are made of, by name."""
+    known: dict[str, type] = {}
+    waiting: list[Any] = [type(configuration) for configuration in NETWORKS.values()]
+    while waiting:
+        annotation = waiting.pop()
+        waiting += get_args(annotation)
+        if is_dataclass(annotation) and isinstance(annotation, type) and annotation.__name__ not in known:
+            known[annotation.__name__] = annotation
+            waiting += get_type_hints(annotation).values()
+    return known
 
 
 def _encode(value: Any) -> Any:
@@ -73,16 +57,15 @@ def _encode(value: Any) -> Any:
     return value
 
 
-def _decode(data: Any) -> Any:
+def _decode(data: Any, known: dict[str, type]) -> Any:
     if isinstance(data, list):
-        return tuple(_decode(item) for item in data)
+        return tuple(_decode(item, known) for item in data)
     if not isinstance(data, dict):
         return data
-    known = {kind.__name__: kind for kind in (*NETWORK_TYPES, *PART_TYPES)}
     name = data.get("type")
     if name not in known:
         raise InputError(f"The configuration holds a part of unknown type {name!r}.")
-    given = {key: _decode(value) for key, value in data.items() if key != "type"}
+    given = {key: _decode(value, known) for key, value in data.items() if key != "type"}
     allowed = {entry.name for entry in fields(known[name])}
     unknown = sorted(set(given) - allowed)
     if unknown:

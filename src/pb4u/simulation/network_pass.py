@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -18,13 +19,35 @@ from pb4u.physics.descent import JacobiDescent
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import ColliderFrame, PackedColliders, PackedGarments
-from pb4u.simulation.step import Network
 
 _ORIGIN_GRID = 1.0 / 16.0
 """Grid of a step's origin [m], coarse in binary, so that float32 differences of positions stay exact."""
 
 _LINEAR_UP_TO = 0.05
 """Share of an edge up to which descent is shown as it is."""
+
+
+class Network(ABC):
+    """Adds to the accelerations of a step.
+
+    Attributes:
+        passes: how often it is asked in a step.
+    """
+
+    passes: int
+
+    @abstractmethod
+    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        """(vertices, 3) [m per step^2] to add to the `accelerations` (vertices, 3) reached so far."""
+
+
+class NoNetwork(Network):
+    """Leaves the step where it starts."""
+
+    passes = 0
+
+    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        return torch.zeros_like(accelerations)
 
 
 class NetworkPass(Network):

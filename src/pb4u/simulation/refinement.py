@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution, Solver, implicit_steps
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
-from pb4u.simulation.step import Refinement
+
+
+class Refinement(ABC):
+    """Improves a prediction by physics."""
+
+    @abstractmethod
+    def refine(self, step: TimeStep, predicted: State) -> State:
+        """A state of lower incremental potential; its velocity is the displacement over dt."""
+
+
+class NoRefinement(Refinement):
+    """Leaves predictions as they are."""
+
+    def refine(self, step: TimeStep, predicted: State) -> State:
+        return predicted
 
 
 class SolverRefinement(Refinement):

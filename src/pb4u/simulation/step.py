@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -12,59 +11,9 @@ from torch import Tensor
 from pb4u.physics.contact.response import Contact, NoContact
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
-
-
-class StepStart(ABC):
-    """Says where a step starts from."""
-
-    @abstractmethod
-    def accelerations(self, step: TimeStep) -> Tensor:
-        """(vertices, 3) [m per step^2] from free flight to the start."""
-
-
-class FreeFlight(StepStart):
-    """The paper's, and the solver's: every vertex keeps its velocity."""
-
-    def accelerations(self, step: TimeStep) -> Tensor:
-        return torch.zeros_like(step.state.positions)
-
-
-class Network(ABC):
-    """Adds to the accelerations of a step.
-
-    Attributes:
-        passes: how often it is asked in a step.
-    """
-
-    passes: int
-
-    @abstractmethod
-    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        """(vertices, 3) [m per step^2] to add to the `accelerations` (vertices, 3) reached so far."""
-
-
-class NoNetwork(Network):
-    """Leaves the step where it starts."""
-
-    passes = 0
-
-    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        return torch.zeros_like(accelerations)
-
-
-class Refinement(ABC):
-    """Improves a prediction by physics."""
-
-    @abstractmethod
-    def refine(self, step: TimeStep, predicted: State) -> State:
-        """A state of lower incremental potential; its velocity is the displacement over dt."""
-
-
-class NoRefinement(Refinement):
-    """Leaves predictions as they are."""
-
-    def refine(self, step: TimeStep, predicted: State) -> State:
-        return predicted
+from pb4u.simulation.network_pass import Network, NoNetwork
+from pb4u.simulation.refinement import NoRefinement, Refinement
+from pb4u.simulation.step_start import FreeFlight, StepStart
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import torch
 from torch import Tensor
 
 from pb4u.nn.acceleration_model import GraphNetwork
-from pb4u.physics.contact.overrun import lifted_off_the_body
+from pb4u.physics.contact.tracking import lifted_off_the_body
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
-from pb4u.simulation.step import FreeFlight, StepStart
+
+
+class StepStart(ABC):
+    """Says where a step starts from."""
+
+    @abstractmethod
+    def accelerations(self, step: TimeStep) -> Tensor:
+        """(vertices, 3) [m per step^2] from free flight to the start."""
+
+
+class FreeFlight(StepStart):
+    """The paper's, and the solver's: every vertex keeps its velocity."""
+
+    def accelerations(self, step: TimeStep) -> Tensor:
+        return torch.zeros_like(step.state.positions)
 
 
 class CarriedStart(StepStart):

@@ -21,9 +21,9 @@ from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import NetworkPass
-from pb4u.simulation.refinement import ImplicitSteps, SolverRefinement
+from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SolverRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
-from pb4u.simulation.step import NoRefinement, StepMethod, take
+from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.step_start import start_of
 from pb4u.simulation.timeline import Timeline
 

@@ -56,7 +56,10 @@ class MaterialSampling:
     """Ranges that materials are drawn from (reference 1.7); bending and mu evenly in their logarithm.
 
     Args:
-        density: [kg/m^2]. lame_mu: [Pa]. lame_lambda: [Pa]. bending: [J].
+        density: lowest and highest [kg/m^2].
+        lame_mu: lowest and highest [Pa].
+        lame_lambda: lowest and highest [Pa].
+        bending: lowest and highest [J].
     """
 
     density: tuple[float, float] = (0.0434, 0.7)
@@ -91,8 +94,8 @@ class TrainingConfiguration:
         gradient_norm: longest gradient.
         ema_decay: of the averaged weights, which are what a training is for.
         log_every: optimiser steps between lines.
-        checkpoint_every, validate_every: optimiser steps between checkpoints and validations, which wait for the
-            windows on the way to end.
+        checkpoint_every: optimiser steps between checkpoints, which wait for the windows on the way to end.
+        validate_every: optimiser steps between validations, likewise.
         validation_clips: clips rolled out by a validation.
         validation_frames: frames of each.
         patience: validations without improvement after which the training stops; 0 never stops it.

@@ -21,7 +21,9 @@ class Workers:
     """The processes of a training.
 
     Args:
-        rank: of this one. count: of all. device: that this one computes on.
+        rank: of this one, from 0.
+        count: of all.
+        device: that this one computes on.
     """
 
     rank: int

@@ -63,7 +63,7 @@ class Learner:
         self.longest = configuration.gradient_norm
 
     def gradient(self, loss: Tensor) -> float:
-        """Find the gradient of `loss`, at most so long, and return how long it was; the same in every process."""
+        """Find the gradient of `loss` [J] and clip its norm; returns the norm before, the same in every process."""
         self.optimiser.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         return float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.longest))

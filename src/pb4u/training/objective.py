@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from pb4u.nn.acceleration_model import GraphNetwork
+from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.physics.contact.collision import Collision
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential
 from pb4u.physics.time_step import TimeStep
@@ -30,19 +30,17 @@ def mean_energies(energies: Energies) -> dict[str, Tensor]:
     return {**terms, "total": energies.total / len(energies.per_garment)}
 
 
-def further_losses(network: GraphNetwork, step: TimeStep, positions: Tensor, progress: float) -> dict[str, Tensor]:
+def further_losses(prepared: PreparedGarments, step: TimeStep, positions: Tensor, progress: float) -> dict[str, Tensor]:
     """What the network's method minimises besides the potential, each averaged over the garments; mostly nothing.
 
     Args:
-        network: that is trained.
+        prepared: the garments.
         step: that was taken.
         positions: (vertices, 3) [m] at its end.
         progress: fraction of the training's budget spent.
     """
-    return {
-        loss.name: loss.energies(step.garments, step.state.positions, positions, progress).mean()
-        for loss in network.further_losses()
-    }
+    before = step.state.positions
+    return {loss.name: loss.energies(before, positions, progress).mean() for loss in prepared.losses}
 
 
 def comparable_total(terms: dict[str, float], collision_weight: float) -> float:

@@ -63,7 +63,9 @@ class TrainingData:
     """Everything that training samples are made of.
 
     Args:
-        bodies: at rest. outfits: what they wear. clips: how they move.
+        bodies: at rest.
+        outfits: what they wear.
+        clips: how they move.
 
     Raises InputError where a body wears or does nothing, or where a body's poses correct its surface.
     """

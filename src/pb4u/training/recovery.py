@@ -10,8 +10,8 @@ from torch import Tensor
 from pb4u.errors import Pb4uError
 from pb4u.training.budget import Counters, ExplosionGuard
 from pb4u.training.distribution import Workers
+from pb4u.training.journal import Journal
 from pb4u.training.learner import Learner
-from pb4u.training.progress import Journal
 from pb4u.training.run_folder import NotSavedError, RunFolder
 
 MOST_ROLLBACKS = 8

@@ -20,9 +20,9 @@ from pb4u.training.configuration import (
     with_settings,
 )
 from pb4u.training.distribution import Workers, workers
+from pb4u.training.journal import Reporter, collecting, draw_curve, reporter
 from pb4u.training.packed_data import TrainingData, load_training_data, save_training_data
 from pb4u.training.presets import DEFAULT_STEPS, training_preset
-from pb4u.training.progress import Reporter, collecting, draw_curve, reporter
 from pb4u.training.run_folder import CURVE, RunFolder
 from pb4u.training.trainer import Trainer
 
@@ -35,11 +35,15 @@ class Request:
     """What a user asks for.
 
     Args:
-        preset: name of a training. steps, minutes: its budget; the preset's own where neither is given.
-        out: new folder to keep it in. resume: folder to go on with, instead.
+        preset: name of a training.
+        steps: optimiser steps of its budget; the preset's own where neither these nor minutes are given.
+        minutes: wall time of its budget.
+        out: new folder to keep it in.
+        resume: folder to go on with, instead.
         pack: file of training data; collected from the built-in assets without it.
         recordings: folder of CMU files to train on as well.
-        settings: KEY=VALUE changes of the preset. device: "auto", "cpu" or "cuda".
+        settings: KEY=VALUE changes of the preset.
+        device: "auto", "cpu" or "cuda".
     """
 
     preset: str | None = None

@@ -16,6 +16,8 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
+from pb4u.evaluation.metrics import strain_percentile
+from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
@@ -26,13 +28,13 @@ from pb4u.simulation.timeline import SETTLING_DT
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
+from pb4u.training.journal import Journal, Reporter
 from pb4u.training.learner import Learner
 from pb4u.training.objective import comparable_total, further_losses, mean_energies, step_energies, strain_energy
 from pb4u.training.packed_data import TrainingData
-from pb4u.training.progress import Journal, Reporter
 from pb4u.training.recovery import Recovery
 from pb4u.training.run_folder import RunFolder
-from pb4u.training.validation import Score, Validation, drift_from, is_lost, strain_percentile
+from pb4u.training.validation import Score, Validation, drift_from, is_lost
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Course, Sampler, WindowLoader
 
@@ -206,7 +208,7 @@ class Trainer:
         after = step.state
         for accelerations in reached:
             after = integrate(step, accelerations)
-            if not self.learn(step, after):
+            if not self.learn(prepared, step, after):
                 return False
         state = State(after.positions.detach(), after.velocities.detach(), after.frame)
         course.state = self.set_off(course, state) if course.settles else state
@@ -231,14 +233,20 @@ class Trainer:
         }
         return State(settled.positions, velocities[self.configuration.after_settling], frame)
 
-    def learn(self, step: TimeStep, after: State) -> bool:
-        """One optimiser step on the energies of `step`; False where they or their gradient are not finite."""
+    def learn(self, prepared: PreparedGarments, step: TimeStep, after: State) -> bool:
+        """One optimiser step on the energies of `step`; False where they or their gradient are not finite.
+
+        Args:
+            prepared: what the network derived once from the garments.
+            step: that was taken.
+            after: where it led, differentiable.
+        """
         weight = self.configuration.curriculum.collision(self.progress)
         rate = self.configuration.curriculum.rate(self.progress) * self.counters.rate_factor
         finite = torch.isfinite(after.positions)
         positions = torch.where(finite, after.positions, step.state.positions)
         terms = mean_energies(step_energies(step, positions, weight))
-        further = further_losses(self.model.network, step, positions, self.progress)
+        further = further_losses(prepared, step, positions, self.progress)
         gradient = self.learner.gradient(torch.stack([terms["total"], *further.values()]).sum())
         terms |= further
         watched = torch.stack([*(value.detach() for value in terms.values()), finite.all().to(positions)])

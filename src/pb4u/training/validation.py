@@ -9,9 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.evaluation.divergence import DIVERGED_DISTANCE, DIVERGED_STRAIN
+from pb4u.evaluation.metrics import DIVERGED_DISTANCE, DIVERGED_STRAIN, strain_percentile
 from pb4u.garment.material import MATERIALS
-from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.physics.time_step import integrate
 from pb4u.scene.packed import PackedGarments
@@ -129,9 +128,3 @@ def drift_from(skinned: Tensor, garments: PackedGarments, positions: Tensor) -> 
     """Distance [m] of the centre of mass of `positions` from that of `skinned`, both (vertices, 3) [m]."""
     share = garments.vertex_masses / garments.vertex_masses.sum()
     return float((share[:, None] * (positions - skinned)).sum(0).norm())
-
-
-def strain_percentile(garments: PackedGarments, positions: Tensor) -> float:
-    """Area-weighted 95th percentile of the strains of a pack."""
-    strains = face_strains(positions, garments.faces, garments.inverse_rest_shape)
-    return float(weighted_percentile(strains, garments.face_areas, 95.0))

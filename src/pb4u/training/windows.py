@@ -37,7 +37,8 @@ class Sample:
         outfit: index of the garment.
         clip: index of the motion.
         start: frame of the clip.
-        material: of the garment. yaw: turn of body and garment about the vertical [rad].
+        material: of the garment.
+        yaw: turn of body and garment about the vertical [rad].
         noise_seed: of the noise on the start.
     """
 

@@ -1,9 +1,8 @@
-"""What a page plays: the frames of one garment on one body, all there from the start or still coming."""
+"""What a page plays: the frames of garments on a body, all there from the start or still coming."""
 
 from __future__ import annotations
 
 import warnings
-from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -12,70 +11,62 @@ from pb4u.export.finite_frames import held_frames, hold_finite
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
 
-class Clip(ABC):
+class Clip:
     """Frames to show, every one of them finite.
 
-    Attributes:
+    Args:
         label: what the page calls it.
-        held: frames that stand still because their own values are not finite.
+        simulated: the frames as they were simulated.
+        shown: the same, with every frame finite.
     """
 
-    label: str
-    held: frozenset[int] = frozenset()
+    def __init__(self, label: str, simulated: Trajectory, shown: Trajectory) -> None:
+        self.label = label
+        self._simulated, self._shown = simulated, shown
 
     @property
-    @abstractmethod
     def header(self) -> TrajectoryHeader:
         """What does not change from frame to frame."""
+        return self._simulated.header
 
     @property
-    @abstractmethod
+    def held(self) -> frozenset[int]:
+        """Frames that stand still because their own values are not finite."""
+        return frozenset(held_frames(self._shown))
+
+    @property
     def frame_count(self) -> int:
         """Frames that are there now."""
+        return self._shown.frame_count
 
-    @abstractmethod
     def garment(self, t: int) -> np.ndarray:
-        """(vertices, 3) float32 [m]."""
+        """(vertices, 3) float32 [m] of all garments at frame t."""
+        return np.asarray(self._shown.positions[t], dtype=np.float32)
 
-    @abstractmethod
     def body(self, t: int) -> np.ndarray:
-        """(body vertices, 3) float32 [m]."""
+        """(body vertices, 3) float32 [m] at frame t."""
+        return np.asarray(self._shown.body_positions[t], dtype=np.float32)
 
-    @abstractmethod
     def trajectory(self) -> Trajectory:
         """The frames that are there now, as they were simulated: for measuring and exporting."""
+        return self._simulated
 
 
 class RecordedClip(Clip):
     """A trajectory from a file or from memory; frames that are not finite show the one before them.
 
-    Raises InputError when no frame is finite.
+    Args:
+        trajectory: all frames.
+        label: what the page calls it.
+
+    Raises:
+        InputError: no frame is finite.
     """
 
     def __init__(self, trajectory: Trajectory, label: str) -> None:
-        self.label = label
-        self._simulated = trajectory
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", InputWarning)
-            self._shown = hold_finite(trajectory)
-        self.held = frozenset(held_frames(self._shown))
-
-    @property
-    def header(self) -> TrajectoryHeader:
-        return self._simulated.header
-
-    @property
-    def frame_count(self) -> int:
-        return self._shown.frame_count
-
-    def garment(self, t: int) -> np.ndarray:
-        return np.asarray(self._shown.positions[t], dtype=np.float32)
-
-    def body(self, t: int) -> np.ndarray:
-        return np.asarray(self._shown.body_positions[t], dtype=np.float32)
-
-    def trajectory(self) -> Trajectory:
-        return self._simulated
+            super().__init__(label, trajectory, hold_finite(trajectory))
 
 
 class GrowingClip(Clip):
@@ -88,36 +79,27 @@ class GrowingClip(Clip):
     """
 
     def __init__(self, header: TrajectoryHeader, capacity: int, label: str) -> None:
-        self.label = label
-        self._header = header
-        self._count = 0
         # Memory is taken up by the system as it is written to, so room for all frames costs nothing yet.
-        self._positions = np.empty((capacity, len(header.rest_positions), 3), dtype=np.float32)
-        self._velocities = np.empty_like(self._positions)
-        self._bodies = np.empty((capacity, len(header.body_contact), 3), dtype=np.float32)
+        garment, body = (
+            np.empty((capacity, count, 3), dtype=np.float32)
+            for count in (len(header.rest_positions), len(header.body_contact))
+        )
+        room = Trajectory(header, garment, np.empty_like(garment), body)
+        super().__init__(label, room, room)
+        self._count = 0
 
     def append(self, frame: Frame) -> None:
-        """Take in the next frame."""
-        self._positions[self._count] = frame.positions
-        self._velocities[self._count] = frame.velocities
-        self._bodies[self._count] = frame.body_positions
+        """Take in the next frame; from one thread alone."""
+        self._shown.positions[self._count] = frame.positions
+        self._shown.velocities[self._count] = frame.velocities
+        self._shown.body_positions[self._count] = frame.body_positions
         # Last, so that a reader in another thread never sees a frame before it is whole.
         self._count += 1
-
-    @property
-    def header(self) -> TrajectoryHeader:
-        return self._header
 
     @property
     def frame_count(self) -> int:
         return self._count
 
-    def garment(self, t: int) -> np.ndarray:
-        return self._positions[t]
-
-    def body(self, t: int) -> np.ndarray:
-        return self._bodies[t]
-
     def trajectory(self) -> Trajectory:
-        count = self._count
-        return Trajectory(self._header, self._positions[:count], self._velocities[:count], self._bodies[:count])
+        room, count = self._shown, self._count
+        return Trajectory(room.header, room.positions[:count], room.velocities[:count], room.body_positions[:count])

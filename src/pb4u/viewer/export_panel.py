@@ -1,51 +1,81 @@
-"""Any export format, for download and, where the studio was given a folder, kept there too."""
+"""A clip in any export format, for download and, where the studio was given a folder, kept there too."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import io
+import re
+import tempfile
+import threading
+import zipfile
+from pathlib import Path
 
-from pb4u.export.registry import WRITERS
-from pb4u.viewer.delivery import deliver
-from pb4u.viewer.notice import Tone, notice
-from pb4u.viewer.page_event import guarded
+from pb4u.atomic_file import replace_file
+from pb4u.errors import InputError, unknown_name
+from pb4u.export.registry import WRITERS, export
+from pb4u.viewer.clip import Clip
+from pb4u.viewer.panel import Panel, Tone, notice
 
-if TYPE_CHECKING:
-    from viser import GuiApi
-
-    from pb4u.viewer.session import Session
+# Pictures are drawn with OpenGL, whose contexts do not share threads well, and two windows may keep the same name.
+_ONE_AT_A_TIME = threading.Lock()
 
 
-class ExportPanel:
-    """Any export format, for download and, where the studio was given a folder, kept there too."""
+class ExportPanel(Panel):
+    """Format, and which clip where there are two."""
 
-    def __init__(self, gui: GuiApi, session: Session) -> None:
-        self._session = session
+    def _add_controls(self) -> None:
+        gui = self._gui
         self._format = gui.add_dropdown("Format", list(WRITERS), initial_value=".npz")
         self._which = gui.add_dropdown("Trajectory", ("left", "right"), visible=False)
         self._go = gui.add_button("Export")
         self._status = gui.add_html("")
-        self._go.on_click(guarded(session, self._export))
+        self._go.on_click(self._answer(self._export))
 
     def _export(self) -> None:
-        clips = self._session.state.clips
-        if not clips:
-            self._session.say("There is nothing to export yet; simulate something first.")
-            return
-        clip = clips[-1] if self._which.value == "right" and len(clips) > 1 else clips[0]
         self._go.disabled = True
         self._status.content = notice(f"Writing {self._format.value}.")
+        done = ""
         try:
-            name, content, kept = deliver(clip, self._format.value, self._session.out)
-            self._session.download(name, content)
-            where = f" It is also kept as {kept}." if kept else ""
-            text = f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser.{where}"
-            self._status.content = notice(text, Tone.good)
-        except Exception:
-            self._status.content = ""
-            raise
+            done = self._requests.export(self._format.value, ("left", "right").index(self._which.value))
         finally:
+            self._status.content = notice(done, Tone.good)
             self._go.disabled = False
 
     def offer(self, clips: int) -> None:
         """Ask which one where there are two."""
         self._which.visible = clips > 1
+
+
+def deliver(clip: Clip, suffix: str, folder: Path | None = None) -> tuple[str, bytes, Path | None]:
+    """Write `clip` in the format of `suffix`.
+
+    Args:
+        clip: what to write.
+        suffix: one of `pb4u.export.registry.WRITERS`.
+        folder: where to keep the files as well; None keeps none.
+
+    Returns the name and content of one file for the browser (a ZIP where the format is several files), and where it
+    was kept. Raises InputError or MissingExtraError with the sentence of the exporter.
+    """
+    if suffix not in WRITERS:
+        raise unknown_name("format", suffix, WRITERS)
+    if not clip.frame_count:
+        raise InputError("There is no frame to export yet.")
+    stem = re.sub(r"[^A-Za-z0-9]+", "_", clip.label).strip("_") or "garment"
+    with _ONE_AT_A_TIME, tempfile.TemporaryDirectory(prefix="pb4u-") as scratch:
+        target = Path(scratch) / f"{stem}{suffix}"
+        export(clip.trajectory(), target)
+        files = sorted(Path(scratch).iterdir())
+        if not files:
+            raise InputError(f"The exporter wrote no file for {suffix}.")
+        kept = None
+        if folder is not None:
+            for file in files:
+                replace_file(folder / file.name, file.read_bytes())
+            kept = folder / (target if target in files else files[0]).name
+        if len(files) == 1:
+            return files[0].name, files[0].read_bytes(), kept
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in files:
+                archive.write(file, file.name)
+        return f"{stem}.zip", packed.getvalue(), kept

@@ -2,153 +2,133 @@
 
 from __future__ import annotations
 
-import threading
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import replace
+from enum import Enum
 
 from pb4u.body.library import body_names
-from pb4u.errors import InputError
+from pb4u.errors import InputError, unknown_name
 from pb4u.garment.library import garment_names
 from pb4u.garment.material import material_names
 from pb4u.motion.library import motion_names
-from pb4u.scene.assembly import make_scene
-from pb4u.simulation.models import load_simulator, model_descriptions
+from pb4u.scene.assembly import assemble
+from pb4u.simulation.models import model_descriptions
+from pb4u.simulation.run_specification import RunSpecification
 from pb4u.simulation.simulator import RunRecord
 from pb4u.viewer.clip import GrowingClip
-from pb4u.viewer.plain_sentence import plain_sentence
+from pb4u.viewer.worker import Worker, plain_sentence
 
 LEAST_TRIANGLES, MOST_TRIANGLES = 400, 40_000
+"""Twice the fewest that a built-in garment can be cut into, and just above the finest level of detail."""
+
 MOST_FRAMES = 600
+"""20 s at 30 frames per second; at the most triangles about half a gigabyte, all of which is held in memory."""
+
+MOST_REFINING = 100
+"""Iterations a step: twenty times what a network is given unless told otherwise."""
 
 
-@dataclass(frozen=True)
-class SimulationRequest:
-    """What to simulate, in the words of `pb4u simulate`; only names that are built in, since it comes from a page."""
+def require_offered(run: RunSpecification) -> None:
+    """Refuse what the page does not offer: it is not trusted, so it names what is built in and never a file.
 
-    garment: str = "tshirt"
-    body: str = "woman"
-    motion: str = "walk"
-    material: str = "default"
-    model: str = "solver"
-    triangles: int = 2500
-    frames: int = 60
-    lead_in: int = 30
-    refine: int = 5
+    Args:
+        run: what a page asked for.
 
-    def check(self) -> None:
-        """Raises InputError naming what cannot be simulated."""
-        for what, chosen, known in (
-            ("garment", self.garment, garment_names()),
-            ("body", self.body, body_names()),
-            ("motion", self.motion, motion_names()),
-            ("material", self.material, material_names()),
-            ("model", self.model, tuple(model_descriptions())),
-        ):
-            if chosen not in known:
-                raise InputError(f"There is no {what} {chosen!r}; there are {', '.join(known)}.")
-        for what, number, least, most in (
-            ("triangles", self.triangles, LEAST_TRIANGLES, MOST_TRIANGLES),
-            ("frames", self.frames, 1, MOST_FRAMES),
-            ("lead-in frames", self.lead_in, 0, MOST_FRAMES),
-            ("refining iterations", self.refine, 0, 100),
-        ):
-            if not least <= number <= most:
-                raise InputError(f"The number of {what} must lie between {least:,} and {most:,}, not {number:,}.")
-
-    @property
-    def label(self) -> str:
-        """What the page calls the result."""
-        return f"{self.garment}, {self.motion}, {self.model}"
+    Raises:
+        InputError: a name that is not built in, or a number out of range.
+    """
+    scene = run.scene
+    named: list[tuple[str, object, tuple[str, ...]]] = [
+        ("body", scene.body, body_names()),
+        ("motion", scene.motion, motion_names()),
+        ("model", run.model, ("auto", *model_descriptions())),
+    ]
+    counts: list[tuple[str, int | None, int, int]] = [
+        ("frames", scene.frames, 1, MOST_FRAMES),
+        ("lead-in frames", scene.lead_in, 0, MOST_FRAMES),
+        ("refining iterations", run.refine, 0, MOST_REFINING),
+    ]
+    for worn in scene.garments:
+        named += [("garment", worn.garment, garment_names()), ("material", worn.material, material_names())]
+        counts.append(("triangles", worn.triangles, LEAST_TRIANGLES, MOST_TRIANGLES))
+    for what, name, known in named:
+        if name is not None and name not in known:
+            raise unknown_name(what, str(name), known)
+    for what, number, least, most in counts:
+        if number is not None and not least <= number <= most:
+            raise InputError(f"The number of {what} must lie between {least:,} and {most:,}, not {number:,}.")
 
 
-class Listener(Protocol):
-    """Hears from a simulation, in the thread that computes it."""
+class Ending(Enum):
+    """How a simulation ended."""
 
-    def simulation_started(self, clip: GrowingClip) -> None:
-        """Everything is loaded; the clip has no frame yet."""
-
-    def simulation_advanced(self, clip: GrowingClip | None, done: int, total: int) -> None:
-        """Another step is done, lead-in included; the clip may hold another frame."""
-
-    def simulation_ended(self, clip: GrowingClip | None, sentence: str, well: bool) -> None:
-        """It is over: how, in one sentence, and whether it came to its end."""
+    finished = "finished"
+    cancelled = "cancelled"
+    failed = "failed"
 
 
 class _Cancelled(Exception):
     pass
 
 
-class LiveSimulation:
-    """One run in a thread of its own, ended between two steps when it is cancelled."""
+class LiveSimulation(Worker):
+    """One run, ended between two steps when it is cancelled.
 
-    def __init__(self, request: SimulationRequest, listener: Listener) -> None:
-        self._request, self._listener = request, listener
-        self._cancelled = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="pb4u live simulation", daemon=True)
+    Args:
+        run: what is simulated, and how.
+        advanced: called with the clip so far, the steps done and the steps in all, both with the lead-in, after every
+            step and every frame, in the thread that computes.
+        ended: called at the end with the clip, or None where it could not begin, how it ended in words, and how.
+    """
+
+    def __init__(
+        self,
+        run: RunSpecification,
+        advanced: Callable[[GrowingClip, int, int], None],
+        ended: Callable[[GrowingClip | None, str, Ending], None],
+    ) -> None:
+        super().__init__("live simulation")
+        self._specification, self._advanced, self._ended = run, advanced, ended
         self._clip: GrowingClip | None = None
+        self._frames = run.scene.frames or 0
 
-    def start(self) -> None:
-        """Begin."""
-        self._thread.start()
-
-    def cancel(self) -> None:
-        """End before the next step; what was simulated stays."""
-        self._cancelled.set()
-
-    @property
-    def running(self) -> bool:
-        """Whether it still computes."""
-        return self._thread.is_alive()
-
-    def join(self, timeout: float) -> bool:
-        """Wait; true when it has ended."""
-        self._thread.join(timeout)
-        return not self.running
-
-    def _run(self) -> None:
-        well = False
+    def _work(self) -> None:
         try:
-            sentence, well = self._simulate()
+            sentence, ending = self._simulate()
         except _Cancelled:
-            sentence = f"Cancelled; {self._done} of {self._request.frames} frames are there."
+            there = 0 if self._clip is None else self._clip.frame_count
+            sentence, ending = f"Cancelled; {there} of {self._frames} frames are there.", Ending.cancelled
         except Exception as error:
-            sentence = plain_sentence(error)
-        self._listener.simulation_ended(self._clip, sentence, well)
+            sentence, ending = plain_sentence(error), Ending.failed
+        self._ended(self._clip, sentence, ending)
 
-    @property
-    def _done(self) -> int:
-        return 0 if self._clip is None else self._clip.frame_count
-
-    def _simulate(self) -> tuple[str, bool]:
-        request = self._request
-        request.check()
-        simulator = load_simulator(request.model, refine=request.refine)
+    def _simulate(self) -> tuple[str, Ending]:
+        run = self._specification
+        require_offered(run)
+        simulator = run.simulator()
         self._end_if_cancelled()
-        scene = make_scene(
-            request.garment, request.body, request.motion, triangles=request.triangles, material=request.material,
-            frames=request.frames, lead_in=request.lead_in, fps=simulator.fps or 30.0,
-        )  # fmt: skip
+        scene = assemble(replace(run.scene, fps=simulator.fps or run.scene.fps))
         self._end_if_cancelled()
-        clip = GrowingClip(simulator.header(scene), scene.frames, request.label)
-        self._clip = clip
-        self._listener.simulation_started(clip)
+        label = f"{scene.labels['garment']}, {scene.labels['motion']}, {simulator.name}"
+        self._frames = scene.frames
+        self._clip = clip = GrowingClip(simulator.header(scene), scene.frames, label)
 
         def stepped(done: int, total: int) -> None:
             # Called between two steps, lead-in included: the place to stop without leaving a half-made frame.
             self._end_if_cancelled()
-            self._listener.simulation_advanced(clip, done, total)
+            self._advanced(clip, done, total)
 
         record = RunRecord()
         for frame in simulator.written_frames(scene, record, stepped):
             clip.append(frame)
-            self._listener.simulation_advanced(clip, scene.lead_in + clip.frame_count, scene.total_frames)
+            self._advanced(clip, scene.lead_in + clip.frame_count, scene.total_frames)
         if record.failed_at is not None:
             return (
                 f"The state stopped being finite at frame {record.failed_at}; {clip.frame_count} frames are there. "
                 "Try the solver, or more refining iterations.",
-                False,
+                Ending.failed,
             )
-        return f"{clip.frame_count} frames of {request.label}; {record.ms_per_step:,.0f} ms a step.", True
+        return f"{clip.frame_count} frames of {label}; {record.ms_per_step:,.0f} ms a step.", Ending.finished
 
     def _end_if_cancelled(self) -> None:
         if self._cancelled.is_set():

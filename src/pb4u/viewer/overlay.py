@@ -1,10 +1,12 @@
-"""What is painted on the cloth: nothing, its edges, strain, penetration, or the paper's factor of the update."""
+"""What is painted on the cloth: nothing, its edges, strain, penetration, the paper's update scale; and its legend."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache, cached_property
+from html import escape
 
 import numpy as np
 import torch
@@ -17,34 +19,93 @@ from pb4u.graph.garment_graph import garment_graph
 from pb4u.model.propagation_control import ConstantDistance
 from pb4u.model.update_scaling import PerVertexScaling
 from pb4u.viewer.clip import Clip
-from pb4u.viewer.colour_scale import ColourScale
+from pb4u.viewer.view_state import SHADED
 
 _KEPT = 512
-"""Painted frames that are kept for the next time round."""
+"""Painted frames that are kept for the next time round: more than most clips have, 40 MB at 20,000 vertices."""
+
+
+@dataclass(frozen=True)
+class ColourScale:
+    """A fixed range of values and its colours: fixed, so that frames and trajectories compare.
+
+    Args:
+        title: what is shown, with its unit.
+        low: value at the lower end; what lies below takes its colour.
+        high: value at the upper end; what lies above takes its colour.
+        low_label: how the lower end is written.
+        high_label: how the upper end is written.
+        colours: name of a matplotlib colour map.
+    """
+
+    title: str
+    low: float
+    high: float
+    low_label: str
+    high_label: str
+    colours: str = "viridis"
+
+    def vertex_colours(self, values: np.ndarray) -> np.ndarray:
+        """(vertices, 4) uint8 linear RGBA of `values` (vertices,); what is not finite is painted as the low end."""
+        share = (np.nan_to_num(values, nan=self.low) - self.low) / (self.high - self.low)
+        return _linear_colours(self.colours)[np.clip(255 * share, 0, 255).astype(np.uint8)]
+
+    def legend(self, notes: tuple[str, ...] = ()) -> str:
+        """HTML: title, bar, both ends and any notes."""
+        from matplotlib.colors import to_hex
+
+        stops = ", ".join(to_hex(colour) for colour in _colours(self.colours)[np.linspace(0, 255, 12).astype(int)])
+        below = "".join(f"<div style='margin-top:4px'>{escape(note)}</div>" for note in notes)
+        return (
+            f"<div data-legend style='padding:4px 12px 8px;font-size:0.8em'><div>{escape(self.title)}</div>"
+            f"<div style='height:12px;border-radius:3px;margin:4px 0;background:linear-gradient(to right, {stops})'>"
+            "</div><div style='display:flex;justify-content:space-between'>"
+            f"<span>{escape(self.low_label)}</span><span>{escape(self.high_label)}</span></div>{below}</div>"
+        )
+
+
+# Made once for all windows; `cache` may be asked from several threads.
+@cache
+def _colours(name: str) -> np.ndarray:
+    """(256, 3) sRGB from 0 to 1."""
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps[name](np.linspace(0.0, 1.0, 256)))[:, :3]
+
+
+@cache
+def _linear_colours(name: str) -> np.ndarray:
+    """(256, 4) uint8 linear RGB and full alpha, as glTF wants vertex colours (transfer function of IEC 61966-2-1)."""
+    srgb = _colours(name)
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return np.column_stack([np.round(255 * linear), np.full(256, 255)]).astype(np.uint8)
 
 
 class Overlay:
-    """One way to look at one clip."""
+    """One way to look at one clip: here plain cloth in the light.
+
+    Args:
+        clip: what is looked at.
+
+    Attributes:
+        wireframe: whether edges are drawn in place of faces.
+        scale: what the colours mean; None where nothing is painted.
+    """
 
     wireframe = False
-    painted = False
     scale: ColourScale | None = None
 
     def __init__(self, clip: Clip) -> None:
         self.clip = clip
 
-    def colours(self, t: int) -> np.ndarray:
-        """(vertices, 4) uint8 linear RGBA of frame t. Only where `painted`."""
-        raise NotImplementedError
+    def colours(self, t: int) -> np.ndarray | None:
+        """(vertices, 4) uint8 linear RGBA of frame t; None where nothing is painted."""
+        return None
 
     @property
-    def note(self) -> str:
-        """A sentence for the legend, or nothing."""
-        return ""
-
-
-class Shaded(Overlay):
-    """Plain cloth in the light."""
+    def notes(self) -> tuple[str, ...]:
+        """Sentences for the legend."""
+        return ()
 
 
 class Wireframe(Overlay):
@@ -56,7 +117,6 @@ class Wireframe(Overlay):
 class PaintedOverlay(Overlay, ABC):
     """A number at every vertex, as a colour."""
 
-    painted = True
     scale: ColourScale
 
     def __init__(self, clip: Clip) -> None:
@@ -91,18 +151,23 @@ class Strain(PaintedOverlay):
     def values(self, t: int) -> np.ndarray:
         garments = self.ruler.garments
         strains = face_strains(self._garment(t), garments.faces, garments.inverse_rest_shape)
-        faces, areas = garments.faces.numpy(), garments.face_areas.numpy()
-        weight, total = np.zeros(garments.vertex_count), np.zeros(garments.vertex_count)
-        for corner in range(3):
-            np.add.at(weight, faces[:, corner], areas)
-            np.add.at(total, faces[:, corner], areas * strains.numpy())
-        return total / np.maximum(weight, 1e-30)
+        corners, areas = garments.faces.numpy().T.ravel(), garments.face_areas.numpy()
+
+        def gathered(values: np.ndarray) -> np.ndarray:
+            return np.bincount(corners, np.tile(values, 3), garments.vertex_count)
+
+        # The small floor is for vertices of no face.
+        return gathered(areas * strains.numpy()) / np.maximum(gathered(areas), 1e-30)
 
 
 class Penetration(PaintedOverlay):
     """Signed distance of each vertex to the body's surface, negative inside.
 
-    Raises InputError when the body's surface is open, so that it has no inside.
+    Args:
+        clip: what is looked at.
+
+    Raises:
+        InputError: the body's surface is open, so that it has no inside.
     """
 
     scale = ColourScale("Distance to the body", -0.01, 0.01, "10 mm inside", "10 mm outside", "RdBu")
@@ -119,7 +184,7 @@ class Penetration(PaintedOverlay):
 
 
 class UpdateScale(PaintedOverlay):
-    """The paper's resolution-aware quantities: the factor s_i / L_ref at each vertex, and K of the garment."""
+    """The paper's resolution-aware quantities: the factor s_i / L_ref at each vertex, and K of each garment."""
 
     scale = ColourScale("Update scaling s_i / L_ref", 0.0, 2.0, "0", "2 and more", "viridis")
 
@@ -134,20 +199,23 @@ class UpdateScale(PaintedOverlay):
         return self._factors
 
     @property
-    def note(self) -> str:
-        mean = self.ruler.garments.mean_edge_lengths[0]
-        simulated = self.clip.header.metadata.get("propagation_steps")
-        steps = simulated or ConstantDistance().steps(mean)
-        least, most = self._factors.min(), self._factors.max()
+    def notes(self) -> tuple[str, ...]:
+        """K, mean edge and range of the factor, of each garment."""
+        garments, simulated = self.ruler.garments, self.clip.header.metadata.get("propagation_steps")
         whence = "as simulated" if simulated else "by the paper's rule"
-        return (
-            f"{self.clip.label}: K = {steps} {whence}, mean edge {1000 * mean:.1f} mm, "
-            f"s_i / L_ref {least:.2f} to {most:.2f}"
-        )
+        lines = []
+        for number, (garment, mean) in enumerate(zip(garments.garments, garments.mean_edge_lengths, strict=True)):
+            factors = self._factors[garments.vertex_offsets[number] : garments.vertex_offsets[number + 1]]
+            who = self.clip.label if garments.garment_count == 1 else f"{self.clip.label}, {garment.name}"
+            lines.append(
+                f"{who}: K = {simulated or ConstantDistance().steps(mean)} {whence}, mean edge {1000 * mean:.1f} mm, "
+                f"s_i / L_ref {factors.min():.2f} to {factors.max():.2f}"
+            )
+        return tuple(lines)
 
 
 OVERLAYS: dict[str, type[Overlay]] = {
-    "shaded": Shaded,
+    SHADED: Overlay,
     "wireframe": Wireframe,
     "strain": Strain,
     "penetration": Penetration,

@@ -1,53 +1,148 @@
-"""Energies and strains over the frames, measured in the background."""
+"""Energies and strains over the frames: measured beside everything else the page does, and drawn as curves."""
 
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
-from pb4u.viewer.chart import Chart
-from pb4u.viewer.measurement import QUANTITIES
-from pb4u.viewer.notice import notice
-from pb4u.viewer.page_event import guarded
+from pb4u.evaluation.metrics import ENERGIES, Ruler
+from pb4u.viewer.clip import Clip
+from pb4u.viewer.panel import Panel, notice
+from pb4u.viewer.worker import Worker, plain_sentence
 
-if TYPE_CHECKING:
-    from viser import GuiApi
+QUANTITIES: dict[str, str] = {
+    **{name: f"{name} energy [J]" for name in ENERGIES},
+    "strain_p95": "strain, 95th percentile",
+    "penetration_percent": "vertices inside the body [%]",
+}
+"""What can be plotted, and how it is written."""
 
-    from pb4u.viewer.session import Session
+_COLOURS = ("#2a5c9e", "#d9730d")
+_CURSOR = "#d33"
 
 
-class PlotPanel:
-    """Energies and strains over the frames, measured in the background."""
+class Measurement(Worker):
+    """Measures every frame of a clip.
+
+    Args:
+        clip: with all of its frames.
+
+    Attributes:
+        failure: why it could not be measured, in one sentence; None while nothing is wrong.
+    """
+
+    def __init__(self, clip: Clip) -> None:
+        super().__init__("measurement")
+        self.clip = clip
+        self.failure: str | None = None
+        self._frames = clip.frame_count
+        # Written by the worker alone, one whole row at a time; readers take a copy.
+        self._rows: list[dict[str, float]] = []
+
+    @property
+    def done(self) -> int:
+        """Frames measured so far."""
+        return len(self._rows)
+
+    def series(self, quantity: str) -> np.ndarray:
+        """(frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite."""
+        values = [row.get(quantity, np.nan) for row in list(self._rows)]
+        return np.pad(np.array(values, dtype=float), (0, self._frames - len(values)), constant_values=np.nan)
+
+    def _work(self) -> None:
+        try:
+            ruler = Ruler(self.clip.trajectory())
+            for t in range(self._frames):
+                if self._cancelled.is_set():
+                    return
+                self._rows.append(ruler.frame(t)[0])
+        except Exception as error:
+            self.failure = plain_sentence(error)
+
+
+class PlotPanel(Panel):
+    """One quantity of every clip over the frames."""
 
     _EVERY = 0.2
+    """Seconds between redraws: each sends all curves anew."""
 
-    def __init__(self, gui: GuiApi, session: Session) -> None:
-        self._session, self._last, self._stale, self._drawn = session, 0.0, False, -1
+    def _add_controls(self) -> None:
+        gui = self._gui
+        self._last = 0.0
+        self._drawn: object = None
         self._names = {line: name for name, line in QUANTITIES.items()}
         self._quantity = gui.add_dropdown("Quantity", list(self._names), initial_value=QUANTITIES["stretch"])
-        self._chart = Chart(gui, gui.add_folder(None))
+        self._place = gui.add_folder(None)
+        self._plot: Any = None
+        self._heading: tuple[str, ...] = ()
         self._status = gui.add_html("")
-        self._quantity.on_update(guarded(session, self.stale))
 
-    def stale(self) -> None:
-        """Something new was measured, or another quantity is asked for."""
-        self._stale = True
+    def refresh(self, measurements: tuple[Measurement, ...], frame: int) -> None:
+        """Redraw where the values, the quantity or the frame have changed.
 
-    def refresh(self, playing: bool) -> None:
-        """Redraw where values or the frame have changed."""
-        state, now = self._session.state, time.monotonic()
-        measured, frame = self._session.measurements, state.clock.frame
-        if not measured or now - self._last < self._EVERY or not (self._stale or frame != self._drawn):
+        Args:
+            measurements: of every clip that is shown.
+            frame: where the line stands.
+        """
+        now, title = time.monotonic(), self._quantity.value
+        progress = [(measurement, measurement.done, measurement.failure) for measurement in measurements]
+        wanted = (title, frame, progress)
+        if not measurements or now - self._last < self._EVERY or wanted == self._drawn:
             return
-        self._last, self._stale, self._drawn = now, False, frame
-        quantity = self._names.get(self._quantity.value, "stretch")
-        length = max(len(m.series(quantity)) for m in measured)
-        curves = [np.pad(m.series(quantity), (0, length - len(m.series(quantity))), constant_values=np.nan)
-                  for m in measured]  # fmt: skip
-        self._chart.draw(QUANTITIES[quantity], tuple(m.clip.label for m in measured), curves, float(frame))
-        failures = [m.failure for m in measured if m.failure]
-        done, total = sum(m.done for m in measured), sum(m.clip.frame_count for m in measured)
+        self._last, self._drawn = now, wanted
+        curves = [measurement.series(self._names.get(title, "stretch")) for measurement in measurements]
+        length = max(len(curve) for curve in curves)
+        curves = [np.pad(curve, (0, length - len(curve)), constant_values=np.nan) for curve in curves]
+        self._draw(title, tuple(measurement.clip.label for measurement in measurements), curves, float(frame))
+        failures = [failure for _, _, failure in progress if failure]
+        done, total = sum(done for _, done, _ in progress), sum(m.clip.frame_count for m in measurements)
         text = failures[0] if failures else "" if done >= total else f"Measured {done} of {total} frames."
-        self._status.content = notice(text) if text else ""
+        self._status.content = notice(text)
+
+    def _draw(self, title: str, labels: tuple[str, ...], curves: list[np.ndarray], frame: float) -> None:
+        """Send the curves; the plot itself is made anew where its labels change, which it cannot be told later."""
+        data = chart_data(curves, frame)
+        # A range has to be given: the page finds none itself where a row begins with NaN, and then draws nothing.
+        low, high = float(np.nanmin(data[-1])), float(np.nanmax(data[-1]))
+        room = 0.05 * (high - low)
+        scales: dict[str, Any] = {"x": {"time": False}, "y": {"range": (low - room, high + room)}}
+        if self._plot is not None and self._heading == (title, *labels):
+            self._plot.data = data
+            if self._plot.scales != scales:
+                self._plot.scales = scales
+            return
+        series: list[dict[str, Any]] = [{"label": "frame"}]
+        for label, colour in zip(labels, _COLOURS, strict=False):
+            series.append({"label": label, "stroke": colour, "width": 2, "spanGaps": False, "points": {"show": False}})
+        series.append({"label": "now", "stroke": _CURSOR, "width": 1.5, "points": {"show": False}})
+        options: dict[str, Any] = {"scales": scales, "axes": ({"label": "frame"}, {"size": 64}), "height": 240}
+        self._heading = (title, *labels)
+        if self._plot is not None:
+            self._plot.remove()
+        with self._place:
+            self._plot = self._gui.add_uplot(data, tuple(series), title=title, **options)  # type: ignore[arg-type]
+
+
+def chart_data(curves: list[np.ndarray], frame: float) -> tuple[np.ndarray, ...]:
+    """Abscissa, one row a curve, and the line at `frame`, all of one length.
+
+    Args:
+        curves: (frames,) values each, all of one length; NaN where there is none.
+        frame: where the line stands.
+    """
+    count = len(curves[0])
+    known = np.concatenate(curves)
+    known = known[np.isfinite(known)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+    if high <= low:
+        # A curve of one value has no range; the line still needs a length, however small the value is.
+        low, high = low - 0.5 * abs(low) - 1e-9, high + 0.5 * abs(high) + 1e-9
+    # The line is two points at one abscissa, which the curves pass in between.
+    at = int(np.clip(np.ceil(frame), 0, count))
+    abscissa = np.insert(np.arange(count, dtype=float), at, [frame, frame])
+    rows = [np.insert(curve, at, [np.interp(frame, np.arange(count), curve)] * 2) for curve in curves]
+    line = np.full(count + 2, np.nan)
+    line[at : at + 2] = low, high
+    return abscissa, *rows, line

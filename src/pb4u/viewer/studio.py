@@ -1,4 +1,4 @@
-"""The studio: a server that gives every browser window a session of its own."""
+"""The studio: a server on which every browser window has its own state and its own work."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pb4u.errors import InputError, MissingExtraError
+from pb4u.viewer.browser_window import BrowserWindow
 from pb4u.viewer.clip import Clip
+from pb4u.viewer.display import light
 
 if TYPE_CHECKING:
     from viser import ClientHandle
-
-    from pb4u.viewer.session import Session
 
 DEFAULT_PORT = 8094
 
@@ -29,7 +29,9 @@ class Studio:
         port: port to listen on; 0 takes a free one.
         out: folder that exports are kept in besides being downloaded, or None.
 
-    Raises MissingExtraError without the "view" extra, InputError when the port is taken or the folder is not there.
+    Raises:
+        MissingExtraError: without the "view" extra.
+        InputError: the port is taken, or the folder is not there.
     """
 
     def __init__(
@@ -39,14 +41,12 @@ class Studio:
             import viser
         except ImportError as error:
             raise MissingExtraError("view", "The studio") from error
-        from pb4u.viewer.stage import light
-
         if out is not None and not out.is_dir():
             raise InputError(f"The folder {out} does not exist; make it first.")
         check_port(host, port)
         self._clips, self._out = clips, out
         self._lock = threading.Lock()
-        self._sessions: dict[int, Session] = {}
+        self._windows: dict[int, BrowserWindow] = {}
         # The library announces itself on standard output, where the caller has something of its own to say.
         with redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(host, port, label="pb4u studio", verbose=False)
@@ -57,37 +57,43 @@ class Studio:
         self.url = f"http://{'localhost' if host in ('', '0.0.0.0', '127.0.0.1') else host}:{self._server.get_port()}"
 
     @property
-    def sessions(self) -> tuple[Session, ...]:
-        """Those of the windows that are open."""
+    def windows(self) -> tuple[BrowserWindow, ...]:
+        """Those that are open."""
         with self._lock:
-            return tuple(self._sessions.values())
+            return tuple(self._windows.values())
 
     def _connected(self, client: ClientHandle) -> None:
-        from pb4u.viewer.session import Session
-
-        session = Session(client, self._clips, self._out)
+        window = BrowserWindow(client, self._clips, self._out)
         with self._lock:
-            self._sessions[client.client_id] = session
-        # A window may be gone before its session was ready.
+            self._windows[client.client_id] = window
+        # It may be gone before it was ready.
         if client.client_id not in self._server.get_clients():
             self._disconnected(client)
 
     def _disconnected(self, client: ClientHandle) -> None:
         with self._lock:
-            session = self._sessions.pop(client.client_id, None)
-        if session is not None:
-            session.close()
+            window = self._windows.pop(client.client_id, None)
+        if window is not None:
+            window.close()
 
     def close(self) -> None:
-        """End every session and stop listening."""
-        for session in self.sessions:
-            session.close(timeout=2.0)
+        """End the work of every window and stop listening."""
+        for window in self.windows:
+            window.close(timeout=2.0)
         with redirect_stdout(io.StringIO()):
             self._server.stop()
 
 
 def check_port(host: str, port: int) -> None:
-    """Raises InputError when nothing can listen there."""
+    """See that one can listen there.
+
+    Args:
+        host: address.
+        port: port; 0 is any.
+
+    Raises:
+        InputError: the port is taken, not allowed or not a port, or the address is not this machine's.
+    """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pb4u.viewer.coloured_mesh import ColouredMesh
-
 if TYPE_CHECKING:
     from viser import GlbHandle, MeshHandle, SceneApi
+
+_FLOAT, _UNSIGNED_BYTE, _UNSIGNED_SHORT, _UNSIGNED_INT = 5126, 5121, 5123, 5125
 
 
 class Surface(ABC):
@@ -18,7 +20,12 @@ class Surface(ABC):
 
     @abstractmethod
     def show(self, positions: np.ndarray, colours: np.ndarray | None) -> bool:
-        """Send a frame; true where the page shows it at once, false where `reveal` is needed."""
+        """Send a frame; true where the page shows it at once, false where `reveal` is needed.
+
+        Args:
+            positions: (vertices, 3) float32 [m].
+            colours: (vertices, 4) uint8 linear RGBA; None where the surface has one colour.
+        """
 
     @abstractmethod
     def reveal(self) -> None:
@@ -30,7 +37,15 @@ class Surface(ABC):
 
 
 class PlainSurface(Surface):
-    """One colour: after the first frame only positions travel, 12 bytes a vertex."""
+    """One colour: after the first frame only positions travel, 12 bytes a vertex.
+
+    Args:
+        scene: of one page.
+        name: of the node.
+        faces: (faces, 3) int.
+        colour: sRGB from 0 to 1.
+        wireframe: draw edges in place of faces.
+    """
 
     def __init__(
         self, scene: SceneApi, name: str, faces: np.ndarray, colour: tuple[float, float, float], wireframe: bool = False
@@ -69,19 +84,23 @@ class PaintedSurface(Surface):
 
     A browser needs a moment to read a GLB and shows nothing meanwhile, so a frame is sent out of sight and revealed
     with the next one. The third keeps what was shown before alive, and with it the compiled shader.
+
+    Args:
+        scene: of one page.
+        name: of the nodes.
+        faces: (faces, 3) int.
     """
 
     _TURNS = 3
 
-    def __init__(self, scene: SceneApi, name: str, faces: np.ndarray, vertices: int) -> None:
-        self._scene, self._name = scene, name
-        self._mesh = ColouredMesh(faces, vertices)
+    def __init__(self, scene: SceneApi, name: str, faces: np.ndarray) -> None:
+        self._scene, self._name, self._faces = scene, name, faces
         self._nodes: list[GlbHandle] = []
         self._sent = 0
 
     def show(self, positions: np.ndarray, colours: np.ndarray | None) -> bool:
         assert colours is not None
-        data, turn = self._mesh.glb(positions, colours), self._sent % self._TURNS
+        data, turn = coloured_glb(positions, colours, self._faces), self._sent % self._TURNS
         if turn == len(self._nodes):
             self._nodes.append(self._scene.add_glb(f"{self._name}/{turn}", data, visible=False))
         else:
@@ -97,3 +116,60 @@ class PaintedSurface(Surface):
     def remove(self) -> None:
         for node in self._nodes:
             node.remove()
+
+
+def coloured_glb(positions: np.ndarray, colours: np.ndarray, faces: np.ndarray, transparent: bool = False) -> bytes:
+    """The smallest GLB that a browser can take thirty times a second: a mesh with a colour at every vertex.
+
+    Args:
+        positions: (vertices, 3) float [m].
+        colours: (vertices, 4) uint8 linear RGBA.
+        faces: (faces, 3) int.
+        transparent: whether the alpha of the colours counts.
+    """
+    short = len(positions) < 65536
+    indices = np.ascontiguousarray(faces, dtype="<u2" if short else "<u4").tobytes()
+    index_kind = _UNSIGNED_SHORT if short else _UNSIGNED_INT
+    alpha = {"alphaMode": "BLEND"} if transparent else {}
+    points = np.ascontiguousarray(positions, dtype="<f4")
+    parts = [points.tobytes(), np.ascontiguousarray(colours, dtype=np.uint8).tobytes(), indices]
+    sizes = [len(part) for part in parts]
+    offsets = [0, sizes[0], sizes[0] + sizes[1]]
+    count = len(points)
+    matt = {"metallicFactor": 0, "roughnessFactor": 0.9}
+    attributes = {"POSITION": 0, "COLOR_0": 1, "NORMAL": 3}
+    document = {
+        "asset": {"version": "2.0", "generator": "pb4u"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        # Normals are named but not sent (zeros, by the format): the browser computes them from the positions,
+        # and without the name it would shade every triangle flat.
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 2, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": matt, "doubleSided": True, **alpha}],
+        "buffers": [{"byteLength": sum(sizes)}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": offset, "byteLength": size}
+            for offset, size in zip(offsets, sizes, strict=True)
+        ],
+        "accessors": [
+            {
+                "bufferView": 0, "componentType": _FLOAT, "count": count, "type": "VEC3",
+                "min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist(),
+            },
+            {
+                "bufferView": 1, "componentType": _UNSIGNED_BYTE, "normalized": True, "count": count,
+                "type": "VEC4",
+            },
+            {"bufferView": 2, "componentType": index_kind, "count": int(np.size(faces)), "type": "SCALAR"},
+            {"componentType": _FLOAT, "count": count, "type": "VEC3"},
+        ],
+    }  # fmt: skip
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    binary = b"".join(parts)
+    binary += b"\0" * (-len(binary) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary))
+    return b"".join(
+        [head, struct.pack("<I4s", len(text), b"JSON"), text, struct.pack("<I4s", len(binary), b"BIN\0"), binary]
+    )

@@ -1,11 +1,138 @@
-"""What one page shows, without the page: clips on one timeline, and how they are looked at."""
+"""What one page shows, without the page: clips on one timeline, which frame when, and how they are looked at."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from copy import copy
+
 from pb4u.viewer.clip import Clip
-from pb4u.viewer.playback_clock import PlaybackClock
 
 SHADED = "shaded"
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0)
+IDLE_WAIT = 0.25
+"""Seconds between looks at a page that stands still: plots and counts that grow there are still followed."""
+
+
+class PlaybackClock:
+    """Turns time into frame numbers: playing, pausing, speed, loop and stepping.
+
+    Reading changes nothing, so that a thread which reads cannot undo what another one has set.
+
+    Args:
+        now: seconds that only go forward.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
+        self._now = now
+        self._since = now()
+        self._position = 0.0
+        self._fps = 30.0
+        self._speed = 1.0
+        self._loop = True
+        self._playing = False
+        self.frame_count = 0
+
+    def frozen(self) -> PlaybackClock:
+        """Another one, which stays at this moment."""
+        other, now = copy(self), self._now()
+        other._now = lambda: now
+        return other
+
+    def load(self, fps: float, frame_count: int) -> None:
+        """Begin anew at frame 0 of `frame_count`, paused, at `fps` frames per second [1/s]."""
+        self._fps, self.frame_count = fps, frame_count
+        self.pause_at(0)
+
+    def grow(self, frame_count: int) -> None:
+        """More frames are there now."""
+        self._settle()
+        self.frame_count = frame_count
+
+    @property
+    def frame(self) -> int:
+        """The frame to show now; 0 where there is none."""
+        # The small addition keeps a position that rounding left just below a frame from showing the one before.
+        return min(int(self._reading(self._now())[0] + 1e-6), max(self.frame_count - 1, 0))
+
+    @property
+    def seconds(self) -> float:
+        """Time of that frame since the first one [s]."""
+        return self.frame / self._fps
+
+    @property
+    def playing(self) -> bool:
+        """Whether time goes on; ends by itself at the last frame where it does not loop."""
+        return self._reading(self._now())[1]
+
+    @property
+    def wait(self) -> float:
+        """Seconds until another frame is due; `IDLE_WAIT` while paused."""
+        position, playing = self._reading(self._now())
+        return max(1.0 - position % 1.0, 1e-3) / (self._fps * self._speed) if playing else IDLE_WAIT
+
+    def play(self) -> None:
+        """Go on, from the start where the end was reached."""
+        ended = self.frame >= self.frame_count - 1 and not self._loop
+        self._settle()
+        self._position, self._playing = 0.0 if ended else self._position, True
+
+    def toggle(self) -> None:
+        """Pause where it plays, play where it stands."""
+        if self.playing:
+            self.pause_at(self.frame)
+        else:
+            self.play()
+
+    def seek(self, frame: int) -> None:
+        """Go to a frame, the nearest there is; playing goes on from it."""
+        self._settle()
+        self._position = float(min(max(frame, 0), max(self.frame_count - 1, 0)))
+
+    def step(self, frames: int) -> None:
+        """Pause and go that many frames on, around the ends where it loops."""
+        target = self.frame + frames
+        self.pause_at(target % self.frame_count if self._loop and self.frame_count else target)
+
+    def pause_at(self, frame: int) -> None:
+        """Pause and go to a frame, the nearest there is."""
+        self._playing = False
+        self.seek(frame)
+
+    @property
+    def speed(self) -> float:
+        """Playing seconds per second."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        self._settle()
+        self._speed = speed
+
+    @property
+    def loop(self) -> bool:
+        """Whether the last frame is followed by the first."""
+        return self._loop
+
+    @loop.setter
+    def loop(self, loop: bool) -> None:
+        self._settle()
+        self._loop = loop
+
+    def _settle(self) -> None:
+        """Bring what is kept up to now, before it is changed."""
+        now = self._now()
+        (self._position, self._playing), self._since = self._reading(now), now
+
+    def _reading(self, now: float) -> tuple[float, bool]:
+        """The position [frames] at the time `now`, and whether time still goes on there."""
+        position, playing = self._position, self._playing
+        if not playing or not self.frame_count:
+            return position, playing
+        position += (now - self._since) * self._fps * self._speed
+        if position < self.frame_count:
+            return position, True
+        return (position % self.frame_count, True) if self._loop else (self.frame_count - 1.0, False)
 
 
 class ViewState:
@@ -37,19 +164,30 @@ class ViewState:
         """Take notice of frames that have come."""
         self.clock.grow(self._length())
 
+    def frozen(self) -> ViewState:
+        """What is to be shown at this moment, for a thread that reads it while others change the state."""
+        other = copy(self)
+        other.clock = self.clock.frozen()
+        return other
+
+    @property
+    def picture(self) -> tuple[object, ...]:
+        """All that the drawing of the clips depends on: where two of these are equal, so is what is drawn."""
+        return self.clips, self.clock.frame, self.overlay, self.body, self.follow
+
     def frame_of(self, clip: Clip, frame: int) -> int:
         """The clip's own frame at a frame of the timeline: the same moment, or its last one."""
         own = round(frame * clip.header.fps / self.clips[0].header.fps)
         return min(own, max(clip.frame_count - 1, 0))
 
-    def held(self, frame: int) -> list[str]:
+    def held(self, frame: int) -> tuple[str, ...]:
         """A sentence for every clip whose frame there is not finite."""
-        found = []
-        for clip in self.clips:
-            own = self.frame_of(clip, frame)
-            if own in clip.held:
-                found.append(f"Frame {own} of {clip.label} is not finite: the last whole frame before it is shown.")
-        return found
+        shown = [(clip, self.frame_of(clip, frame)) for clip in self.clips]
+        return tuple(
+            f"Frame {own} of {clip.label} is not finite: the last whole frame before it is shown."
+            for clip, own in shown
+            if own in clip.held
+        )
 
     def _length(self) -> int:
         """Frames of the timeline: the longest clip, at the frame rate of the first."""

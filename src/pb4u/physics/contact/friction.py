@@ -35,7 +35,7 @@ class Friction(EnergyTerm):
         coefficient: mu.
         radius: distance below which a vertex touches [m].
         smoothing: slip speed below which the vertex sticks [m/s].
-        load: None for m g as the normal force. Given the collision term, the force with which the body carried the
+        load: None for m g as the normal force. Given the collision term, the force with which the body pressed the
             vertex at the step's start, where that is more: shoulders then hold the weight of a dress.
     """
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.clearance import FaceClearance
+from pb4u.physics.contact.face_clearance import FaceClearance
 from pb4u.physics.contact.planes import ContactPlanes, nearest_planes
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments

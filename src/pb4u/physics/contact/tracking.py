@@ -1,4 +1,4 @@
-"""Contacts that follow the iterations of a minimisation."""
+"""Contacts that follow the iterations of a minimisation, and vertices that the moving body has overrun."""
 
 from __future__ import annotations
 
@@ -25,6 +25,34 @@ _DISTINCT = 0.999
 
 _CAUGHT_WITHIN = 0.01
 """Distance [m] to the plane that it left within which a vertex counts as caught between two."""
+
+
+_LIFT = 2e-3
+"""Height [m] over the body that a lifted vertex gets, unless it was lower before."""
+
+
+def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
+    """`x` (vertices, 3) [m], with overrun vertices lifted in every world whose energy falls by it.
+
+    Args:
+        potential: of the step.
+        x: positions at its end, pinned vertices where they will be; these are left there.
+    """
+    step, planes = potential.step, potential.contacts.now
+    garments, bodies = step.garments, step.bodies
+    if planes is None or bodies is None:
+        return x
+    point = planes.transported(bodies.following).to(x)
+    normal = planes.transported_normals(bodies.following).to(x)
+    height = ((x - point) * normal).sum(1)
+    wanted = planes.distance.clamp(0.0, _LIFT).to(x)
+    moves = ~garments.pinned & (garments.vertex_masses > 0)
+    overrun = planes.touchable & moves & (planes.distance.abs() < REACH) & (height < wanted)
+    if not bool(overrun.any()):
+        return x
+    lifted = torch.where(overrun[:, None], x + (wanted - height)[:, None] * normal, x)
+    better = potential.energies(lifted).per_world(garments) < potential.energies(x).per_world(garments)
+    return torch.where(better[garments.vertex_world, None], lifted, x)
 
 
 class TrackedContact:

@@ -1,0 +1,70 @@
+"""What the baselines derive from the meshes of a pack at rest, remembered: trainings prepare the same garments anew."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from itertools import pairwise
+from typing import Generic, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.baselines.coarsening import level_labels
+from pb4u.errors import InputError
+from pb4u.scene.packed import PackedGarments
+
+T = TypeVar("T")
+
+
+class MeshMemory(Generic[T]):
+    """The latest results of a function of a mesh and a count; meshes are told apart by their content.
+
+    Args:
+        derive: called with edges (edges, 2) int64, rest positions (vertices, 3) [m] and the count.
+        remembered: how many results are kept.
+    """
+
+    def __init__(self, derive: Callable[[np.ndarray, np.ndarray, int], T], remembered: int) -> None:
+        self._derive, self._remembered = derive, remembered
+        self._results: OrderedDict[bytes, T] = OrderedDict()
+
+    def of(self, garments: PackedGarments, garment: int, count: int) -> T:
+        """The result for one garment of a pack, its vertices numbered within it."""
+        start, stop = garments.vertex_offsets[garment : garment + 2]
+        edges = garments.edges[garments.edge_garment == garment].cpu().numpy() - start
+        rest = garments.rest_positions[start:stop].to(torch.float64).cpu().numpy()
+        key = hashlib.blake2b(edges.tobytes() + rest.tobytes() + count.to_bytes(4, "little"), digest_size=16).digest()
+        if key not in self._results:
+            self._results[key] = self._derive(edges, rest, count)
+            while len(self._results) > self._remembered:
+                self._results.popitem(last=False)
+        self._results.move_to_end(key)
+        return self._results[key]
+
+
+def packed_levels(
+    garments: PackedGarments, levels: Sequence[Sequence[np.ndarray]], kinds: Sequence[str]
+) -> tuple[dict[str, Tensor], Tensor]:
+    """Edges (edges, 2) int64 of the pack by kind, and (vertices,) int64 how many levels each vertex has edges on.
+
+    Args:
+        garments: the pack.
+        levels: edges (edges, 2) int64 of each garment's coarse levels, from fine to coarse, numbered within it.
+        kinds: names of the last levels of each garment.
+    """
+    spans = list(pairwise(garments.vertex_offsets))
+    labels = [level_labels(own, stop - start) for own, (start, stop) in zip(levels, spans, strict=True)]
+    shifted = [[edges + start for edges in own] for own, (start, _) in zip(levels, spans, strict=True)]
+    named = zip(kinds, zip(*(own[-len(kinds) :] for own in shifted), strict=True), strict=True)
+    edges = {kind: torch.from_numpy(np.concatenate(parts)).to(garments.device) for kind, parts in named}
+    return edges, torch.from_numpy(np.concatenate(labels)).to(garments.device)
+
+
+def require_scipy(method: str) -> None:
+    """Raises InputError where scipy, which a machine that only trains may lack, is not installed."""
+    if find_spec("scipy") is None:
+        raise InputError(f"{method} needs scipy, which is not installed here; `pip install scipy` adds it.")

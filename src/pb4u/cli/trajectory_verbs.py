@@ -1,0 +1,82 @@
+"""`pb4u convert` and `pb4u view`: a trajectory file into another format, and in the browser."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+from time import sleep as wait
+from typing import Annotated, Literal
+
+import typer
+
+from pb4u.cli.console import FORMATS, FrameRange, JsonFlag, check_json_target, progress_bar, write_json, wrote
+
+
+def convert(
+    trajectory: Annotated[Path, typer.Argument(help="Trajectory .npz written by `pb4u simulate`.", show_default=False)],
+    out: Annotated[Path, typer.Argument(help=f"File to write: {FORMATS}", show_default=False)],
+    every: Annotated[int, typer.Option(help="Keep every N-th frame; the frame rate is divided by N.")] = 1,
+    range_: Annotated[
+        FrameRange | None,
+        typer.Option(
+            "--range",
+            parser=FrameRange.parse,
+            metavar="A:B",
+            help="First frame and the frame after the last, counted from 0.",
+        ),
+    ] = None,
+    on: Annotated[
+        Literal["simulated", "source"],
+        typer.Option(help="The simulated mesh, or the author's own with its vertex order, polygons and UVs."),
+    ] = "simulated",
+    json: JsonFlag = None,
+) -> None:
+    """Write a trajectory in another format."""
+    from pb4u.export.registry import check_target, export
+    from pb4u.export.selection import on_source, select_frames
+    from pb4u.scene.trajectory import Trajectory
+
+    check_target(out)
+    check_json_target(json)
+    opened = Trajectory.open(trajectory)
+    chosen = select_frames(opened, range_, every)
+    if on == "source":
+        chosen = on_source(chosen)
+    with progress_bar(f"writing {out.name}") as report:
+        export(chosen, out, report)
+    summary = {"out": str(out), "frames": chosen.frame_count, "vertices": chosen.positions.shape[1], "fps": chosen.fps}
+    if json:
+        write_json(summary, json)
+    if json != "-":
+        print(wrote([out], chosen.frame_count))
+
+
+def view(
+    trajectory: Annotated[
+        Path | None, typer.Argument(help="Trajectory .npz written by `pb4u simulate`.", show_default=False)
+    ] = None,
+    other: Annotated[Path | None, typer.Argument(help="Another one, shown beside it.", show_default=False)] = None,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; 0.0.0.0 lets everyone on the network in.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8094,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    out: Annotated[Path | None, typer.Option(help="Folder that exports are kept in, besides being downloaded.")] = None,
+) -> None:
+    """Play, compare, simulate live and export, in the browser."""
+    from pb4u.scene.trajectory import Trajectory
+    from pb4u.viewer.clip import RecordedClip
+    from pb4u.viewer.studio import Studio
+
+    clips = tuple(RecordedClip(Trajectory.open(path), path.name) for path in (trajectory, other) if path is not None)
+    studio = Studio(clips, host, port, out)
+    try:
+        print(f"The studio is at {studio.url} (Ctrl-C ends it).", flush=True)
+        if browser:
+            webbrowser.open(studio.url)
+        while True:
+            wait(3600)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        studio.close()

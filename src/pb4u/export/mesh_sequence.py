@@ -1,0 +1,96 @@
+"""The garment alone, frame by frame: OBJ files, and PC2 and MDD point caches, each with the OBJ that it moves.
+
+`walk.obj` becomes walk_0000.obj, walk_0001.obj, ...
+`walk.pc2` comes with walk.obj: the garment at its first frame, vertices in the order of the cache, with its UVs.
+In Blender import the OBJ, then add a Mesh Cache modifier with the cache file and leave its axes as they are: the
+importer turns the object, not its vertices, so object and cache agree although both are Y up, in metres. The frame
+rate of the scene has to be set to that of the trajectory: PC2 holds none, and Blender plays one sample a frame.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.errors import InputError
+from pb4u.export.finite_frames import held_frames
+from pb4u.progress import Progress, unheard
+from pb4u.scene.trajectory import Trajectory
+
+SIGNATURE = "# Written by pb4u"
+"""First line of every OBJ file written here; a file with another first line is somebody's own."""
+
+
+def frame_files(path: Path, frames: int) -> tuple[Path, ...]:
+    """Files of an OBJ sequence named `path` of so many frames."""
+    return tuple(path.with_name(f"{path.stem}_{t:04d}{path.suffix}") for t in range(frames))
+
+
+def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
+    """Write every frame of the garment, vertex order, polygons and UVs kept; metres, Y up."""
+    topology = _topology(trajectory)
+    held = set(held_frames(trajectory))
+    files = frame_files(path, trajectory.frame_count)
+    for t, (file, positions) in enumerate(zip(files, trajectory.positions, strict=True)):
+        remark = "not finite, the last whole frame before it" if t in held else ""
+        file.write_text(_text(t, positions, topology, remark), encoding="ascii")
+        progress(t + 1, trajectory.frame_count)
+
+
+def cache_files(path: Path, _frames: int) -> tuple[Path, ...]:
+    """A point cache and the OBJ that belongs to it."""
+    return path, path.with_suffix(".obj")
+
+
+def check_companion(path: Path) -> None:
+    """Raises InputError where the OBJ beside the cache would overwrite a mesh that was not written here."""
+    mesh = path.with_suffix(".obj")
+    if not mesh.exists():
+        return
+    with mesh.open("rb") as file:
+        ours = mesh.is_file() and file.read(len(SIGNATURE)) == SIGNATURE.encode()
+    if not ours:
+        raise InputError(f"{mesh} exists and is not from pb4u, and {path.name} needs that name: choose another name.")
+
+
+def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
+    """PC2, little-endian: header (magic, version 1, points, first frame, sampling 1, samples), then the vertices."""
+    samples, points = trajectory.positions.shape[:2]
+    header = struct.pack("<12siiffi", b"POINTCACHE2\0", 1, points, 0.0, 1.0, samples)
+    _write(trajectory, path, header, "<f4", progress)
+
+
+def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
+    """MDD (LightWave), big-endian: samples, points, the time of each sample [s], then the vertices."""
+    samples, points = trajectory.positions.shape[:2]
+    times = (np.arange(samples) / trajectory.fps).astype(">f4")
+    header = struct.pack(">ii", samples, points) + times.tobytes()
+    _write(trajectory, path, header, ">f4", progress)
+
+
+def _write(trajectory: Trajectory, path: Path, header: bytes, dtype: str, progress: Progress) -> None:
+    with path.open("wb") as file:
+        file.write(header)
+        for done, positions in enumerate(trajectory.positions, start=1):
+            file.write(positions.astype(dtype).tobytes())
+            progress(done, trajectory.frame_count)
+    first = _text(0, trajectory.positions[0], _topology(trajectory))
+    path.with_suffix(".obj").write_text(first, encoding="ascii")
+
+
+def _topology(trajectory: Trajectory) -> str:
+    uvs, outlines = trajectory.header.uvs, trajectory.header.outlines
+    if uvs is None or outlines.uv_corners is None:
+        return "".join(f"f {' '.join(map(str, row))}\n" for row in outlines.each(outlines.corners + 1))
+    uv_lines = "".join(f"vt {u:.6f} {v:.6f}\n" for u, v in uvs.tolist())
+    rows = zip(outlines.each(outlines.corners + 1), outlines.each(outlines.uv_corners + 1), strict=True)
+    return uv_lines + "".join(
+        f"f {' '.join(f'{v}/{t}' for v, t in zip(row, uv_row, strict=True))}\n" for row, uv_row in rows
+    )
+
+
+def _text(frame: int, positions: np.ndarray, topology: str, remark: str = "") -> str:
+    head = f"{SIGNATURE}: frame {frame}{f' ({remark})' if remark else ''}; metres, Y up\n"
+    return head + "".join(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in positions.tolist()) + topology

@@ -1,0 +1,153 @@
+"""Polygon meshes in files: OBJ, PLY, STL, glTF and OFF, and how large a file is before it is parsed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any
+
+import numpy as np
+
+from pb4u.errors import InputError
+
+_TRIMESH = "pb4u.geometry.mesh_file:read_with_trimesh"
+READERS = {
+    ".obj": "pb4u.geometry.obj_file:read_obj",
+    ".ply": _TRIMESH, ".stl": _TRIMESH, ".glb": _TRIMESH, ".gltf": _TRIMESH, ".off": _TRIMESH,
+}  # fmt: skip
+"""Suffix -> function of a path that gives its `PolygonMesh`; another format is one more line here."""
+
+MOST_READ = 4_000_000
+"""Triangles that a file may have to be read at all, which bounds time and memory; larger ones are refused unparsed."""
+# Bytes of an OBJ that are counted at a time.
+_BLOCK = 1 << 24
+
+
+@dataclass(frozen=True, eq=False)
+class PolygonMesh:
+    """A mesh as its author made it: vertex order, polygons and UVs kept.
+
+    Args:
+        vertices: (vertices, 3) float64 [m], in the axes of its file.
+        polygons: vertex indices of each polygon (triangles, quads, n-gons).
+        uvs: (uv points, 2) float64 or None.
+        polygon_uvs: UV indices of each polygon's corners, or None.
+    """
+
+    vertices: np.ndarray
+    polygons: tuple[np.ndarray, ...]
+    uvs: np.ndarray | None = None
+    polygon_uvs: tuple[np.ndarray, ...] | None = None
+
+
+def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:
+    """The mesh in a file, polygons and UVs kept where the format has them (OBJ).
+
+    Args:
+        path: the file; its suffix, one of `READERS`, says how it is read.
+        refuse_large: called with a number of triangles; raises where the file has too many.
+
+    Raises:
+        InputError: the file is missing, damaged, empty of faces or too large.
+    """
+    # Counted before anything is parsed: a huge file is refused in the time it takes to read it.
+    try:
+        refuse_large(least_triangles(path, MOST_READ))
+        mesh: PolygonMesh = resolve_name(READERS[path.suffix.lower()])(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    refuse_large(sum(len(polygon) - 2 for polygon in mesh.polygons))
+    return mesh
+
+
+def read_with_trimesh(path: Path) -> PolygonMesh:
+    """The triangles of a file in any format that trimesh reads.
+
+    Args:
+        path: the file; its suffix says the format.
+
+    Raises:
+        InputError: it cannot be read as a mesh, has no faces, or numbers in it cannot be used.
+    """
+    import trimesh
+
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:  # each format's reader raises its own kinds
+        raise InputError(f"{path} cannot be read as a mesh: {str(error) or type(error).__name__}.") from None
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+        raise InputError(f"{path} has no faces: export it as a polygon mesh.")
+    if path.suffix.lower() == ".stl":
+        # An STL lists three corners per triangle and no connectivity; equal corners are one vertex by the format.
+        mesh.merge_vertices()
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(bad):
+        raise InputError(
+            f"{path}: {len(bad)} vertices are NaN or infinite, first {bad[:5].tolist()}; delete or mend them and "
+            "export again."
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"{path}: a face names a vertex out of range, the file has {len(vertices)}; export it again.")
+    uvs = getattr(mesh.visual, "uv", None)
+    if uvs is not None and len(uvs) == len(vertices):
+        return PolygonMesh(vertices, tuple(faces), np.asarray(uvs, dtype=np.float64), tuple(faces))
+    return PolygonMesh(vertices, tuple(faces))
+
+
+def least_triangles(path: Path, enough: int) -> int:
+    """Triangles that the polygons of a mesh file come to, or fewer; 0 where only reading it whole tells.
+
+    Exact up to `enough` for an OBJ written plainly, above that at least the number of its polygons. A PLY tells its
+    number of polygons, of which each is a triangle or more.
+
+    Args:
+        path: the file, which is read once, without parsing it.
+        enough: number of triangles above which a lower bound will do.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".obj":
+        polygons = sum(lines.count(b"\nf ") for lines in _obj_lines(path))
+        return polygons if polygons > enough else sum(_obj_triangles(lines) for lines in _obj_lines(path))
+    with path.open("rb") as stream:
+        head = stream.read(1 << 12)
+    if suffix == ".ply" and (declared := re.search(rb"element face (\d+)", head)):
+        return int(declared.group(1))
+    if suffix == ".stl" and not head.lstrip().startswith(b"solid"):
+        return max(0, path.stat().st_size - 84) // 50
+    return 0
+
+
+def _obj_lines(path: Path) -> Iterator[bytes]:
+    """The file in blocks of whole lines, a line break before the first and after the last of each."""
+    with path.open("rb") as stream:
+        rest = b""
+        while block := stream.read(_BLOCK):
+            whole, _, rest = (rest + block).rpartition(b"\n")
+            yield b"\n" + whole + b"\n"
+        yield b"\n" + rest + b"\n"
+
+
+def _obj_triangles(lines: bytes) -> int:
+    """Corners of all face lines less two a line; a line with a comment counts as a triangle."""
+    text = np.frombuffer(lines, dtype=np.uint8)
+    ends = np.flatnonzero(text == ord("\n"))
+    starts, stops = ends[:-1] + 1, ends[1:]
+    blank = text <= ord(" ")
+    face = (text[starts] == ord("f")) & blank[np.minimum(starts + 1, len(text) - 1)] & (stops > starts + 1)
+    starts, stops = starts[face], stops[face]
+    if not len(starts):
+        return 0
+    first, last = int(starts[0]), int(stops[-1]) + 1
+    # A token begins where a blank ends; counted up to every place, their number in a line is a difference.
+    tokens = np.cumsum(blank[first:last][:-1] & ~blank[first:last][1:], dtype=np.int32)
+    comments = np.cumsum(text[first:last] == ord("#"), dtype=np.int32)
+    corners = tokens[stops - first - 1] - tokens[starts - first]
+    commented = comments[stops - first] > comments[starts - first]
+    return int(np.maximum(np.where(commented, 3, corners) - 2, 1).sum())

@@ -1,0 +1,294 @@
+"""A whole run: the scene, and how it is simulated."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
+from numbers import Integral, Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import tomli_w
+
+from pb4u.atomic_file import replace_file
+from pb4u.errors import InputError, InputWarning, unknown_name
+from pb4u.progress import Progress, unheard
+from pb4u.scene.specification import (
+    GarmentSpecification,
+    SceneSpecification,
+    require_name,
+    require_switch,
+    require_whole,
+)
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+if TYPE_CHECKING:
+    from pb4u.scene.scene import Scene
+    from pb4u.scene.trajectory import Trajectory
+    from pb4u.simulation.simulator import RunRecord, Simulator
+
+FORMAT_VERSION = 1
+"""Version of the scene files that are read and written."""
+
+_HEADING = """\
+# A scene of pb4u: run it with `pb4u simulate` and the name of this file.
+# Garments stand inner first. A value with a dot or a slash is a file, relative to this one; any other is a name.
+
+"""
+_SECTIONS = ("format_version", "scene", "garments", "run")
+_FILES = ("garment", "material", "pins", "body", "motion", "model")
+"""Entries that are a name or a file."""
+
+Device = Literal["auto", "cpu", "cuda"]
+FirstFrameChoice = Literal["auto", "settled", "long_step"]
+
+
+@dataclass(frozen=True)
+class RunSpecification:
+    """A scene and how it is simulated.
+
+    Args:
+        scene: what is simulated.
+        model: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
+        contact: push the garment out of the body after each step (networks and solver).
+        refine: solver iterations after each step of a network.
+        passes: how often a network is asked in a step; None is its own number, or once where the solver
+            refines.
+        propagation_steps: override of K for a network; None follows the paper's rule.
+        device: where networks and newton compute.
+        first_frame: how frame 0 is made: "settled" by the solver, or by one "long_step" of the method itself; "auto"
+            is settled where the solver runs.
+
+    Raises:
+        InputError: a value of a wrong type or out of range.
+    """
+
+    scene: SceneSpecification = field(default_factory=SceneSpecification)
+    model: str | Path = "auto"
+    contact: bool = True
+    refine: int = 5
+    passes: int | None = None
+    propagation_steps: int | None = None
+    device: Device = "auto"
+    first_frame: FirstFrameChoice = "auto"
+
+    def __post_init__(self) -> None:
+        require_name("model", self.model)
+        require_switch("contact", self.contact)
+        require_whole("number of refining iterations", self.refine)
+        require_whole("number of passes", self.passes, optional=True)
+        require_whole("number of propagation steps", self.propagation_steps, optional=True)
+        if self.refine < 0:
+            raise InputError(f"The number of refining iterations must be 0 or more, not {self.refine}.")
+        if self.passes is not None and self.passes < 1:
+            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+        if self.device not in get_args(Device):
+            raise unknown_name("device", str(self.device), get_args(Device))
+        if self.first_frame not in get_args(FirstFrameChoice):
+            raise unknown_name("first frame", str(self.first_frame), get_args(FirstFrameChoice))
+
+    def simulator(self) -> Simulator:
+        """What simulates the scene.
+
+        Raises:
+            InputError: an unknown model, a bad file or an impossible option.
+        """
+        # It brings torch, which a description does without.
+        from pb4u.simulation.models import load_simulator
+
+        return load_simulator(
+            self.model,
+            contact=self.contact,
+            refine=self.refine,
+            propagation_steps=self.propagation_steps,
+            passes=self.passes,
+            device=self.device,
+            first_frame=self.first_frame,
+        )
+
+    def assemble(self, simulator: Simulator) -> Scene:
+        """The scene, at the frame rate that the simulator has to run at.
+
+        Args:
+            simulator: what is to simulate it.
+
+        Raises:
+            InputError: something of the scene cannot be used.
+
+        Warns:
+            InputWarning: that rate is another than the scene's, or the scene has something unusual.
+        """
+        from pb4u.scene.assembly import assemble
+
+        asked, simulated = self.scene.fps, simulator.fps or self.scene.fps
+        if not math.isclose(simulated, asked):
+            sentence = (
+                f"{simulator.name} runs at {simulated:g} frames per second; the result is resampled to {asked:g}."
+            )
+            warnings.warn(sentence, InputWarning, stacklevel=2)
+        return assemble(self.scene.at_rate(simulated))
+
+    def simulate(self, path: str | Path | None = None) -> Trajectory:
+        """Simulate the whole run.
+
+        Args:
+            path: trajectory file to write as frames come; None keeps the frames in memory.
+
+        Returns:
+            The frames at the scene's own rate; fewer than asked for where the state stopped being finite.
+
+        Raises:
+            InputError: something of the run cannot be used.
+        """
+        simulator = self.simulator()
+        return self.roll_out(simulator, self.assemble(simulator), path)
+
+    def roll_out(
+        self,
+        simulator: Simulator,
+        scene: Scene,
+        path: str | Path | None = None,
+        record: RunRecord | None = None,
+        progress: Progress = unheard,
+    ) -> Trajectory:
+        """Simulate what was made of this description.
+
+        Args:
+            simulator: as `simulator` gives it.
+            scene: as `assemble` gives it.
+            path: trajectory file to write; as frames come, where they need no resampling. None keeps them in memory.
+            record: where the run notes its cost and how it ended.
+            progress: called with (frames done, frames in all), lead-in included.
+
+        Returns:
+            The frames at the scene's own rate.
+        """
+        from pb4u.export.selection import resampled
+        from pb4u.scene.trajectory import Trajectory
+
+        is_resampled = not math.isclose(scene.fps, self.scene.fps)
+        if path is not None and not is_resampled:
+            return simulator.simulate_to(scene, path, record, progress)
+        frames = simulator.written_frames(scene, record, progress)
+        trajectory = Trajectory.collect(simulator.header(scene), frames)
+        if is_resampled:
+            trajectory = resampled(trajectory, self.scene.fps, self.scene.written_frames)
+        if path is not None:
+            trajectory.save(path)
+        return trajectory
+
+    @classmethod
+    def open(cls, path: str | Path) -> RunSpecification:
+        """Read a scene file (TOML): `[scene]`, one `[[garments]]` for each garment, `[run]`.
+
+        The entries are the arguments of the three specifications; what is left out has its default.
+
+        Args:
+            path: the file; paths in it are relative to it.
+
+        Raises:
+            InputError: the file is missing or no TOML, an entry is unknown, or a value cannot be used.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError(f"There is no scene file {path}.")
+        try:
+            tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise InputError(f"{path} is no scene file, which is TOML: {error}.") from None
+        try:
+            return cls._of_tables(tables, path.parent)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    @classmethod
+    def _of_tables(cls, tables: dict[str, Any], folder: Path) -> RunSpecification:
+        _refuse_unknown("section", tables, _SECTIONS)
+        version = tables.get("format_version", FORMAT_VERSION)
+        if version != FORMAT_VERSION:
+            raise InputError(f"The file is of format version {version!r}; this version reads {FORMAT_VERSION}.")
+        garments = tables.get("garments", [{}])
+        if not isinstance(garments, list):
+            raise InputError("Each garment is a section of its own, written [[garments]].")
+        worn = tuple(GarmentSpecification(**_entries("[[garments]]", each, _GARMENT, folder)) for each in garments)
+        scene = SceneSpecification(worn, **_entries("[scene]", tables.get("scene", {}), _SCENE, folder))
+        return cls(scene, **_entries("[run]", tables.get("run", {}), _RUN, folder))
+
+    def save(self, path: str | Path) -> Path:
+        """Write the scene file that `open` reads, with every value that is set.
+
+        Args:
+            path: the file; paths that are relative to the current folder are written relative to it.
+
+        Raises:
+            InputError: something is a loaded object, which has no name to be written.
+        """
+        path = Path(path)
+        tables = {
+            "format_version": FORMAT_VERSION,
+            "scene": _written(self.scene, _SCENE, path.parent),
+            "garments": [_written(each, _GARMENT, path.parent) for each in self.scene.garments],
+            "run": _written(self, _RUN, path.parent),
+        }
+        replace_file(path, (_HEADING + tomli_w.dumps(tables)).encode())
+        return path
+
+
+_GARMENT, _SCENE, _RUN = (
+    tuple(each.name for each in fields(kind) if each.name not in ("garments", "scene"))
+    for kind in (GarmentSpecification, SceneSpecification, RunSpecification)
+)
+
+
+def _refuse_unknown(what: str, given: Iterable[str], known: tuple[str, ...]) -> None:
+    for name in given:
+        if name not in known:
+            raise unknown_name(what, name, known)
+
+
+def _entries(section: str, table: Any, known: tuple[str, ...], folder: Path) -> dict[str, Any]:
+    """The entries of a section, its files found from the `folder` of the scene file."""
+    if not isinstance(table, dict):
+        raise InputError(f"The section {section} must hold entries such as name = value, not {table!r}.")
+    _refuse_unknown(f"entry of {section}", table, known)
+    return {
+        name: folder / value if name in _FILES and isinstance(value, str) and _is_file(value) else value
+        for name, value in table.items()
+    }
+
+
+def _is_file(value: str) -> bool:
+    return bool(Path(value).suffix) or "/" in value or os.sep in value
+
+
+def _written(specification: Any, names: tuple[str, ...], folder: Path) -> dict[str, Any]:
+    """What is set of a specification, as TOML holds it."""
+    values = {name: getattr(specification, name) for name in names}
+    return {name: _plain(name, value, folder) for name, value in values.items() if value is not None and value != {}}
+
+
+def _plain(name: str, value: Any, folder: Path) -> Any:
+    if name in _FILES and (isinstance(value, Path) or (isinstance(value, str) and _is_file(value))):
+        file = value if os.path.isabs(value) else os.path.relpath(value, folder)
+        written = Path(file).as_posix()
+        return written if _is_file(written) else f"./{written}"
+    if isinstance(value, dict):
+        return {key: _plain(key, entry, folder) for key, entry in value.items()}
+    if isinstance(value, tuple):
+        return [_plain("", entry, folder) for entry in value]
+    if isinstance(value, str | bool):
+        return value
+    if isinstance(value, Real):
+        return int(value) if isinstance(value, Integral) else float(value)
+    raise InputError(
+        f"The {name} {getattr(value, 'name', value)} is a loaded object, which a scene file cannot hold; give it by "
+        "name or file."
+    )

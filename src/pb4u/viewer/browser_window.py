@@ -1,0 +1,224 @@
+"""One browser window: its state, its panels and the threads that work for it, all of which end with it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pb4u.errors import InputError
+from pb4u.simulation.run_specification import RunSpecification
+from pb4u.viewer.clip import Clip, GrowingClip
+from pb4u.viewer.display import Display
+from pb4u.viewer.export_panel import ExportPanel, deliver
+from pb4u.viewer.live_simulation import Ending, LiveSimulation, require_offered
+from pb4u.viewer.panel import Requests, Tone, notice
+from pb4u.viewer.plot_panel import Measurement, PlotPanel
+from pb4u.viewer.simulation_panel import SimulationPanel
+from pb4u.viewer.view_panels import LookPanel, TimelinePanel
+from pb4u.viewer.view_state import ViewState
+from pb4u.viewer.worker import plain_sentence
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+_REVEAL_AFTER = 0.1
+"""Seconds that a browser is given to read a painted frame when no other follows."""
+
+_ASK_AGAIN = 0.004
+"""Seconds between looks at whether the browser has kept up: a tenth of a frame at 25 frames per second."""
+
+_AFTER_FAILURE = 0.5
+"""Seconds until a page that could not be drawn is tried again, so that its user can read why."""
+
+
+class BrowserWindow(Requests):
+    """Everything of one window: it answers the requests of its panels, hears its simulation, and draws its page.
+
+    Args:
+        client: the window.
+        clips: what it shows first.
+        out: folder that exports are kept in as well, or None.
+    """
+
+    def __init__(self, client: ClientHandle, clips: tuple[Clip, ...], out: Path | None = None) -> None:
+        self._client, self._out = client, out
+        self.state = ViewState()
+        self.simulation: LiveSimulation | None = None
+        self.measurements: tuple[Measurement, ...] = ()
+        # Guards the state, the simulation, the measurements and the two flags below, which several threads change.
+        self._lock = threading.RLock()
+        self._watching_live = self._camera_due = False
+        self._wake, self._closed = threading.Event(), threading.Event()
+        # Of the thread of the page alone.
+        self.display = Display(client)
+        self._add_panels(bool(clips))
+        if clips:
+            self._load(clips)
+        self._thread = threading.Thread(target=self._run, name="pb4u page", daemon=True)
+        self._thread.start()
+
+    def _add_panels(self, showing: bool) -> None:
+        gui = self._client.gui
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(360)
+        self._notice = gui.add_html("", visible=False)
+        self.timeline_panel = TimelinePanel(gui, self)
+        tabs = gui.add_tab_group()
+        # Whoever has nothing to look at yet begins with simulating.
+        first, second = (tabs.add_tab(name) for name in (("Look", "Simulate") if showing else ("Simulate", "Look")))
+        with first if showing else second:
+            self.look_panel = LookPanel(gui, self)
+        with second if showing else first:
+            self.simulation_panel = SimulationPanel(gui, self)
+        with tabs.add_tab("Plots"):
+            self.plot_panel = PlotPanel(gui, self)
+        with tabs.add_tab("Export"):
+            self.export_panel = ExportPanel(gui, self)
+
+    # What its panels ask for (`Requests`), from threads of the server.
+
+    @property
+    def closed(self) -> bool:
+        return self._closed.is_set()
+
+    def say(self, sentence: str) -> None:
+        if not self.closed:
+            self._client.add_notification(
+                "pb4u", sentence, color="red", auto_close_seconds=12.0, with_close_button=True
+            )
+            # The notification goes by itself; what is written above the panels stays in sight.
+            self._notice.content, self._notice.visible = notice(sentence, Tone.bad), True
+
+    def change(self, action: Callable[[ViewState], None]) -> None:
+        with self._lock:
+            self._watching_live = False
+            action(self.state)
+        self._wake.set()
+
+    def reset_camera(self) -> None:
+        with self._lock:
+            self._camera_due = True
+        self._wake.set()
+
+    def simulate(self, run: RunSpecification) -> None:
+        require_offered(run)
+        with self._lock:
+            if self.simulation is not None and self.simulation.running:
+                raise InputError("A simulation is running in this window; cancel it first.")
+            self.simulation = LiveSimulation(run, self._advanced, self._ended)
+            self.simulation_panel.began()
+            self.simulation.start()
+
+    def cancel(self) -> None:
+        with self._lock:
+            if self.simulation is not None and self.simulation.running:
+                self.simulation_panel.stopping()
+                self.simulation.cancel()
+
+    def export(self, suffix: str, which: int) -> str:
+        with self._lock:
+            clips = self.state.clips
+        if not clips:
+            raise InputError("There is nothing to export yet; simulate something first.")
+        name, content, kept = deliver(clips[min(which, len(clips) - 1)], suffix, self._out)
+        self._client.send_file_download(name, content, save_immediately=True)
+        where = f" It is also kept as {kept}." if kept else ""
+        return f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser.{where}"
+
+    # What the simulation tells, from its own thread.
+
+    def _advanced(self, clip: GrowingClip, done: int, total: int) -> None:
+        """Show the newest frame while nobody has looked elsewhere."""
+        if self.closed:
+            return
+        if clip.frame_count:
+            with self._lock:
+                if self.state.clips != (clip,):
+                    self._load((clip,))
+                    self._watching_live = True
+                self.state.grow()
+                if self._watching_live:
+                    self.state.clock.seek(clip.frame_count - 1)
+            self._wake.set()
+        self.simulation_panel.progress(done, total)
+
+    def _ended(self, clip: GrowingClip | None, sentence: str, ending: Ending) -> None:
+        """Play what there is from the start, and measure it."""
+        if self.closed:
+            return
+        if clip is not None and clip.frame_count:
+            with self._lock:
+                if self.state.clips == (clip,):
+                    self.state.grow()
+                    if self._watching_live:
+                        self._watching_live = False
+                        self.state.clock.seek(0)
+                        self.state.clock.play()
+                    self._measure((clip,))
+            self._wake.set()
+        self.simulation_panel.ended(sentence, ending)
+        if ending is Ending.failed:
+            self.say(sentence)
+
+    def _load(self, clips: tuple[Clip, ...]) -> None:
+        """Show other clips, and measure them where no frame is still to come."""
+        with self._lock:
+            self.state.load(clips)
+            self._camera_due = True
+            self._measure(() if any(isinstance(clip, GrowingClip) for clip in clips) else clips)
+            self.export_panel.offer(len(clips))
+        self._wake.set()
+
+    def _measure(self, clips: tuple[Clip, ...]) -> None:
+        """Measure these clips in place of others."""
+        for measurement in self.measurements:
+            measurement.cancel()
+        self.measurements = tuple(Measurement(clip) for clip in clips)
+        for measurement in self.measurements:
+            measurement.start()
+
+    # The page itself: one thread alone touches the scene.
+
+    def close(self, timeout: float = 0.0) -> bool:
+        """End all work for this window; true when every thread has ended within `timeout` seconds."""
+        self._closed.set()
+        self._wake.set()
+        self.display.close()
+        with self._lock:
+            workers = [worker for worker in (self.simulation, *self.measurements) if worker is not None]
+        for worker in workers:
+            worker.cancel()
+        until = time.monotonic() + timeout
+        self._thread.join(max(until - time.monotonic(), 0.0))
+        ended = [worker.join(max(until - time.monotonic(), 0.0)) for worker in workers]
+        return all(ended) and not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while not self.closed:
+            try:
+                wait = self._update()
+            except Exception as error:
+                if self.closed:
+                    return
+                self.say(plain_sentence(error))
+                wait = _AFTER_FAILURE
+            self._wake.wait(wait)
+            self._wake.clear()
+
+    def _update(self) -> float:
+        """Bring the page up to date; returns seconds until it has to be looked after again."""
+        if not self.display.ready:
+            return _ASK_AGAIN
+        with self._lock:
+            state, measurements = self.state.frozen(), self.measurements
+            camera, self._camera_due = self._camera_due, False
+        self.display.update(state)
+        self.look_panel.explain(self.display.looks)
+        if camera and state.clips:
+            self.display.frame_camera(state.follow)
+        self.timeline_panel.refresh(state)
+        self.plot_panel.refresh(measurements, state.clock.frame)
+        return min(state.clock.wait, _REVEAL_AFTER) if self.display.waits else state.clock.wait

@@ -1,0 +1,108 @@
+"""What every panel of a window stands on: where its requests go, and the boxes in which it says something."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from enum import Enum
+from html import escape
+from typing import TYPE_CHECKING, Any, Protocol
+
+from pb4u.simulation.run_specification import RunSpecification
+from pb4u.viewer.view_state import ViewState
+from pb4u.viewer.worker import plain_sentence
+
+if TYPE_CHECKING:
+    from viser import GuiApi
+
+
+class Requests(Protocol):
+    """What a user may ask of a window: the one way from the panels back to it. Each is called from any thread."""
+
+    @property
+    def closed(self) -> bool:
+        """Whether the window is gone."""
+
+    def say(self, sentence: str) -> None:
+        """Tell the user what went wrong."""
+
+    def change(self, action: Callable[[ViewState], None]) -> None:
+        """Do something to the state, and show it."""
+
+    def reset_camera(self) -> None:
+        """Look at everything again."""
+
+    def simulate(self, run: RunSpecification) -> None:
+        """Begin a simulation. Raises InputError while another runs, or for what the page does not offer."""
+
+    def cancel(self) -> None:
+        """End the simulation before its next step."""
+
+    def export(self, suffix: str, which: int) -> str:
+        """Hand the user clip number `which` in the format of `suffix`; returns a sentence that says so.
+
+        Raises InputError or MissingExtraError where that cannot be.
+        """
+
+
+class Panel(ABC):
+    """Some controls of one window, which turn what a user does into requests.
+
+    Args:
+        gui: controls of one page.
+        requests: where the requests go.
+    """
+
+    def __init__(self, gui: GuiApi, requests: Requests) -> None:
+        self._gui, self._requests = gui, requests
+        self._add_controls()
+
+    @abstractmethod
+    def _add_controls(self) -> None:
+        """Put the controls where the page is being filled."""
+
+    def _answer(self, action: Callable[[], None]) -> Callable[[Any], None]:
+        """`action` for an event of the page; what it raises is said there, and what the program set is not heard."""
+
+        def answer(event: Any) -> None:
+            if event.client is None or self._requests.closed:
+                return
+            try:
+                action()
+            except Exception as error:
+                self._requests.say(plain_sentence(error))
+
+        return answer
+
+    def _sets(
+        self, control: Any, apply: Callable[[ViewState, Any], None], then: Callable[[], None] | None = None
+    ) -> None:
+        """Let what a user fills into `control` be applied to the state, and something else be done after it."""
+
+        def moved() -> None:
+            value = control.value
+            self._requests.change(lambda state: apply(state, value))
+            if then is not None:
+                then()
+
+        control.on_update(self._answer(moved))
+
+
+class Tone(Enum):
+    """How a sentence is meant: colour of the letters, colour of the ground."""
+
+    plain = ("#475467", "#f2f4f7")
+    good = ("#027a48", "#ecfdf3")
+    warning = ("#b54708", "#fffaeb")
+    bad = ("#b42318", "#fef3f2")
+
+
+def notice(sentence: str, tone: Tone = Tone.plain) -> str:
+    """A sentence in a coloured box, as HTML; nothing where there is nothing to say."""
+    if not sentence:
+        return ""
+    colour, ground = tone.value
+    return (
+        f"<div data-notice='{tone.name}' style='margin:4px 12px 8px;padding:6px 10px;border-radius:4px;"
+        f"font-size:0.85em;line-height:1.35;color:{colour};background:{ground}'>{escape(sentence)}</div>"
+    )

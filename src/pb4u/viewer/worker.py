@@ -1,0 +1,57 @@
+"""Work for one window in a thread of its own, which ends with the window; what fails there becomes one sentence."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import traceback
+from abc import ABC, abstractmethod
+
+from pb4u.errors import Pb4uError
+
+
+class Worker(ABC):
+    """A thread that can be told to end.
+
+    Args:
+        name: what the thread is called in a debugger.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._cancelled = threading.Event()
+        self._thread = threading.Thread(target=self._work, name=f"pb4u {name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def cancel(self) -> None:
+        """End before the next frame; what has been computed stays."""
+        self._cancelled.set()
+
+    @property
+    def running(self) -> bool:
+        """Whether it still computes."""
+        return self._thread.is_alive()
+
+    def join(self, timeout: float) -> bool:
+        """Wait for at most `timeout` seconds; true when it has ended."""
+        self._thread.join(timeout)
+        return not self.running
+
+    @abstractmethod
+    def _work(self) -> None:
+        """What the thread does, which looks at `_cancelled` between two frames."""
+
+
+def plain_sentence(error: BaseException) -> str:
+    """What a page says of an error; of one that nobody foresaw the terminal of the studio shows the traceback."""
+    if isinstance(error, Pb4uError):
+        return " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return "There is not enough memory for this; ask for fewer triangles or frames."
+    if isinstance(error, OSError):
+        where = f" ({error.filename})" if error.filename else ""
+        return f"{error.strerror or error}{where}."
+    traceback.print_exception(error, file=sys.stderr)
+    return f"Something unforeseen went wrong ({type(error).__name__}); the terminal shows where. The page goes on."

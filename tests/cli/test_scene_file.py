@@ -1,0 +1,187 @@
+"""`pb4u simulate SCENE.toml`, `--save-scene`, several garments, and what each flag means for which of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pb4u.scene.specification import GarmentSpecification
+from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation.run_specification import RunSpecification
+
+SMALL = ("--triangles", 400, "--lead-in", 0, "--model", "skinning", "--frames", 2)
+
+Saved = Callable[..., RunSpecification]
+
+
+class Stopped(Exception):
+    """The scene file is written; nothing needs to be simulated."""
+
+
+def stop(*_: object) -> None:
+    raise Stopped
+
+
+@pytest.fixture
+def saved(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Saved:
+    """The description that a call would run."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pb4u.scene.assembly.assemble", lambda scene: scene)
+    monkeypatch.setattr("pb4u.cli.simulate._trajectory", stop)
+
+    def call(*arguments: object) -> RunSpecification:
+        Path("saved.toml").unlink(missing_ok=True)
+        with pytest.raises(Stopped):
+            pb4u("simulate", "--model", "skinning", *arguments, "--save-scene", "saved.toml")
+        return RunSpecification.open("saved.toml")
+
+    return call
+
+
+def test_a_saved_scene_runs_to_the_same_bytes(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = ("--garment", "skirt", "--motion", "dance", "--material", "silk", "--seed", 4, "--body-shape", "height=0.7")
+    first = pb4u("simulate", *SMALL, *flags, "--fps", 24, "--out", "a.npz", "--save-scene", "scene.toml")
+    assert first.code == 0, first.err
+    again = pb4u("simulate", "scene.toml", "--out", "b.npz")
+    assert again.code == 0, again.err
+    assert Path("a.npz").read_bytes() == Path("b.npz").read_bytes()
+    assert Trajectory.open("b.npz").fps == 24.0
+
+
+def test_without_flags_or_file_everything_has_its_default(saved: Saved) -> None:
+    assert saved() == RunSpecification(model="skinning")
+
+
+def test_flags_win_over_the_file(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_text(
+        '[scene]\nframes = 5\nlead_in = 0\nfps = 24\nseed = 3\n[[garments]]\ngarment = "skirt"\ntriangles = 400\n'
+        'material = "silk"\n[run]\nmodel = "skinning"\n'
+    )
+    ended = pb4u("simulate", "scene.toml", "--frames", 2, "--material", "denim", "--fps", 30, "--out", "a.npz")
+    assert ended.code == 0, ended.err
+    made = Trajectory.open("a.npz")
+    assert (made.frame_count, made.fps, made.metadata["seed"]) == (2, 30.0, 3)
+    assert made.metadata["garment"] == "skirt"
+    assert made.metadata["material"]["density"] == pytest.approx(0.4)
+
+
+def test_a_flag_also_replaces_what_belonged_to_what_it_replaces(saved: Saved) -> None:
+    Path("scene.toml").write_text(
+        '[scene]\nbody = "man"\nbody_shape = { height = 0.7, weight = 0.2 }\nmotion = "a.bvh"\ncrop = [3, 9]\n'
+        'keep_lead_in = true\n[[garments]]\ngarment = "skirt"\npins = "hem"\n'
+    )
+    assert saved("scene.toml", "--garment", "dress").scene.garments == (GarmentSpecification("dress"),)
+    kept = saved("scene.toml", "--body-shape", "height=0.1").scene
+    assert (kept.body, kept.body_shape) == ("man", {"height": 0.1, "weight": 0.2})
+    assert (kept.crop, kept.keep_lead_in, kept.garments[0].pins) == ((3, 9), True, "hem")
+    other = saved("scene.toml", "--body", "woman", "--motion", "dance", "--drop-lead-in").scene
+    assert (other.body_shape, other.crop, other.keep_lead_in) == ({}, None, False)
+
+
+def test_two_garments_are_simulated_and_told_apart(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = ("--garment", "tanktop", "--garment", "cardigan", "--material", "cardigan=wool", "--motion", "dance")
+    ended = pb4u("simulate", *SMALL, *flags, "--out", "a.npz")
+    assert ended.code == 0, ended.err
+    made = Trajectory.open("a.npz")
+    assert made.metadata["garment"] == "tanktop+cardigan"
+    assert [(each["name"], each["material"]["density"]) for each in made.metadata["garments"]] == [
+        ("tanktop", pytest.approx(0.20022)), ("cardigan", pytest.approx(0.28)),
+    ]  # fmt: skip
+    for garment, each in zip(("tanktop", "cardigan"), made.metadata["garments"], strict=True):
+        alone = pb4u("simulate", *SMALL, "--garment", garment, *flags[-2:], "--out", "b.npz")
+        assert alone.code == 0, alone.err
+        first, stop = each["vertices"]
+        np.testing.assert_array_equal(made.positions[:, first:stop], Trajectory.open("b.npz").positions)
+
+
+@pytest.mark.parametrize(
+    ("flags", "materials"),
+    [
+        ((), [None, None]),
+        (("silk",), ["silk", "silk"]),
+        (("silk", "wool"), ["silk", "wool"]),
+        (("cardigan=wool",), [None, "wool"]),
+        (("silk", "cardigan=wool"), ["silk", "wool"]),
+        (("cardigan=wool", "tanktop=silk"), ["silk", "wool"]),
+    ],
+)
+def test_a_flag_is_for_all_garments_or_for_each(saved: Saved, flags: tuple[str, ...], materials: list) -> None:
+    given = [part for flag in flags for part in ("--material", flag)]
+    run = saved("--garment", "tanktop", "--garment", "cardigan", *given, "--triangles", "tanktop=900", "--pins", "none")
+    assert [each.garment for each in run.scene.garments] == ["tanktop", "cardigan"]
+    assert [each.material for each in run.scene.garments] == materials
+    assert [each.triangles for each in run.scene.garments] == [900, None]
+    assert [each.pins for each in run.scene.garments] == ["none", "none"]
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (("--material", "silk", "--material", "wool"), "--material is given 2 times, and the garments are 1"),
+        (("--garment", "tanktop", "--material", "tshirt=silk"), "no garment in this scene 'tshirt'"),
+        (("--material", "tshirt=silk", "--material", "tshirt=wool"), "given 2 times for it"),
+        (("--garment", "tshirt", "--garment", "tshirt"), "tshirt is worn twice"),
+        (("--garment", "a/x.obj", "--garment", "b/x.obj", "--pins", "x=hem"), "the scene has 2 of that name"),
+        (("absent.toml",), "no scene file absent.toml"),
+        (("wrong.toml",), "wrong.toml: There is no entry of [scene] 'frame'; did you mean frames"),
+        (("--save-scene", "absent/s.toml"), "absent for --save-scene does not exist"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: tuple[str, ...], says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("wrong.toml").write_text("[scene]\nframe = 3\n")
+    ended = pb4u("simulate", *flags, "--model", "skinning", "--out", "a.npz")
+    assert ended.code == 1
+    assert says in ended.err
+    assert len(ended.err.splitlines()) == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["wrong.toml"]
+
+
+@pytest.mark.parametrize(
+    "flags", [("--triangles", "many"), ("--triangles", "tshirt=2.5"), ("--body-shape", "height=1,height=2")]
+)
+def test_values_that_are_none_end_with_2(pb4u: Callable, flags: tuple[str, str]) -> None:
+    assert pb4u("simulate", *flags).code == 2
+
+
+def test_shapes_given_apart_add_up_and_the_same_key_twice_is_refused(pb4u: Callable, saved: Saved) -> None:
+    assert saved("--body-shape", "height=0.7", "--body-shape", "weight=0.4").scene.body_shape == {
+        "height": 0.7, "weight": 0.4,
+    }  # fmt: skip
+    for verb in (("simulate",), ("check", "tshirt")):
+        ended = pb4u(*verb, "--body-shape", "height=0.7", "--body-shape", "height=0.4")
+        assert ended.code == 2
+        assert "gives height twice" in ended.err
+
+
+def test_every_entry_has_a_flag(saved: Saved) -> None:
+    run = saved(
+        "--model", "pb4u-small", "--first-frame", "settled", "--refine", 3, "--passes", 2, "--propagation-steps", 7,
+        "--contact", "off", "--device", "cpu", "--arms-away", 4, "--seed", 9, "--lead-in", 2, "--fps", 24,
+        "--frames", 5,
+    )  # fmt: skip
+    assert (run.first_frame, run.refine, run.passes, run.propagation_steps) == ("settled", 3, 2, 7)
+    assert (run.model, run.contact, run.device) == ("pb4u-small", False, "cpu")
+    scene = run.scene
+    assert (scene.arms_away, scene.seed, scene.lead_in, scene.fps, scene.frames) == (4, 9, 2, 24, 5)
+
+
+def test_a_file_whose_name_holds_an_equals_sign_is_a_file(saved: Saved) -> None:
+    Path("a=b.json").write_text("{}")
+    assert str(saved("--material", "a=b.json").scene.garments[0].material) == "a=b.json"
+
+
+def test_check_looks_at_one_garment(pb4u: Callable) -> None:
+    ended = pb4u("check", "a.obj", "--garment", "tshirt")
+    assert ended.code == 1
+    assert ended.err == "pb4u: One garment is checked at a time; give a.obj or --garment tshirt, not both.\n"

@@ -1,0 +1,95 @@
+"""A window without a browser: its requests from several threads at once, and the end of its work."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from unittest.mock import MagicMock
+
+import pytest
+from tests.viewer.clips import trajectory
+
+from pb4u.errors import InputError
+from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+from pb4u.simulation.run_specification import RunSpecification
+from pb4u.viewer.browser_window import BrowserWindow
+from pb4u.viewer.clip import RecordedClip
+
+TINY = RunSpecification(
+    SceneSpecification((GarmentSpecification(triangles=400),), frames=4, lead_in=2), model="skinning"
+)
+
+
+@pytest.fixture
+def client() -> MagicMock:
+    """Stands for a page that takes everything in at once."""
+    made = MagicMock()
+    made.camera.image_height = 0
+    return made
+
+
+@pytest.fixture
+def window(client: MagicMock) -> Iterator[BrowserWindow]:
+    made = BrowserWindow(client, tuple(RecordedClip(trajectory(20, fps=fps), f"{fps:g}") for fps in (30.0, 60.0)))
+    yield made
+    assert made.close(timeout=10.0)
+
+
+def until(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_two_clips_are_measured_while_many_threads_seek(client: MagicMock, window: BrowserWindow) -> None:
+    def seek(first: int) -> None:
+        for _ in range(200):
+            window.change(lambda state: state.clock.toggle())
+            window.change(lambda state: state.clock.pause_at(first))
+
+    with ThreadPoolExecutor(4) as users:
+        for ended in [users.submit(seek, 5 * n) for n in range(4)]:
+            ended.result()
+    window.change(lambda state: state.clock.pause_at(7))
+    until(lambda: [measurement.done for measurement in window.measurements] == [20, 20])
+    assert window.state.clock.frame == 7
+    first, second = (measurement.series("stretch") for measurement in window.measurements)
+    assert first.tolist() == second.tolist()
+    assert [measurement.failure for measurement in window.measurements] == [None, None]
+    client.add_notification.assert_not_called()
+
+
+def test_one_simulation_at_a_time_and_a_refusal_leaves_it_alone(client: MagicMock, window: BrowserWindow) -> None:
+    window.simulate(TINY)
+    running = window.simulation
+    assert running is not None
+    with pytest.raises(InputError, match="A simulation is running in this window"):
+        window.simulate(TINY)
+    assert window.simulation is running
+    until(lambda: not running.running)
+    assert window.state.clips[0].frame_count == 4
+    assert window.state.clock.playing
+    until(lambda: window.measurements[0].done == 4)
+    client.add_notification.assert_not_called()
+    with pytest.raises(InputError, match="triangles must lie between"):
+        window.simulate(RunSpecification(SceneSpecification((GarmentSpecification(triangles=7),))))
+
+
+def test_what_cannot_be_painted_is_said_once_and_shown_shaded(client: MagicMock, window: BrowserWindow) -> None:
+    window.change(lambda state: setattr(state, "overlay", "penetration"))
+    until(lambda: window.display.looks)
+    client.add_notification.assert_not_called()
+    made = trajectory(2)
+    open_body = replace(made, header=replace(made.header, body_faces=made.header.body_faces[1:]))
+    other = BrowserWindow(client, (RecordedClip(open_body, "open"),))
+    other.change(lambda state: setattr(state, "overlay", "penetration"))
+    until(lambda: client.add_notification.called)
+    assert "not a closed surface" in client.add_notification.call_args.args[1]
+    until(lambda: other.display.looks)
+    assert [look.scale for look in other.display.looks] == [None]
+    time.sleep(0.7)
+    assert client.add_notification.call_count == 1
+    assert other.close(timeout=10.0)
