@@ -20,7 +20,7 @@ from typing import Any
 
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Iteration, Solver
-from pb4u.physics.time_step import TimeStep, integrate
+from pb4u.physics.time_step import TimeStep
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import from_pretrained
@@ -72,9 +72,8 @@ class Race(Refinement):
 
     def _run(self, start: StepMethod, step: TimeStep) -> Run:
         run = Run(time.process_time())
-        *_, accelerations = predictions(step, start)
-        predicted = integrate(step, accelerations).positions
-        self.solver.minimise(IncrementalPotential().of(step), predicted, watch=run.note)
+        *_, predicted = predictions(step, start)
+        self.solver.minimise(IncrementalPotential().of(step), predicted.positions, watch=run.note)
         return run
 
 

@@ -1,4 +1,7 @@
-"""One time step, told whole: start, predict, integrate, refine, answer contact. Training takes the same step."""
+"""One time step, told whole: start, predict, integrate, refine, answer contact.
+
+Simulation takes all of it; training learns from its predictions and refines nothing.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import torch
-from torch import Tensor
 
 from pb4u.physics.contact.response import Contact, NoContact
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
@@ -35,27 +37,27 @@ class StepMethod:
 
 def take(step: TimeStep, method: StepMethod) -> State:
     """The state at the end of `step`; nothing given is changed. Raises DivergedError where it is not finite."""
-    # Where the garments would be: at the start of the step, corrected by every pass of the network.
-    *_, accelerations = predictions(step, method)
-    # Velocities and positions from accelerations; pinned vertices take their places on the body.
-    predicted = require_finite(integrate(step, accelerations))
+    # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
+    *_, predicted = predictions(step, method)
     # A few iterations of the solver, or all of them, lower the same energies that the network was trained on.
-    refined = method.refinement.refine(step, predicted)
-    # What is still inside the body is pushed out, without gaining speed.
+    refined = method.refinement.refine(step, require_finite(predicted))
+    # Vertices still inside the body are pushed out, without gaining speed.
     return method.contact.respond(step, refined)
 
 
-def predictions(step: TimeStep, method: StepMethod) -> Iterator[Tensor]:
-    """Accelerations (vertices, 3) [m per step^2] at the start of `step`, and after each pass of the network.
+def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:
+    """States at the end of `step`: the one its start leads to, and that after each pass of the network.
 
     Only the latest pass is differentiable: training learns from each before the next. Ends early where a pass gave
     what is not finite, since no body can be looked up there.
     """
+    # From free flight, or part of the way that the body moves: (vertices, 3) [m per step^2].
     accelerations = method.start.accelerations(step)
-    yield accelerations
+    # Velocities and positions from accelerations; pinned vertices take their places on the body.
+    yield integrate(step, accelerations)
     for _ in range(method.network.passes):
         reached = accelerations.detach()
         if not bool(torch.isfinite(reached).all()):
             return
         accelerations = reached + method.network.correction(step, reached)
-        yield accelerations
+        yield integrate(step, accelerations)

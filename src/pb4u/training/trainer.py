@@ -18,7 +18,7 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.evaluation.metrics import strain_percentile
 from pb4u.nn.acceleration_model import PreparedGarments
-from pb4u.physics.time_step import TimeStep, integrate
+from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
@@ -141,7 +141,7 @@ class Trainer:
         """Normalise by what skinned garments look like; nothing is learnt yet."""
         for number in range(self.configuration.statistics_windows):
             course = self.begin(number, length=1, settle=bool(number % 2))
-            step, network = course.step(), NetworkPass(self.network, course.prepared, features=course.features)
+            step, network = course.next_step(), NetworkPass(self.network, course.prepared, features=course.features)
             graph = network.graph(step, self.start.accelerations(step))
             self.model.gather_statistics(graph, course.window.timeline.skinned_acceleration(1))
             self.counters.window += 1
@@ -200,14 +200,13 @@ class Trainer:
             self.sampler.propagation_steps(index, taken, ruled)
             for index, ruled in zip(self._indices(course.number), course.prepared.steps, strict=True)
         ]
-        step, prepared = course.step(), course.prepared.with_steps(steps)
+        step, prepared = course.next_step(), course.prepared.with_steps(steps)
         passes = self.model.network.passes
         method = StepMethod(self.start, NetworkPass(self.network, prepared, passes, course.features, nullcontext))
-        reached = predictions(step, method)
-        next(reached)
-        after = step.state
-        for accelerations in reached:
-            after = integrate(step, accelerations)
+        states = predictions(step, method)
+        # The network has no part in the first, which the start alone leads to.
+        after = next(states)
+        for after in states:
             if not self.learn(prepared, step, after):
                 return False
         state = State(after.positions.detach(), after.velocities.detach(), after.frame)

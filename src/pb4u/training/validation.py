@@ -12,7 +12,6 @@ from torch import Tensor
 from pb4u.evaluation.metrics import DIVERGED_DISTANCE, DIVERGED_STRAIN, strain_percentile
 from pb4u.garment.material import MATERIALS
 from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.physics.time_step import integrate
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
@@ -96,8 +95,7 @@ class Validation:
         state, energy, strain = window.start(0.0, self.clearance), 0.0, 0.0
         for frame in range(self.frames):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
-            *_, accelerations = predictions(step, method)
-            after = integrate(step, accelerations)
+            *_, after = predictions(step, method)
             if not bool(torch.isfinite(after.positions).all()):
                 return frame, energy, strain
             energies = step_energies(step, after.positions, REFERENCE_WEIGHT)

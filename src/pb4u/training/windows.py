@@ -150,7 +150,7 @@ class Window:
 
 @dataclass
 class Course:
-    """A window on its way through a round.
+    """A training window that is being stepped through: its state now and the steps left.
 
     Args:
         number: of the window.
@@ -170,8 +170,8 @@ class Course:
     settles: bool
     left: int
 
-    def step(self) -> TimeStep:
-        """What is known before the next step."""
+    def next_step(self) -> TimeStep:
+        """All that is known before the next step of the window."""
         timeline = self.window.timeline
         return timeline.settling_from(self.state) if self.settles else timeline.step_from(self.state)
 
