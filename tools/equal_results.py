@@ -15,7 +15,7 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,16 +44,7 @@ TIMES = ("second", "hours", "ms", "latency", "time", "version", "memory", "devic
 
 def record(folder: Path, triangles: int, frames: int, steps: int) -> None:
     """Run everything that is not in `folder` yet, and write the digests."""
-    folder.mkdir(parents=True, exist_ok=True)
-    results: dict[str, Any] = {}
-    for (garment, motion), (model, flags) in itertools.product(SCENES, MODELS.items()):
-        name = f"{garment}_{motion}_{model}"
-        file = folder / f"{name}.npz"
-        command = f"simulate --garment {garment} --motion {motion} --triangles {triangles} --frames {frames} {flags}"
-        _once(file, f"{command} --out {file} --json {folder / name}.json")
-        with np.load(file) as arrays:
-            results[name] = {key: _digest(arrays[key]) for key in arrays.files if key != "metadata"}
-        results[name] |= dict(_numbers(json.loads((folder / f"{name}.json").read_text())))
+    results = record_scenes(folder, f"--triangles {triangles} --frames {frames}")
     for name, flags in TRAININGS.items():
         run = folder / f"train_{name}"
         _once(run / "final.safetensors", f"train {flags} --steps {steps} --out {run}")
@@ -63,6 +54,33 @@ def record(folder: Path, triangles: int, frames: int, steps: int) -> None:
     _once(out / "results.json", f"evaluate {PROTOCOL} --out {out}")
     results["protocol"] = dict(_numbers(json.loads((out / "results.json").read_text())))
     (folder / "results.json").write_text(json.dumps(results, indent=1))
+
+
+def record_scenes(
+    folder: Path,
+    size: str,
+    scenes: Sequence[tuple[str, str]] = SCENES,
+    models: Mapping[str, str] = MODELS,
+) -> dict[str, Any]:
+    """Digests and numbers of each scene with each model, run where it is not in `folder` yet.
+
+    Args:
+        folder: of the trajectories; made where it is absent.
+        size: flags that say how large the scenes are.
+        scenes: garments and motions.
+        models: name -> flags.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    results: dict[str, Any] = {}
+    for (garment, motion), (model, flags) in itertools.product(scenes, models.items()):
+        name = f"{garment}_{motion}_{model}"
+        file = folder / f"{name}.npz"
+        command = f"simulate --garment {garment} --motion {motion} {size} {flags}"
+        _once(file, f"{command} --out {file} --json {folder / name}.json")
+        with np.load(file) as arrays:
+            results[name] = {key: _digest(arrays[key]) for key in arrays.files if key != "metadata"}
+        results[name] |= dict(_numbers(json.loads((folder / f"{name}.json").read_text())))
+    return results
 
 
 def differences(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
