@@ -36,7 +36,7 @@ def readable_propagation(
     form, message, norm = net.propagation.form, net.propagation.message, net.propagation.norm
     v = nodes["garment"]
     h = v
-    step_of_vertex = torch.tensor(steps)[graph.nodes["garment"].owner][:, None]
+    step_of_vertex = torch.tensor(steps).repeat_interleave(torch.tensor(graph.vertex_offsets).diff())[:, None]
     for k in range(max(steps)):
         total = torch.zeros_like(h)
         for name, edge_set in graph.edges.items():
