@@ -59,10 +59,8 @@ class Energies:
 TERMS: tuple[EnergyTerm, ...] = (Stretch(), Bending(), Gravity(), Inertia(), Collision(), Friction(load=Collision()))
 """The energies of a time step. Everything downstream takes their names from here."""
 
-RELEASED_TERMS: tuple[EnergyTerm, ...] = (
-    Stretch(), Bending(), Gravity(absolute=True), Inertia(), ReleasedCollision(), ReleasedFriction()
-)  # fmt: skip
-"""The family's released convention, for tables: collision per vertex, absolute height, wide friction."""
+RELEASED_FORMS: tuple[EnergyTerm, ...] = (Gravity(absolute=True), ReleasedCollision(), ReleasedFriction())
+"""Terms that the family's released convention has otherwise: absolute height, collision per vertex, wide friction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +77,11 @@ class IncrementalPotential:
 
     @staticmethod
     def paper_release() -> IncrementalPotential:
-        """The potential of the paper's tables."""
-        return IncrementalPotential(RELEASED_TERMS, nearest_face_centres)
+        """The potential of the paper's tables: every term, in its released form where it has one."""
+        potential = IncrementalPotential(search=nearest_face_centres)
+        for term in RELEASED_FORMS:
+            potential = potential.with_term(term)
+        return potential
 
     @property
     def names(self) -> tuple[str, ...]:
