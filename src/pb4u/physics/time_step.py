@@ -71,11 +71,8 @@ class TimeStep:
         return self.contacts_by(nearest_planes)
 
     def contacts_by(self, search: PlaneSearch) -> ContactSet:
-        """The contacts at the start of the step that `search` finds; none without a body."""
-        if self.bodies is None:
-            return ContactSet()
-        now = search(self.bodies.now, self.garments, self.state.positions.detach())
-        return ContactSet.at_start(now, self.bodies, self.state.positions)
+        """The contacts at the start of the step, those with the bodies as `search` finds them."""
+        return ContactSet.at_start(self.garments, self.bodies, self.state.positions, search)
 
     @cached_property
     def height_origin(self) -> Tensor:

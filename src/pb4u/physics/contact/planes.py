@@ -70,8 +70,18 @@ class ContactSet:
     transported_normals: Tensor | None = None
 
     @staticmethod
-    def at_start(now: ContactPlanes, bodies: ColliderFrame, x: Tensor) -> ContactSet:
-        """The contacts `now` of vertices `x` (vertices, 3) [m], and where `bodies` take them over the step."""
+    def at_start(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor, search: PlaneSearch) -> ContactSet:
+        """What is found once, at the start of a step; every finder is called here.
+
+        Args:
+            garments: whose vertices they are.
+            bodies: around the step, or None.
+            x: (vertices, 3) [m] at frame t.
+            search: finds the planes of the bodies, and where the bodies take them over the step.
+        """
+        if bodies is None:
+            return ContactSet()
+        now = search(bodies.now, garments, x.detach())
         motion = now.interpolated(bodies.motion, bodies.colliders.faces)
         normals = now.transported_normals(bodies.following)
         return ContactSet(now=now, transported=x + motion.to(x), transported_normals=normals.to(x))
