@@ -12,6 +12,7 @@ from tests.training.listening import Listener, made
 
 from pb4u.baselines.meshgraphnet import MeshGraphNet, MeshGraphNetConfiguration
 from pb4u.nn.acceleration_model import Derived
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.simulation.checkpoint import load_checkpoint
 from pb4u.training.configuration import TrainingConfiguration, training_from_json, training_to_json, with_settings
 
@@ -67,9 +68,10 @@ def test_what_a_method_minimises_besides_is_learnt_but_is_no_part_of_the_total()
         rises.append(float(trainer.model.network.decoder.last.bias[1].detach()))
         means = listener.means[-1]
     assert rises[1] > rises[0] + 5e-3
-    physical = ("stretch", "bending", "gravity", "inertia", "collision", "friction")
     assert means["pull"] > 100.0
-    assert means["total"] == pytest.approx(sum(means[name] for name in physical), rel=1e-4, abs=1e-6)
+    assert means["total"] == pytest.approx(
+        sum(means[name] for name in IncrementalPotential().names), rel=1e-4, abs=1e-6
+    )
 
 
 def test_a_training_of_a_baseline_is_set_up_by_name_and_survives_json():

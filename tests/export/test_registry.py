@@ -20,7 +20,8 @@ from pb4u.export.picture import View, render
 from pb4u.export.registry import FORMATS, WRITERS, check_target, export, written_files
 from pb4u.scene.trajectory import Trajectory
 
-DATA_SUFFIXES = [".npz", ".obj", ".pc2", ".mdd", ".usdc", ".usda", ".usdz", ".glb"]
+PICTURES = {".png", ".jpg", ".gif", ".mp4"}
+DATA_SUFFIXES = [suffix for suffix in WRITERS if suffix not in PICTURES]
 
 
 @contextmanager
@@ -56,7 +57,7 @@ def test_a_format_is_known_without_importing_its_writer_and_names_functions_that
 def test_an_unknown_suffix_lists_the_known(trajectory: Trajectory, tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
         export(trajectory, tmp_path / "walk.abc")
-    assert all(suffix in str(refused.value) for suffix in (*DATA_SUFFIXES, ".png", ".jpg", ".gif", ".mp4"))
+    assert all(suffix in str(refused.value) for suffix in WRITERS)
 
 
 @pytest.mark.parametrize("suffix", [*DATA_SUFFIXES, ".PC2"])
