@@ -28,7 +28,6 @@ _PLAUSIBLE_SIZE = (0.1, 10.0)
 # Frames whose numbers are checked at a time, which bounds the memory of a mapped file.
 _CHECKED_FRAMES = 64
 _MESH_SUFFIXES = (".obj", ".ply")
-SUFFIXES = (*_MESH_SUFFIXES, ".pc2", ".mdd")
 _PC2_MAGIC = b"POINTCACHE2\0"
 _PC2_HEADER = struct.Struct("<12siiffi")
 _MDD_HEADER = struct.Struct(">ii")
@@ -159,7 +158,8 @@ def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSe
         vertices, faces, file_fps = _read_mesh_and_cache(path)
     else:
         raise InputError(
-            f"{path}: a moving body is an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd beside it."
+            f"{path}: a moving body is an .npz, a folder of OBJ or PLY files, or an OBJ with a {' or '.join(_CACHES)} "
+            "beside it."
         )
     _refuse_unusable(path, vertices, faces)
     stored_fps = next((rate for rate in (fps, file_fps) if rate is not None), DEFAULT_FPS)
@@ -302,6 +302,9 @@ def _map_points(path: Path, offset: int, frames: int, points: int, dtype: str) -
 
 
 _CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
+"""Readers of positions (frames, points, 3) and, where the file tells, frames per second; the faces are in an OBJ."""
+
+SUFFIXES = (*_MESH_SUFFIXES, *_CACHES)
 
 
 def _refuse_unusable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
