@@ -224,7 +224,7 @@ def test_curvature_is_the_derivative_of_the_gradient(name: str, monkeypatch: pyt
     direction = torch.randn(x.shape, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     h = 1e-7 if name != "friction" else 1e-9
     plus, minus = (term.energies_and_gradient(at, contacts, x + s * h * direction)[1] for s in (1, -1))
-    product, elements = torch.zeros_like(x), term.elements(at.garments)
+    product, elements = torch.zeros_like(x), term.elements(at, contacts)
     assert elements is not None
     for part in (term.curvature(at, contacts, x), term.buckling(at, contacts, x)):
         if part is not None:

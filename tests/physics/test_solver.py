@@ -12,7 +12,7 @@ from tests.physics.shapes import DT, at_rest, capsule, collider, packed, potenti
 
 from pb4u.errors import InputError
 from pb4u.physics.energy_term import corner_pairs
-from pb4u.physics.incremental_potential import TERMS, IncrementalPotential, StepPotential
+from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.linear_solver import conjugate_gradient
 from pb4u.physics.solver import Iteration, Solver, implicit_steps, substep_count
 from pb4u.physics.stiffness_matrix import StiffnessPattern
@@ -187,13 +187,12 @@ def test_the_stiffness_matrix_is_the_sum_of_element_blocks(mkl: bool, monkeypatc
     monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: mkl)
     garments, step, start = hanging_sheet(5)
     x = start + 0.01 * torch.randn(start.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    pattern = StiffnessPattern(garments, TERMS)
+    pattern = StiffnessPattern(garments, step.elements())
     blocks = step.curvature(x)
     size = garments.vertex_count
     expected = np.zeros((size, 3, size, 3))
     for name, values in blocks.items():
-        elements = IncrementalPotential().term(name).elements(garments)
-        assert elements is not None
+        elements = step.elements()[name]
         for pair, (i, j) in enumerate(corner_pairs(elements.shape[1])):
             for element, corners in enumerate(elements.tolist()):
                 block = values[:, :, pair, element].numpy()

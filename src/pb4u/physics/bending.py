@@ -39,8 +39,8 @@ class Bending(EnergyTerm):
         forces = torch.cat([pull * d for d in derivative], dim=1)
         return self._energies(garments, bend), sum_by_vertex(forces, garments.hinges.T.reshape(-1), len(x))
 
-    def elements(self, garments: PackedGarments) -> Tensor:
-        return garments.hinges
+    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
+        return step.garments.hinges
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         """Gauss-Newton: stiffness times the outer product of the derivative of l (theta - theta0)."""

@@ -16,7 +16,8 @@ from pb4u.scene.packed import PackedGarments
 class EnergyTerm(ABC):
     """One term of the potential. Implementations are stateless and follow the dtype and device of `x`.
 
-    Every method takes the `step`, the `contacts` of the step, and the next positions `x` (vertices, 3) [m].
+    Every method takes the `step` and the `contacts` of the step, and all but `elements` the next positions `x`
+    (vertices, 3) [m].
     """
 
     name: str
@@ -29,7 +30,7 @@ class EnergyTerm(ABC):
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         """The energies and the gradient (vertices, 3) [N] of their sum, by hand, without autograd."""
 
-    def elements(self, garments: PackedGarments) -> Tensor | None:
+    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor | None:
         """(elements, corners) int64 vertices that the term couples; None where its second derivative is zero."""
         return None
 

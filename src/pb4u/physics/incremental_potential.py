@@ -152,6 +152,11 @@ class StepPotential:
             gradient = gradient + part
         return Energies(energies), gradient
 
+    def elements(self) -> dict[str, Tensor]:
+        """The vertices that the terms couple, as in `EnergyTerm.elements`."""
+        parts = {term.name: term.elements(self.step, self.contacts) for term in self.potential.terms}
+        return {name: part for name, part in parts.items() if part is not None}
+
     def curvature(self, x: Tensor) -> dict[str, Tensor]:
         """Positive semi-definite second derivatives by term, as in `EnergyTerm.curvature`."""
         contacts = self._contacts_at(x)

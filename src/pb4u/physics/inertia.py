@@ -8,7 +8,6 @@ from torch import Tensor
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.energy_term import EnergyTerm, dot, sum_by_garment, vertex_elements
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import PackedGarments
 
 
 class Inertia(EnergyTerm):
@@ -27,8 +26,8 @@ class Inertia(EnergyTerm):
         change = self._change(step, x)
         return self._energies(step, change), (step.garments.vertex_masses / step.dt**2)[:, None] * change
 
-    def elements(self, garments: PackedGarments) -> Tensor:
-        return vertex_elements(garments)
+    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
+        return vertex_elements(step.garments)
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         stiffness = step.garments.vertex_masses / step.dt**2

@@ -19,7 +19,6 @@ from torch import Tensor
 
 from pb4u.physics.contact.planes import ContactPlanes
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
-from pb4u.physics.energy_term import EnergyTerm
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
 from pb4u.physics.linear_solver import LinearSolution, PatchBasis, TwoLevelPreconditioner, conjugate_gradient
 from pb4u.physics.stiffness_matrix import StiffnessPattern
@@ -110,7 +109,7 @@ class Solver:
 
     def __init__(self, tolerance: float = 1e-3, max_iterations: int = 100, forcing: float = 0.05) -> None:
         self.tolerance, self.max_iterations, self.forcing = tolerance, max_iterations, forcing
-        self._prepared_for: tuple[PackedGarments, tuple[EnergyTerm, ...]] | None = None
+        self._garments: PackedGarments | None = None
         self._pattern: StiffnessPattern
         self._basis: PatchBasis
         self._threads: ThreadpoolController
@@ -174,17 +173,20 @@ class Solver:
             iteration += 1
 
     def _prepare(self, potential: StepPotential) -> None:
-        garments, terms = potential.step.garments, potential.potential.terms
-        if self._prepared_for is None or self._prepared_for[0] is not garments or self._prepared_for[1] != terms:
+        garments, elements = potential.step.garments, potential.elements()
+        new = self._garments is not garments
+        if new:
             if garments.dtype != torch.float64 or garments.device.type != "cpu":
                 raise ValueError(f"the solver needs garments packed in float64 on the CPU, not {garments.dtype}")
             from threadpoolctl import ThreadpoolController
 
             # Of this thread alone: torch's own setting would be that of every thread begun meanwhile, for good.
             self._threads = ThreadpoolController()
-            self._pattern = StiffnessPattern(garments, terms)
+        if new or not self._pattern.couples(elements):
+            self._pattern = StiffnessPattern(garments, elements)
+        if new:
             self._basis = PatchBasis(garments, self._pattern.free.numpy())
-            self._prepared_for = garments, terms
+            self._garments = garments
 
     def _residual(self, garments: PackedGarments, gradient: Tensor) -> float:
         """Of the world that is farthest from its balance."""

@@ -1,16 +1,16 @@
-"""The second derivative of the potential as a sparse matrix of 3x3 blocks; its pattern is found once per pack."""
+"""The second derivative of the potential as a sparse matrix of 3x3 blocks; its pattern is kept between steps."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.energy_term import EnergyTerm, corner_pairs
+from pb4u.physics.energy_term import corner_pairs
 from pb4u.scene.packed import PackedGarments
 
 
@@ -21,18 +21,17 @@ class StiffnessPattern:
 
     Args:
         garments: static quantities on the CPU.
-        terms: the energies.
+        elements: of the terms that have any, by name, as in `EnergyTerm.elements`.
 
     Attributes:
         free: (vertices,) bool, whether a vertex moves.
         own_entries: (vertices,) which entry is the diagonal block of each vertex.
     """
 
-    def __init__(self, garments: PackedGarments, terms: Sequence[EnergyTerm]) -> None:
+    def __init__(self, garments: PackedGarments, elements: Mapping[str, Tensor]) -> None:
         self.vertex_count = count = garments.vertex_count
         self.free = ~garments.pinned & (garments.vertex_masses > 0)
-        declared = {term.name: term.elements(garments) for term in terms}
-        elements = {name: part for name, part in declared.items() if part is not None}
+        self._elements = elements
         # Every vertex has a block of its own, whatever the energies.
         ends = [_pair_ends(e) for e in (torch.arange(count)[:, None], *elements.values())]
         # Energies are summed once for each two vertices that they couple; the matrix holds the sum and its transpose.
@@ -54,6 +53,11 @@ class StiffnessPattern:
         self._indices = columns.to(torch.int32)
         self._indptr = torch.searchsorted(rows, torch.arange(count + 1)).to(torch.int32)
         self._held = torch.nonzero(~(self.free[rows] & self.free[columns]))[:, 0]
+
+    def couples(self, elements: Mapping[str, Tensor]) -> bool:
+        """Whether the pattern is that of `elements`."""
+        same = self._elements.keys() == elements.keys()
+        return same and all(torch.equal(part, elements[name]) for name, part in self._elements.items())
 
     def assemble(self, blocks: Mapping[str, Tensor]) -> np.ndarray:
         """(entries, 3, 3) sum of the terms' element `blocks`; those of a vertex that does not move are zero."""

@@ -36,8 +36,8 @@ class Stretch(EnergyTerm):
         forces = torch.cat([-on_b - on_c, on_b, on_c], dim=1)
         return _energies(garments, g11, g22, g12), sum_by_vertex(forces, garments.faces.T.reshape(-1), len(x))
 
-    def elements(self, garments: PackedGarments) -> Tensor:
-        return garments.faces
+    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
+        return step.garments.faces
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         """Exact where the stress is tensile; compressive stress is left to `buckling`."""

@@ -11,7 +11,6 @@ from torch import Tensor
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, dot, outer, sum_by_garment, vertex_elements
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import UP
 
 REFERENCE_AREA = 1.6e-4
@@ -52,8 +51,8 @@ class Collision(EnergyTerm):
             gradient = gradient - (3.0 * weight * depth * depth)[:, None] * normal
         return sum_by_garment(energy, step.garments.vertex_garment, step.garments.garment_count), gradient
 
-    def elements(self, garments: PackedGarments) -> Tensor:
-        return vertex_elements(garments)
+    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
+        return vertex_elements(step.garments)
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         """Exact to a depth of half a millimetre; beyond it softer, so that one Newton step surfaces, not halves."""

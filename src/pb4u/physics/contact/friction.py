@@ -11,7 +11,6 @@ from pb4u.physics.contact.collision import REFERENCE_AREA, Collision
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, dot, outer, sum_by_garment, vertex_elements
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
 _FLOOR = 1e-4
@@ -57,8 +56,8 @@ class Friction(EnergyTerm):
         pull = slip * _directional(x) * (limit / magnitude)[:, None]
         return self._sum(step, limit, magnitude), pull - dot(pull, normal)[:, None] * normal
 
-    def elements(self, garments: PackedGarments) -> Tensor:
-        return vertex_elements(garments)
+    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
+        return vertex_elements(step.garments)
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         """A little stiffer than exact along the slip; positive, because the smoothed norm is convex."""
