@@ -24,7 +24,9 @@ from tests.physics.shapes import (
 from pb4u.physics.contact.collision import REFERENCE_AREA
 from pb4u.physics.contact.friction import Friction
 from pb4u.physics.energy_term import EnergyTerm, NullTerm, corner_pairs
+from pb4u.physics.gravity import Gravity
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.inertia import Inertia
 from pb4u.scene.state import State
 
 DTYPES = [(torch.float64, 1e-10), (torch.float32, 1e-5)]
@@ -91,7 +93,7 @@ def test_falling_sheet(dtype: torch.dtype, tolerance: float) -> None:
     garments = packed(sheet(4, 4), dtype=dtype)
     v = torch.tensor([0.5, -0.25, 1.0], dtype=dtype).expand(25, 3)
     state = State(garments.rest_positions, v, 0)
-    step = potential_of(garments, state)
+    step = potential_of(garments, state, potential=IncrementalPotential((Gravity(), Inertia())))
     fall = torch.tensor([0.0, -9.81 * DT**2, 0.0], dtype=dtype)
     x = garments.rest_positions + DT * v + fall
     mass = EVALUATION.density
