@@ -148,7 +148,12 @@ class ShapedBody:
 
 
 class PosedBody(AnimatedBody):
-    """A shaped body moving through a pose sequence; vertices are computed when asked for."""
+    """A shaped body moving through a pose sequence; vertices are computed when asked for.
+
+    Args:
+        body: the body at rest.
+        poses: its poses over time.
+    """
 
     def __init__(self, body: ShapedBody, poses: PoseSequence) -> None:
         self.body = body
@@ -166,7 +171,7 @@ class PosedBody(AnimatedBody):
 
     @cached_property
     def transforms(self) -> Tensor:
-        """(frames, bones, 3, 4) float32 rest-to-world bone transforms."""
+        """(frames, bones, 3, 4) float32 rest-to-world bone transforms; the last column is a translation [m]."""
         return bone_transforms(self.body.skeleton, self.poses)
 
     def positions(self, start: int, stop: int) -> Tensor:

@@ -33,7 +33,7 @@ _DOUBLE = 0.2
 
 
 class Severity(str, Enum):
-    """What a fault does to a simulation."""
+    """Consequence of a fault for a simulation."""
 
     REFUSED = "refused"
     WARNING = "warning"
@@ -288,7 +288,13 @@ def _contact_findings(
 
 
 def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
-    """Whether most of the cloth's area has its normal towards the body."""
+    """Whether most of the cloth's area has its normal towards the body.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
     near = body.surface.nearest(vertices[faces].mean(axis=1))
     return float(np.einsum("ij,ij->i", face_cross_products(vertices, faces), near.normals.numpy()).sum()) < 0.0
 

@@ -15,7 +15,7 @@ from pb4u.geometry.triangle_mesh import edge_lengths, face_areas
 
 @dataclass(frozen=True, eq=False)
 class SourceMap:
-    """Where each source vertex lies on the simulated mesh: triangle and barycentric coordinates.
+    """Places of the author's vertices on the simulated mesh, by triangle and barycentric coordinates.
 
     Args:
         source: the author's mesh.

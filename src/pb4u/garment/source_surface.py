@@ -83,7 +83,7 @@ class SourceSurface:
 
     @cached_property
     def flipped(self) -> tuple[np.ndarray, bool]:
-        """Kept triangles to turn over so that neighbours agree, and whether that is possible."""
+        """Mask (faces,) bool of kept triangles to turn over so that neighbours agree, and whether that is possible."""
         return faces_to_flip(self.topology)
 
     @cached_property
@@ -112,7 +112,7 @@ class SourceSurface:
 
     @property
     def unwelded(self) -> np.ndarray:
-        """Vertices that lie on another of the border."""
+        """Indices (n,) int64 of vertices that lie on another of the border."""
         return np.flatnonzero(self.weld_target != np.arange(len(self.weld_target)))
 
     @property
@@ -122,7 +122,10 @@ class SourceSurface:
 
     @cached_property
     def extra_faces(self) -> np.ndarray:
-        """Polygons to delete so that no edge has more than two faces: those of the smaller parts that meet there."""
+        """Indices (n,) int64 of polygons to delete so that no edge has more than two faces.
+
+        They are those of the smaller parts that meet at such an edge.
+        """
         topology = self.topology
         counts, face_edges = topology.edge_face_counts, topology.face_edges
         manifold = counts[topology.face_edges] == 2

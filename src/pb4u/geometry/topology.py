@@ -106,7 +106,7 @@ class Topology:
 
     @cached_property
     def boundary_loops(self) -> tuple[np.ndarray, ...]:
-        """Closed vertex loops along the border, longest first; the mesh lies to the left of each."""
+        """Closed loops of vertices along the border, (n,) int64 each, longest first; the mesh lies to their left."""
         following: dict[int, list[int]] = {}
         for a, b in self.boundary_edges.tolist():
             following.setdefault(a, []).append(b)
@@ -135,12 +135,12 @@ class Topology:
 
     @property
     def isolated_vertices(self) -> np.ndarray:
-        """Indices of vertices that no face uses."""
+        """Indices (n,) int64 of vertices that no face uses."""
         return np.flatnonzero(np.bincount(self.faces.reshape(-1), minlength=self.vertex_count) == 0)
 
     @property
     def non_manifold_edges(self) -> np.ndarray:
-        """(n, 2) edges shared by three or more faces."""
+        """Edges (n, 2) int64 shared by three or more faces."""
         return self.edges[self.edge_face_counts > 2]
 
     @property
@@ -160,8 +160,8 @@ def connected_labels(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
     Args:
         count: number of nodes.
-        a: (links,) one end of each link.
-        b: (links,) the other end.
+        a: (links,) int64 one end of each link.
+        b: (links,) int64 the other end.
 
     Returns:
         (count,) int32 from 0; a node without links is a component of its own.
@@ -174,7 +174,7 @@ def connected_labels(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def faces_to_flip(topology: Topology) -> tuple[np.ndarray, bool]:
-    """Which faces to turn over so that neighbours agree, and whether that is possible.
+    """Faces to turn over so that neighbours agree, and whether that is possible.
 
     In each piece the fewer faces are turned. Not possible means a one-sided surface (a Moebius strip): its faces are
     then left alone.

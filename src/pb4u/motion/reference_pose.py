@@ -66,10 +66,10 @@ T_POSE = ReferencePose(
 
 
 def leg_length(joint: Callable[[str], np.ndarray]) -> float:
-    """Hip to knee to ankle, mean of both legs, in the unit of the joints.
+    """Length of hip to knee to ankle, mean of both legs, in the unit of the joints.
 
     Args:
-        joint: position (3,) of the upper joint of a limb role.
+        joint: position (3,) of the upper joint of a limb role, in any unit.
     """
     total = 0.0
     for side in "LR":

@@ -64,7 +64,17 @@ class StandingClip(ABC):
         return result
 
     def hips(self, x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float, frames: int) -> np.ndarray:
-        """(frames, 3) [m]: offsets from standing, in leg lengths."""
+        """Positions of the middle of the hips, from offsets from standing.
+
+        Args:
+            x: offset to the left [leg lengths], one number or (frames,), as all of them.
+            y: offset upward [leg lengths].
+            z: offset to the front [leg lengths].
+            frames: number of frames.
+
+        Returns:
+            (frames, 3) [m].
+        """
         path = [np.broadcast_to(np.asarray(a, dtype=np.float64), (frames,)) for a in (x, y, z)]
         return self.leg * np.stack(path, axis=1) + np.array([0.0, self.height, 0.0])
 
