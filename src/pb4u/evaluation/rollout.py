@@ -68,7 +68,7 @@ class SceneRecord:
     digests: tuple[tuple[str, str], ...] = ()
 
     def identity(self) -> dict[str, Any]:
-        """What distinguishes this scene from every other."""
+        """Fields that distinguish this scene from every other, files by their content."""
         fields = asdict(self)
         for field, content in fields.pop("digests"):
             fields[field] = f"{Path(fields[field]).name} {content}"
@@ -99,7 +99,7 @@ class ModelRecord:
 
 @dataclass(frozen=True)
 class Settings:
-    """How a model is run; for what has no such setting, the value here.
+    """Settings of a model's run; for what has no such setting, the value here.
 
     Args:
         propagation_steps: override of K; None follows the model's own rule.
@@ -188,6 +188,9 @@ def attempt(job: RolloutJob) -> Rollout | Failure:
 
 def run(job: RolloutJob) -> Rollout:
     """Simulate and measure.
+
+    Args:
+        job: the rollout to make.
 
     Raises:
         InputError: something of it cannot be used, or changed since it was planned.

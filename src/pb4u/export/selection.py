@@ -37,7 +37,7 @@ class LazyFrames:
         self._compute = compute
 
     def as_array(self) -> np.ndarray:
-        """Itself, typed as the array that it stands for."""
+        """Itself, typed as the array (frames, vertices, 3) float32 [m] that it stands for."""
         return cast(np.ndarray, self)
 
     def __len__(self) -> int:

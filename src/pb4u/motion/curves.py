@@ -55,8 +55,8 @@ def hermite(
         time: (n,) in the unit of `knots`.
         knots: (knots,) times in increasing order [s], or phases [cycles].
         values: (knots,) or (knots, components), value at each knot, in any unit.
-        velocities: first derivative by time at each knot, shaped as `values`; zero by default.
-        accelerations: second derivative by time at each knot, shaped as `values`; zero by default.
+        velocities: (knots,) or (knots, components), first derivative by time at each knot; zero by default.
+        accelerations: (knots,) or (knots, components), second derivative by time at each knot; zero by default.
 
     Returns:
         (n,) or (n, components), in the unit of `values`.

@@ -64,12 +64,12 @@ class StandingClip(ABC):
         return result
 
     def hips(self, x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float, frames: int) -> np.ndarray:
-        """Positions of the middle of the hips, from offsets from standing.
+        """Positions of the middle of the hips, from offsets from standing; an offset may be one number.
 
         Args:
-            x: offset to the left [leg lengths], one number or (frames,), as all of them.
-            y: offset upward [leg lengths].
-            z: offset to the front [leg lengths].
+            x: (frames,) offset to the left [leg lengths].
+            y: (frames,) offset upward [leg lengths].
+            z: (frames,) offset to the front [leg lengths].
             frames: number of frames.
 
         Returns:

@@ -47,7 +47,7 @@ class Measurement(Worker):
         return len(self._rows)
 
     def series(self, quantity: str) -> np.ndarray:
-        """(frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite."""
+        """Values (frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite."""
         values = [row.get(quantity, np.nan) for row in list(self._rows)]
         return np.pad(np.array(values, dtype=float), (0, self._frames - len(values)), constant_values=np.nan)
 
@@ -126,11 +126,14 @@ class PlotPanel(Panel):
 
 
 def chart_data(curves: list[np.ndarray], frame: float) -> tuple[np.ndarray, ...]:
-    """Abscissa, one row a curve, and the line at `frame`, all of one length.
+    """Data of a chart: abscissa, one row a curve, and the vertical line at `frame`.
 
     Args:
-        curves: (frames,) values each, all of one length; NaN where there is none.
-        frame: where the line stands.
+        curves: (frames,) values each, in one unit, all of one length; NaN where there is none.
+        frame: place of the line on the abscissa [frames].
+
+    Returns:
+        Arrays of one length, (frames + 2,) each: abscissa [frames], the curves, and the line in their unit.
     """
     count = len(curves[0])
     known = np.concatenate(curves)
