@@ -53,7 +53,7 @@ def assets(
 
 
 def catalogue() -> dict[str, list[dict[str, Any]]]:
-    """Everything built in, by kind."""
+    """Descriptions of everything built in, by kind."""
     from dataclasses import asdict
 
     from pb4u.body.library import body_names, load_body

@@ -200,7 +200,13 @@ def simulate(
         typer.Option(metavar="FILE|-", help="Write counts, timing and metrics as JSON; '-' is standard output."),
     ] = None,
 ) -> None:
-    """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder."""
+    """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder.\f
+
+    Each argument is described by its `help`.
+
+    Raises:
+        InputError: the arguments contradict each other, or something they name is unknown or unusable.
+    """
     described = RunSpecification() if scene is None else RunSpecification.open(scene)
     run = replace(
         described,

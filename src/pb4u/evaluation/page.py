@@ -79,7 +79,7 @@ img { max-width: 100%; height: auto; }
 
 
 def as_html(title: str, blocks: Sequence[Block]) -> str:
-    """The page as one file that needs no other.
+    """The page as one HTML file that needs no other.
 
     Args:
         title: of the page.

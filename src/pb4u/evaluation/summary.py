@@ -70,7 +70,7 @@ def spread(values: Iterable[float | None]) -> Spread | None:
 
 @dataclass(frozen=True)
 class Row:
-    """A case and what came of it.
+    """A case and its outcome.
 
     Args:
         case: the rollout in its place.
@@ -189,7 +189,11 @@ class Summary:
         return (*(name for name in names if name != "total"), "total")
 
     def select(self, **wanted: object) -> list[Row]:
-        """Rows by level, model, garment, body, motion or steps."""
+        """Rows whose coordinates have the wanted values.
+
+        Args:
+            **wanted: value by name of the coordinate: level, model, garment, body, motion, seed or steps.
+        """
         return [row for row in self.rows if wanted.items() <= row.coordinates.items()]
 
     def cell(self, level: str, model: str, steps: int | None = None) -> Cell:
@@ -218,7 +222,7 @@ class Summary:
         )
 
     def cells(self) -> list[Cell]:
-        """Every cell of the run."""
+        """Cells of the run, all of them."""
         at = dict.fromkeys(tuple(row.coordinates[name] for name in ("level", "model", "steps")) for row in self.rows)
         return [self.cell(*each) for each in at]
 

@@ -80,7 +80,7 @@ def terms_tables(summary: Summary) -> list[Block]:
 
 
 def level_table(summary: Summary, quantities: tuple[str, ...]) -> list[Block]:
-    """One table: a row a level and model, the paper's rows below its level's.
+    """Table with a row for each level and model, the paper's rows below its level's.
 
     Args:
         summary: the run.

@@ -51,7 +51,7 @@ def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = 
 
 
 def cache_files(path: Path, _frames: int) -> tuple[Path, ...]:
-    """A point cache and the OBJ that belongs to it."""
+    """Paths of a point cache and of the OBJ that belongs to it."""
     return path, path.with_suffix(".obj")
 
 

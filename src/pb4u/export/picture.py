@@ -26,11 +26,11 @@ class View:
     """Camera, size and colours of pictures.
 
     Args:
-        width: pixels.
-        height: pixels.
-        azimuth: degrees around the vertical; 0 is in front of the body, positive towards its left.
-        elevation: degrees above the horizontal.
-        turntable: degrees that the camera turns about the vertical over the whole clip.
+        width: of a picture [pixels].
+        height: of a picture [pixels].
+        azimuth: angle around the vertical [deg]; 0 is in front of the body, positive towards its left.
+        elevation: angle above the horizontal [deg].
+        turntable: turn of the camera about the vertical over the whole clip [deg].
         show_body: whether the body is drawn.
         cloth: colour of the garment, RGB in [0, 1].
     """

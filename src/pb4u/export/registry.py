@@ -73,7 +73,7 @@ WRITERS: dict[str, Format] = {suffix: form for form in FORMATS for suffix in for
 
 
 def formats_help() -> str:
-    """All suffixes, then a sentence on each format."""
+    """List of all suffixes, and a sentence on each format, as text."""
     return ". ".join([" ".join(WRITERS), *(form.description for form in FORMATS)]) + "."
 
 

@@ -62,7 +62,7 @@ class LazyFrames:
 
 
 def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: int) -> Trajectory:
-    """Some of the frames; an InputWarning tells where the span goes beyond the last one.
+    """A trajectory of some of the frames; an InputWarning tells where the span goes beyond the last one.
 
     Args:
         trajectory: to take them from.

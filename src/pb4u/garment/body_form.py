@@ -93,7 +93,7 @@ class Sections:
 
 
 def directions() -> np.ndarray:
-    """(directions, 2) unit vectors in the x-z plane, from +Z towards +X."""
+    """Unit vectors (directions, 2) in the x-z plane, from +Z towards +X."""
     angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     return np.column_stack([np.sin(angle), np.cos(angle)])
 

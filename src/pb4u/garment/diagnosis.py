@@ -33,7 +33,7 @@ _DOUBLE = 0.2
 
 
 class Severity(str, Enum):
-    """Consequence of a fault for a simulation."""
+    """Severity of a fault: refused, a warning, or only a note."""
 
     REFUSED = "refused"
     WARNING = "warning"
@@ -94,7 +94,7 @@ class Diagnosis:
 def diagnose(
     garment: PolygonMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
 ) -> Diagnosis:
-    """Everything that is wrong with a garment, on its own and on the resting body.
+    """Faults of a garment, all of them, on its own and on the resting body.
 
     First-frame penetration, and whether the shoulders hold a garment without pins, are measured where the garment
     belongs, after the move that units and axes call for.

@@ -46,7 +46,7 @@ class Lattice:
 
     @property
     def points(self) -> np.ndarray:
-        """All points (nx * ny * nz, 3) [m], z fastest."""
+        """Positions (nx * ny * nz, 3) [m] of all points, z fastest."""
         x, y, z = np.broadcast_arrays(*self.axes)
         return np.column_stack([x.reshape(-1), y.reshape(-1), z.reshape(-1)])
 

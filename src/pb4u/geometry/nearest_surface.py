@@ -126,7 +126,7 @@ class PosedSurface:
 
     @cached_property
     def face_normals(self) -> Tensor:
-        """(kept faces, 3) float64 unit normals, 0 for a degenerate face."""
+        """Unit normals (kept faces, 3) float64 of the faces, 0 for a degenerate one."""
         a, b, c = self._corners
         cross = torch.linalg.cross(b - a, c - a)
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(1e-300)

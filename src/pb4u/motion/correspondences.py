@@ -52,7 +52,7 @@ class SkeletonRoles:
 
     @property
     def bones(self) -> frozenset[str]:
-        """Every bone that the recording must have."""
+        """Names of the bones that the recording must have."""
         return frozenset(
             bone
             for part in self.roles.values()

@@ -172,5 +172,5 @@ def _part_way(first: np.ndarray, second: np.ndarray, amount: float, along: np.nd
 
 @lru_cache(maxsize=16)
 def humanoid_of(body: ShapedBody) -> Humanoid:
-    """The humanoid of a body, kept for the next call."""
+    """The humanoid of a body, computed once for each body while it is in the cache."""
     return Humanoid(body)

@@ -47,7 +47,7 @@ class StandingClip(ABC):
         """The performance at `time` (frames,) [s]."""
 
     def feet(self, frames: int, pitch: np.ndarray | float = 0.0, lift: np.ndarray | float = 0.0) -> dict[str, Foot]:
-        """Both feet in place; toes stay flat.
+        """Positions and rotations of both feet in place, by side; toes stay flat.
 
         Args:
             frames: number of frames.

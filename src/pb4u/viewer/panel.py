@@ -30,7 +30,7 @@ class Requests(Protocol):
         """Do something to the state, and show it."""
 
     def reset_camera(self) -> None:
-        """Look at everything again."""
+        """Point the camera at all clips again."""
 
     def simulate(self, run: RunSpecification) -> None:
         """Begin a simulation.

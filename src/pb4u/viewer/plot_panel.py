@@ -63,7 +63,7 @@ class Measurement(Worker):
 
 
 class PlotPanel(Panel):
-    """One quantity of every clip over the frames."""
+    """Curves of one quantity over the frames, one for each clip."""
 
     _EVERY = 0.2
     """Seconds between redraws: each sends all curves anew."""
@@ -84,7 +84,7 @@ class PlotPanel(Panel):
 
         Args:
             measurements: of every clip that is shown.
-            frame: where the line stands.
+            frame: frame of the timeline at which the line stands.
         """
         now, title = time.monotonic(), self._quantity.value
         progress = [(measurement, measurement.done, measurement.failure) for measurement in measurements]
