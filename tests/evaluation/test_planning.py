@@ -10,7 +10,7 @@ import torch
 
 from pb4u.errors import InputError
 from pb4u.evaluation.floors import stored_floor
-from pb4u.evaluation.planning import Request, plan
+from pb4u.evaluation.planning import EvaluationRequest, plan
 from pb4u.evaluation.protocols import PROTOCOLS
 from pb4u.evaluation.rollout import RolloutJob
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
@@ -18,7 +18,7 @@ from pb4u.model.propagation_control import FixedSteps
 from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 
-SMALL = Request(models=("skinning",), garments=("tshirt",), motions=("walk",), levels=("400",), frames=3)
+SMALL = EvaluationRequest(models=("skinning",), garments=("tshirt",), motions=("walk",), levels=("400",), frames=3)
 
 
 def weights(path: Path, dt: float = 1 / 30, seed: int = 0) -> Path:
@@ -35,9 +35,9 @@ def test_every_protocol_plans_without_any_weights(monkeypatch: pytest.MonkeyPatc
     for name in PROTOCOLS:
         if name == "depth":
             with pytest.raises(InputError, match="None of the models has propagation steps to vary"):
-                plan(Request(name))
+                plan(EvaluationRequest(name))
             continue
-        planned = plan(Request(name))
+        planned = plan(EvaluationRequest(name))
         protocol = PROTOCOLS[name]
         scenes = len(protocol.garments) * len(protocol.motions) * len(protocol.levels)
         assert len(planned.cases) == scenes * len(planned.protocol.models)
@@ -47,7 +47,7 @@ def test_every_protocol_plans_without_any_weights(monkeypatch: pytest.MonkeyPatc
 
 def test_models_without_weights_are_one_line_unless_they_were_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pb4u.simulation.checkpoint.built_in_models", lambda: ("comparison-pb4u",))
-    (line,) = plan(Request("ablation")).absent
+    (line,) = plan(EvaluationRequest("ablation")).absent
     assert "comparison-pb4u-without-scaling" in line
     with pytest.raises(InputError, match="There is no model 'pb4u-smal'"):
         plan(replace(SMALL, models=("pb4u-smal",)))
@@ -60,7 +60,7 @@ def test_levels_go_by_name_or_number() -> None:
 
 
 def test_jobs_of_a_scene_stand_together_coarse_ones_first() -> None:
-    planned = plan(Request("resolution", garments=("tshirt",), levels=("1200", "400")))
+    planned = plan(EvaluationRequest("resolution", garments=("tshirt",), levels=("1200", "400")))
     scenes = [job.scene for job in planned.jobs]
     assert [scenes[i] for i in range(len(scenes)) if i == 0 or scenes[i] != scenes[i - 1]] == list(
         dict.fromkeys(scenes)
@@ -113,7 +113,7 @@ def test_weights_count_by_content_and_equal_names_are_told_apart(tmp_path: Path)
 
 def test_recordings_take_the_place_of_built_in_motions(test_data: Path) -> None:
     folder = test_data / "motions" / "cmu_asfamc"
-    planned = plan(Request("efficiency", models=("skinning",), levels=("400",), recordings=folder))
+    planned = plan(EvaluationRequest("efficiency", models=("skinning",), levels=("400",), recordings=folder))
     (case,) = planned.cases
     assert case.motion == "07_02"
     assert case.job.scene.digests[0][0] == "motion"

@@ -16,7 +16,7 @@ from tests.simulation.ball_scene import ball_scene
 from pb4u.errors import InputError, Pb4uError
 from pb4u.evaluation import report, rollout
 from pb4u.evaluation.metrics import ENERGIES
-from pb4u.evaluation.planning import Request
+from pb4u.evaluation.planning import EvaluationRequest
 from pb4u.evaluation.protocol_run import evaluate
 from pb4u.evaluation.protocols import PROTOCOLS
 from pb4u.evaluation.report import told_once
@@ -26,7 +26,7 @@ from pb4u.evaluation.worker_pool import Attempt, Outcome, WorkerPool
 from pb4u.scene.scene import Scene
 
 FRAMES = 3
-REQUEST = Request(
+REQUEST = EvaluationRequest(
     models=("skinning", "solver"), garments=("tshirt",), motions=("walk", "jump"), levels=("11K", "18K"),
     frames=FRAMES, lead_in=1, device="cpu",
 )  # fmt: skip
@@ -71,7 +71,7 @@ def balls(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> No
 
 
 def run(
-    request: Request, out: Path, attempt: Attempt = attempt, retry: bool = False
+    request: EvaluationRequest, out: Path, attempt: Attempt = attempt, retry: bool = False
 ) -> tuple[dict, list[str], list[str]]:
     said: list[str] = []
     pool = Here(attempt)

@@ -35,7 +35,15 @@ class AnimatedBody(ABC):
 
     @abstractmethod
     def positions(self, start: int, stop: int) -> Tensor:
-        """Vertices (stop - start, vertices, 3) float32 [m] of frames start..stop-1."""
+        """Vertices of consecutive frames.
+
+        Args:
+            start: first frame.
+            stop: frame after the last.
+
+        Returns:
+            (stop - start, vertices, 3) float32 [m].
+        """
 
     @cached_property
     def topology(self) -> Topology:

@@ -29,11 +29,11 @@ def shape_basis(offsets: np.ndarray, term_basis: np.ndarray) -> np.ndarray:
     max(d, 0): products of these span its shapes exactly.
 
     Args:
-        offsets: (parameters,) d, how far each parameter is from its default.
+        offsets: (parameters,) d, how far each parameter is from its default [1].
         term_basis: (terms, parameters) in {0, 1, 2}, which factor each parameter contributes to each term.
 
     Returns:
-        (terms,) float64.
+        (terms,) float64 [1].
     """
     factors = np.stack([np.ones_like(offsets), offsets, np.maximum(offsets, 0.0)])
     return np.prod(factors[term_basis, np.arange(len(offsets))], axis=1)

@@ -94,7 +94,7 @@ def _shape_terms(anny: AnnyBody, gender: float, term_basis: np.ndarray) -> tuple
 
 
 def reachable(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Which vertices cloth can reach: not inside other skin and not in a cavity such as the mouth.
+    """Mask of the vertices that cloth can reach: not inside other skin and not in a cavity such as the mouth.
 
     A vertex is inside where the winding number just outside of it is 1 or more, and in a cavity where other skin
     hides nearly all of its sky.

@@ -20,7 +20,7 @@ from pb4u.errors import InputError
 def complete_parameters(
     body: str, ranges: Mapping[str, tuple[float, float, float]], given: Mapping[str, float]
 ) -> dict[str, float]:
-    """Every shape parameter, in the order of `ranges`.
+    """Value of every shape parameter by name, in the order of `ranges`.
 
     Args:
         body: name of the body, for messages.
@@ -148,7 +148,12 @@ class ShapedBody:
 
 
 class PosedBody(AnimatedBody):
-    """A shaped body moving through a pose sequence; vertices are computed when asked for."""
+    """A shaped body moving through a pose sequence; vertices are computed when asked for.
+
+    Args:
+        body: the body at rest.
+        poses: its poses over time.
+    """
 
     def __init__(self, body: ShapedBody, poses: PoseSequence) -> None:
         self.body = body
@@ -166,7 +171,7 @@ class PosedBody(AnimatedBody):
 
     @cached_property
     def transforms(self) -> Tensor:
-        """(frames, bones, 3, 4) float32 rest-to-world bone transforms."""
+        """Transforms (frames, bones, 3, 4) float32 of the bones from rest to world; their last column is in [m]."""
         return bone_transforms(self.body.skeleton, self.poses)
 
     def positions(self, start: int, stop: int) -> Tensor:

@@ -27,7 +27,11 @@ class Skeleton:
     joints: np.ndarray
 
     def index(self, name: str) -> int:
-        """Index of the bone called `name`. Raises ValueError when there is none."""
+        """Index of the bone called `name`.
+
+        Raises:
+            ValueError: there is none.
+        """
         return self.names.index(name)
 
     @property

@@ -25,7 +25,14 @@ class SkinningWeights:
     weights: np.ndarray
 
     def share_of(self, bones: np.ndarray) -> np.ndarray:
-        """(vertices,) share of each vertex's motion that the bones marked in (bones,) bool have."""
+        """Share of each vertex's motion that some bones have.
+
+        Args:
+            bones: (bones,) bool, the bones counted.
+
+        Returns:
+            (vertices,) in [0, 1].
+        """
         return (self.weights * bones[self.bones]).sum(axis=1)
 
 
@@ -34,7 +41,7 @@ def strongest_influences(bones: np.ndarray, weights: np.ndarray, count: int) -> 
 
     Args:
         bones: (vertices, influences) bone indices.
-        weights: (vertices, influences) weights, in any order.
+        weights: (vertices, influences) weights [1], in any order.
         count: influences to keep at most.
     """
     count = min(count, int((weights > 0).sum(axis=1).max()))
@@ -63,13 +70,16 @@ def bone_transforms(skeleton: Skeleton, poses: PoseSequence) -> Tensor:
 
 
 def skin(rest_vertices: Tensor, bones: Tensor, weights: Tensor, transforms: Tensor) -> Tensor:
-    """Vertices (frames, vertices, 3) [m] of a surface moved by blended bone transforms; `SkinnedSurface` is faster.
+    """Positions of a surface moved by blended bone transforms; `SkinnedSurface` is faster.
 
     Args:
         rest_vertices: (vertices, 3) [m].
         bones: (vertices, influences) int64.
         weights: (vertices, influences), rows sum to 1.
         transforms: (frames, bones, 3, 4), see `bone_transforms`.
+
+    Returns:
+        (frames, vertices, 3) [m].
     """
     frames = transforms.shape[0]
     flat = transforms.reshape(frames, -1, 12)
@@ -121,7 +131,15 @@ class SkinnedSurface:
         return torch.from_numpy(result)
 
     def turned(self, offsets: Tensor, transforms: Tensor) -> Tensor:
-        """Offsets (frames, vertices, 3) from the rest surface, turned with it by `transforms` (frames, bones, 3, 4)."""
+        """Offsets from the rest surface, turned with it by the blended rotations of the bones.
+
+        Args:
+            offsets: (frames, vertices, 3) at rest [m].
+            transforms: (frames, bones, 3, 4), see `bone_transforms`.
+
+        Returns:
+            (frames, vertices, 3) [m].
+        """
         rotations = transforms[..., :3].to(torch.float32).numpy().transpose(1, 0, 2, 3)
         blended = self._weights @ rotations.reshape(self._weights.shape[1], -1)
         turns = torch.from_numpy(blended).view(-1, len(transforms), 3, 3)

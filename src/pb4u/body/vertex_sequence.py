@@ -46,6 +46,9 @@ class VertexSequence(AnimatedBody):
         contact: (vertices,) bool, all True when not given.
         fps: frames per second to play at, `stored_fps` when not given.
         held_start: frames for which the first one is held before the motion begins.
+
+    Raises:
+        InputError: `stored_fps` is not a positive number.
     """
 
     def __init__(

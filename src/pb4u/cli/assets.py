@@ -53,7 +53,7 @@ def assets(
 
 
 def catalogue() -> dict[str, list[dict[str, Any]]]:
-    """Everything built in, by kind."""
+    """Descriptions of everything built in, by kind."""
     from dataclasses import asdict
 
     from pb4u.body.library import body_names, load_body
@@ -113,7 +113,13 @@ def write(
     fps: Annotated[float, typer.Option(help="Frames per second of a motion.")] = 30.0,
     json: JsonFlag = None,
 ) -> None:
-    """Write one built-in asset to a file."""
+    """Write one built-in asset to a file.\f
+
+    Each argument is described by its `help`.
+
+    Raises:
+        InputError: there is no such asset, or the file cannot be written or ends otherwise than its kind.
+    """
     from pb4u.body.body_model import ShapedBody
     from pb4u.body.library import body_names, load_body
     from pb4u.garment.library import build_garment, garment_names
@@ -181,7 +187,13 @@ def pack(
     ] = None,
     json: JsonFlag = None,
 ) -> None:
-    """Write what a training machine needs: it then needs torch, numpy and safetensors only."""
+    """Write what a training machine needs: it then needs torch, numpy and safetensors only.\f
+
+    Each argument is described by its `help`.
+
+    Raises:
+        InputError: the file cannot be written or is no .npz, or a preset, a setting or a recording cannot be used.
+    """
     from pb4u.training.collection import collect
     from pb4u.training.configuration import with_settings
     from pb4u.training.packed_data import save_training_data

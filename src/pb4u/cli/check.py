@@ -45,7 +45,12 @@ def check(
 ) -> None:
     """Diagnose a garment (and a body and a motion) before simulating; each fault with its fix.
 
-    Ends with exit code 1 when simulation would refuse the garment: as it was given, or with --fix as it was mended.
+    Ends with exit code 1 when simulation would refuse the garment: as it was given, or with --fix as it was mended.\f
+
+    Each argument is described by its `help`.
+
+    Raises:
+        InputError: the arguments contradict each other, or a file cannot be read or written.
     """
     from pb4u.body.library import load_body
     from pb4u.garment.library import garment_names

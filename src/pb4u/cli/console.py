@@ -43,7 +43,15 @@ def progress_bar(label: str) -> Iterator[Progress]:
 
 
 def write_json(payload: Mapping[str, Any], target: str) -> None:
-    """Write `payload` to a file, or to standard output for "-". Non-finite numbers become null."""
+    """Write JSON to a file, or to standard output; numbers that are not finite become null.
+
+    Args:
+        payload: what is written.
+        target: path of the file, or "-" for standard output.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     text = json_text(dict(payload), indent=2)
     if target == "-":
         print(text)
@@ -53,7 +61,12 @@ def write_json(payload: Mapping[str, Any], target: str) -> None:
 
 
 def wrote(targets: Iterable[Path], frames: int) -> str:
-    """One line on the files that the export of `frames` frames to `targets` left; long sequences by their ends."""
+    """Sentence on the files that an export left; long sequences by their ends.
+
+    Args:
+        targets: paths that were exported to.
+        frames: number of frames.
+    """
     told: list[str] = []
     for target in targets:
         files = [str(file) for file in written_files(target, frames)]
@@ -62,13 +75,28 @@ def wrote(targets: Iterable[Path], frames: int) -> str:
 
 
 def check_json_target(target: str | None) -> None:
-    """Raises InputError when the file of --json cannot be written; called before any work is done."""
+    """Refuse a file of --json that cannot be written; called before any work is done.
+
+    Args:
+        target: path of the file; None or "-" needs none.
+
+    Raises:
+        InputError: its folder is absent or read-only, or its name is taken by a folder.
+    """
     if target and target != "-":
         check_writable(Path(target), "--json")
 
 
 def check_writable(path: Path, flag: str) -> None:
-    """Raises InputError when the file that `flag` names cannot be written; called before any work is done."""
+    """Refuse a file that cannot be written; called before any work is done.
+
+    Args:
+        path: file to write.
+        flag: the flag that names it, for the message.
+
+    Raises:
+        InputError: its folder is absent or read-only, or its name is taken by a folder.
+    """
     if not path.parent.is_dir():
         raise InputError(f"The folder {path.parent} for {flag} does not exist; make it first.")
     if path.is_dir():
@@ -82,7 +110,11 @@ class BodyShape(dict[str, float]):
 
     @classmethod
     def parse(cls, text: str) -> BodyShape:
-        """From `height=0.7,weight=0.4`. Raises BadParameter on anything else."""
+        """Shape parameters from `height=0.7,weight=0.4`.
+
+        Raises:
+            BadParameter: the text is anything else.
+        """
         shape = cls()
         for entry in filter(str.strip, text.split(",")):
             key, equals, value = entry.partition("=")
@@ -96,7 +128,11 @@ class BodyShape(dict[str, float]):
 
     @classmethod
     def of(cls, flags: Iterable[BodyShape] | None) -> BodyShape:
-        """All that a flag given several times says. Raises BadParameter where two say the same."""
+        """Shape parameters of a flag that was given several times.
+
+        Raises:
+            BadParameter: two of them set the same parameter.
+        """
         shape = cls()
         for flag in flags or ():
             for key, value in flag.items():
@@ -104,21 +140,38 @@ class BodyShape(dict[str, float]):
         return shape
 
     def add(self, key: str, value: float) -> None:
-        """Set a parameter. Raises BadParameter where it is set already."""
+        """Set a parameter.
+
+        Args:
+            key: its name.
+            value: its value, in the range that the body has for it.
+
+        Raises:
+            BadParameter: it is set already.
+        """
         if key in self:
             raise typer.BadParameter(f"--body-shape gives {key} twice; give it once.")
         self[key] = value
 
 
 class FrameRange(NamedTuple):
-    """Frames first..stop-1."""
+    """A range of frames, first..stop-1.
+
+    Args:
+        first: first frame, counted from 0.
+        stop: frame after the last.
+    """
 
     first: int
     stop: int
 
     @classmethod
     def parse(cls, text: str) -> FrameRange:
-        """From `A:B`, B exclusive. Raises BadParameter on anything else."""
+        """Range from `A:B`, B exclusive.
+
+        Raises:
+            BadParameter: the text is anything else.
+        """
         first, colon, stop = text.partition(":")
         if colon and first.strip().isdecimal() and stop.strip().isdecimal() and int(first) < int(stop):
             return cls(int(first), int(stop))

@@ -73,9 +73,14 @@ def evaluate(
 ) -> None:
     """Run a protocol of the paper: tables, plots and one page, beside the paper's own figures.
 
-    Killed at any instant, the same command goes on where it was. Other flags with the same --out narrow or extend it.
+    Killed at any instant, the same command goes on where it was. Other flags with the same --out narrow or extend it.\f
+
+    Each argument is described by its `help`.
+
+    Raises:
+        InputError: a number is out of range, or something is unknown or unusable.
     """
-    from pb4u.evaluation.planning import Request
+    from pb4u.evaluation.planning import EvaluationRequest
     from pb4u.evaluation.protocol_run import evaluate as run
     from pb4u.evaluation.report import PAGE, PLOTS
 
@@ -84,7 +89,7 @@ def evaluate(
         raise InputError(f"The number of workers must be 1 or more, not {workers}.")
     if refine < 0:
         raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
-    request = Request(
+    request = EvaluationRequest(
         protocol=protocol, models=_names(models), garments=_names(garments), motions=_names(motions),
         bodies=_names(bodies), levels=_names(levels), steps=_counts(propagation_steps), frames=frames, lead_in=lead_in,
         recordings=recordings, refine=refine, contact=contact == "on", device=device,

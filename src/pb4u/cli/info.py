@@ -44,7 +44,7 @@ def info(
 
 
 def gather() -> dict[str, Any]:
-    """What `pb4u info` shows."""
+    """Versions, device, threads and installed extras, by the name that `pb4u info` shows."""
     import torch
 
     return {

@@ -56,7 +56,10 @@ def _one_line_warning(message: Warning | str, category: type[Warning], *_: objec
 
 
 def main() -> None:
-    """Entry point. Exit code 0; 1 failed or refused, with one plain sentence; 2 a flag was not understood."""
+    """Run the command line.
+
+    Exit code 0; 1 failed or refused, with one plain sentence; 2 a flag was not understood.
+    """
     # Set before numpy is first imported: its matrices are small here, and idle BLAS threads slow everything else down.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     debug = "--debug" in sys.argv

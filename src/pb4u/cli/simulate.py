@@ -33,20 +33,29 @@ if TYPE_CHECKING:
 
 
 class GarmentValue(NamedTuple):
-    """A value for one garment by name, or for whichever its place says."""
+    """A value of a flag for one garment.
+
+    Args:
+        garment: name of the garment; None for whichever its place in the command says.
+        value: the value.
+    """
 
     garment: str | None
     value: Any
 
     @classmethod
     def parse(cls, text: str) -> GarmentValue:
-        """From `VALUE` or `NAME=VALUE`."""
+        """Value from `VALUE` or `NAME=VALUE`."""
         name, equals, value = text.partition("=")
         return cls(name.strip(), value.strip()) if equals and not Path(text).exists() else cls(None, text)
 
     @classmethod
     def parse_count(cls, text: str) -> GarmentValue:
-        """From `N` or `NAME=N`. Raises BadParameter where N is no whole number."""
+        """Value from `N` or `NAME=N`.
+
+        Raises:
+            BadParameter: N is no whole number.
+        """
         name, value = cls.parse(text)
         try:
             return cls(name, int(value))
@@ -191,7 +200,13 @@ def simulate(
         typer.Option(metavar="FILE|-", help="Write counts, timing and metrics as JSON; '-' is standard output."),
     ] = None,
 ) -> None:
-    """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder."""
+    """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder.\f
+
+    Each argument is described by its `help`.
+
+    Raises:
+        InputError: the arguments contradict each other, or something they name is unknown or unusable.
+    """
     described = RunSpecification() if scene is None else RunSpecification.open(scene)
     run = replace(
         described,

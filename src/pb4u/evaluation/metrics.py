@@ -45,7 +45,7 @@ _SKINNED_AT_ONCE = 64
 
 
 def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress: Progress = unheard) -> dict[str, Any]:
-    """What the command line reports of a trajectory.
+    """Metrics of a trajectory, as the command line reports them.
 
     Args:
         trajectory: frames as written; the energies of a frame are those of the step that led to it. The first frame
@@ -97,11 +97,11 @@ def _series(rows: Sequence[dict[str, float]], names: Iterable[str]) -> dict[str,
 
 
 def strain_percentile(garments: PackedGarments, positions: Tensor) -> float:
-    """Area-weighted 95th percentile of the strains of a pack.
+    """Area-weighted 95th percentile [1] of the strains of all faces of packed garments; 0 at rest.
 
     Args:
-        garments: the pack, of (faces,) triangles.
-        positions: (vertices, 3) [m], in its dtype.
+        garments: the garments, with (faces, 3) corners.
+        positions: (vertices, 3) of all garments [m], in the dtype of the garments.
     """
     strains = face_strains(positions, garments.faces, garments.inverse_rest_shape)
     return float(weighted_percentile(strains, garments.face_areas, 95.0))
@@ -130,6 +130,9 @@ def first_diverged(trajectory: Trajectory, skinned: np.ndarray | None = None) ->
     Args:
         trajectory: frames as written.
         skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
+
+    Raises:
+        InputError: the metadata do not say what the garments are made of.
     """
     garments = packed_garments(trajectory)
     strains = [_strains(garments, _tensor(positions))[1] for positions in trajectory.positions]
@@ -157,11 +160,14 @@ def _diverged_at(
 
 
 def skinned_centres(scene: Scene, trajectory: Trajectory) -> np.ndarray:
-    """(frames, garments, 3) centre of mass [m] of each garment where skinning alone would put it.
+    """Centres of mass of the garments where skinning alone would put them.
 
     Args:
         scene: what was simulated.
         trajectory: the result, at whose (frames,) instants the centres are wanted.
+
+    Returns:
+        (frames, garments, 3) [m].
     """
     at = np.arange(trajectory.frame_count) * (scene.fps / trajectory.fps)
     garments = []
@@ -189,7 +195,11 @@ def garments_of(trajectory: Trajectory) -> list[Garment]:
 
 
 def packed_garments(trajectory: Trajectory) -> PackedGarments:
-    """The garments of a trajectory in one world, float64; refused as by `garments_of`."""
+    """The garments of a trajectory in one world, float64.
+
+    Raises:
+        InputError: the metadata do not say what they are made of.
+    """
     garments = garments_of(trajectory)
     return pack(garments, worlds=[0] * len(garments))
 
@@ -203,7 +213,7 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
 
 
 class FrameMetrics(NamedTuple):
-    """What is measured of one frame; not a number where a position is none.
+    """Metrics of one frame; not a number where a position is none.
 
     Args:
         metrics: energies [J] summed over garments, strains over all faces, and penetration where the body has an
@@ -219,6 +229,9 @@ class FrameMetrics(NamedTuple):
 
 class Ruler:
     """Measures single frames; holds everything about a trajectory that measuring needs once.
+
+    Args:
+        trajectory: what is measured.
 
     Attributes:
         garments: the garments, packed in float64.
@@ -246,7 +259,7 @@ class Ruler:
         self.surface = TriangleSurface(faces, len(contact), contact) if touchable else None
 
     def frame(self, t: int) -> FrameMetrics:
-        """What is measured of frame t."""
+        """Metrics of frame t."""
         x = _tensor(self.trajectory.positions[t])
         strains, each_strains = _strains(self.garments, x)
         if not bool(torch.isfinite(x).all()):

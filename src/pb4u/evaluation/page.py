@@ -10,16 +10,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a head.
+    """A table of the report: rows of text under a head.
 
     Args:
-        title: above it.
-        caption: below it.
-        head: one word a column.
+        title: heading above the table.
+        caption: sentence below it.
+        head: heads of the columns.
         rows: as many texts each.
-        their_columns: those that are the paper's own, by index; they are set apart.
-        their_rows: the same of rows.
-        words: how many columns from the left are words.
+        their_columns: indices of the columns with the paper's own numbers; they are set apart.
+        their_rows: indices of the rows with the paper's own numbers.
+        words: number of columns, from the left, that hold words and not numbers.
     """
 
     title: str
@@ -33,13 +33,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Plot:
-    """A picture.
+    """A plot or picture of the report.
 
     Args:
         name: file name without suffix.
-        title: above it.
-        caption: below it.
-        png: its bytes.
+        title: heading above the picture.
+        caption: sentence below it.
+        png: content of its PNG file.
     """
 
     name: str
@@ -50,10 +50,10 @@ class Plot:
 
 @dataclass(frozen=True)
 class Remark:
-    """Text.
+    """A part of the report that is text alone.
 
     Args:
-        title: above it, or nothing.
+        title: heading above the text; "" for none.
         lines: sentences, each in a line of its own.
     """
 
@@ -79,7 +79,7 @@ img { max-width: 100%; height: auto; }
 
 
 def as_html(title: str, blocks: Sequence[Block]) -> str:
-    """The page as one file that needs no other.
+    """The page as one HTML file that needs no other.
 
     Args:
         title: of the page.

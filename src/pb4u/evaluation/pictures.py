@@ -33,7 +33,11 @@ _ABSENT = _Cell(None, "")
 
 
 def picture_grid(summary: Summary) -> list[Block]:
-    """Rows are garments, columns models and the solver; at the top level, on the first motion and body."""
+    """Grid of pictures at the top level, on the first motion and body: a row a garment, a column a model or the solver.
+
+    Args:
+        summary: the run.
+    """
     protocol = summary.plan.protocol
     jobs: dict[str, dict[str, tuple[RolloutJob, str]]] = {}
     for row in summary.rows:

@@ -28,8 +28,8 @@ _TRIAL = re.compile(r"\d+_\d+")
 
 
 @dataclass(frozen=True)
-class Request:
-    """What `pb4u evaluate` was asked for; None keeps the protocol's own choice.
+class EvaluationRequest:
+    """The arguments of `pb4u evaluate`; None keeps the protocol's own choice.
 
     Args:
         protocol: its name.
@@ -87,7 +87,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run consists of.
+    """The rollouts of a run, and the cases that its tables are made of.
 
     Args:
         protocol: narrowed to what was asked for.
@@ -111,8 +111,11 @@ class _Motion:
     label: str
 
 
-def plan(request: Request) -> Plan:
+def plan(request: EvaluationRequest) -> Plan:
     """The rollouts of a request.
+
+    Args:
+        request: what was asked for.
 
     Raises:
         InputError: something is unknown, unusable or empty.
@@ -159,7 +162,7 @@ def plan(request: Request) -> Plan:
     return Plan(replace(protocol, models=tuple(model.label for model in models)), tuple(cases), tuple(order), absent)
 
 
-def _check_numbers(request: Request) -> None:
+def _check_numbers(request: EvaluationRequest) -> None:
     if request.frames is not None and request.frames < 1:
         raise InputError(f"The number of frames must be 1 or more, not {request.frames}.")
     if request.lead_in < 0:
@@ -236,7 +239,9 @@ def _scene(garment: str, body: str, motion: _Motion, triangles: int, frames: int
     return SceneRecord(garment, body, motion.source, motion.seed, triangles, frames, lead_in, digests)
 
 
-def _floor(scene: SceneRecord, motion: _Motion, level: str, request: Request) -> RolloutJob | dict[str, float] | None:
+def _floor(
+    scene: SceneRecord, motion: _Motion, level: str, request: EvaluationRequest
+) -> RolloutJob | dict[str, float] | None:
     name = motion.label if motion.seed is None else motion.source
     if (scene.body, scene.lead_in) == ("woman", FLOOR_LEAD_IN) and "garment" not in dict(scene.digests):
         stored = stored_floor(str(SceneName("test", scene.garment, name, motion.seed)), level, scene.frames)
@@ -250,7 +255,7 @@ def _solver_on(scene: SceneRecord) -> RolloutJob:
     return RolloutJob(scene, ModelRecord("solver", "solver"), Settings())
 
 
-def _settings(model: ModelRecord, steps: int | None, request: Request, device: str) -> Settings:
+def _settings(model: ModelRecord, steps: int | None, request: EvaluationRequest, device: str) -> Settings:
     if model.weights is not None:
         return Settings(steps, request.refine, request.contact, device)
     return Settings(contact=request.contact if model.name == "solver" else False)
@@ -262,7 +267,7 @@ def _device(asked: str) -> str:
     return "cuda" if asked == "cuda" or (asked == "auto" and torch.cuda.is_available()) else "cpu"
 
 
-def _models(request: Request, protocol: Protocol, device: str) -> tuple[list[ModelRecord], tuple[str, ...]]:
+def _models(request: EvaluationRequest, protocol: Protocol, device: str) -> tuple[list[ModelRecord], tuple[str, ...]]:
     """The models to run, and a sentence on the protocol's own that have no weights yet."""
     wanted = tuple(dict.fromkeys(request.models or protocol.models))
     missing = () if request.models else tuple(name for name in wanted if name not in model_descriptions())

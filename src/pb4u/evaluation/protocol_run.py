@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pb4u.errors import Pb4uError
-from pb4u.evaluation.planning import Plan, Request, plan
+from pb4u.evaluation.planning import EvaluationRequest, Plan, plan
 from pb4u.evaluation.report import write_report
 from pb4u.evaluation.result_folder import ResultFolder
 from pb4u.evaluation.rollout import Failure, RolloutJob
@@ -21,7 +21,7 @@ MOST_TRIES = 3
 
 
 def evaluate(
-    request: Request,
+    request: EvaluationRequest,
     out: Path,
     pool: Callable[[], WorkerPool],
     retry: bool = False,
@@ -80,7 +80,7 @@ def _missing(planned: Plan, folder: ResultFolder, retry: bool, say: Callable[[st
 
 
 def work_through(jobs: Iterable[RolloutJob], pool: WorkerPool, folder: ResultFolder, progress: Progress) -> None:
-    """Do all jobs. What ends is kept at once; a job whose worker died is given to another.
+    """Make all rollouts. What ends is kept at once; a job whose worker died is given to another.
 
     Args:
         jobs: in the order to start them.

@@ -56,7 +56,13 @@ class Protocol:
     steps: tuple[int | None, ...] = (None,)
 
     def pictures(self, level: str, motion: str, body: str) -> bool:
-        """Whether scenes there are drawn."""
+        """Whether scenes at a place of the protocol are drawn.
+
+        Args:
+            level: name of the resolution.
+            motion: its name.
+            body: its name.
+        """
         return self.pictured and (level, motion, body) == (self.levels[-1], self.motions[0], self.bodies[0])
 
 

@@ -14,7 +14,7 @@ from pb4u.atomic_file import json_text
 from pb4u.evaluation.page import Block, Plot, Remark, as_html, as_markdown
 from pb4u.evaluation.paper_figures import PAPER
 from pb4u.evaluation.pictures import picture_grid
-from pb4u.evaluation.planning import Plan, Request
+from pb4u.evaluation.planning import EvaluationRequest, Plan
 from pb4u.evaluation.plots import across_levels, against_steps, over_time
 from pb4u.evaluation.result_folder import ResultFolder
 from pb4u.evaluation.rollout import PROTOCOL_VERSION
@@ -44,7 +44,7 @@ VIEWS: dict[str, tuple[View, ...]] = {
 """Protocol -> its tables and plots, in the order of the page; pictures follow where it has them."""
 
 
-def write_report(planned: Plan, folder: ResultFolder, request: Request) -> dict[str, Any]:
+def write_report(planned: Plan, folder: ResultFolder, request: EvaluationRequest) -> dict[str, Any]:
     """Write results.json, the tables, the plots and the page of what is done.
 
     Args:
@@ -120,7 +120,7 @@ def _remarks(summary: Summary) -> list[Block]:
 
 
 def told_once(notes: Iterable[str]) -> list[str]:
-    """Notes that differ in their numbers alone as one: the first, and how many more there are."""
+    """Notes shortened: those that differ in their numbers alone become the first one, and how many more there are."""
     alike: dict[str, list[str]] = {}
     for note in notes:
         alike.setdefault(re.sub(r"\d+(?:\.\d+)?", "#", note), []).append(note)

@@ -92,6 +92,10 @@ class ResultFolder:
     def write(self, name: str, content: bytes) -> None:
         """Write a file of the run, beside and moved into place.
 
+        Args:
+            name: path of the file within the folder.
+            content: its bytes.
+
         Raises:
             Pb4uError: the disk refuses.
         """
@@ -104,7 +108,15 @@ class ResultFolder:
             ) from error
 
     def keep(self, job: RolloutJob, rollout: Rollout) -> None:
-        """Keep a result; its picture's frame first, so that a result is whole once it is there."""
+        """Keep a result; its picture's frame first, so that a result is whole once it is there.
+
+        Args:
+            job: the rollout asked for.
+            rollout: the rollout made.
+
+        Raises:
+            Pb4uError: the disk refuses.
+        """
         if rollout.still is not None:
             self.write(f"{JOBS}/{job.key}.npz", rollout.still)
         result = json.loads(json_text(rollout.result))
@@ -123,16 +135,24 @@ class ResultFolder:
         return result if whole else None
 
     def still(self, job: RolloutJob) -> Path:
-        """Where the one kept frame of a job is, if it is."""
+        """Path of the frame kept for pictures; the file may be absent."""
         return self._jobs / f"{job.key}.npz"
 
     def note_failure(self, job: RolloutJob, failure: Failure) -> None:
-        """Keep why a job has no result."""
+        """Keep why a job has no result.
+
+        Args:
+            job: the rollout asked for.
+            failure: why there is none.
+
+        Raises:
+            Pb4uError: the disk refuses.
+        """
         record = {"key": job.key, "job": str(job), **asdict(failure)}
         self.write(f"{JOBS}/{job.key}.failed.json", (json.dumps(record, indent=1) + "\n").encode())
 
     def failure(self, job: RolloutJob) -> Failure | None:
-        """Why a job has no result; None where it was not tried, or came off."""
+        """Reason why a job has no result; None where it was not tried, or came off."""
         try:
             record = json.loads(self._failed(job).read_text(encoding="utf-8"))
             return Failure(str(record["sentence"]), str(record["trace"]))

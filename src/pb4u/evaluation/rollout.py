@@ -68,7 +68,7 @@ class SceneRecord:
     digests: tuple[tuple[str, str], ...] = ()
 
     def identity(self) -> dict[str, Any]:
-        """What distinguishes this scene from every other."""
+        """Fields that distinguish this scene from every other, files by their content."""
         fields = asdict(self)
         for field, content in fields.pop("digests"):
             fields[field] = f"{Path(fields[field]).name} {content}"
@@ -85,10 +85,10 @@ class ModelRecord:
     """A simulator of the run.
 
     Args:
-        name: what `load_simulator` takes.
-        label: what tables call it.
+        name: name or file that `load_simulator` takes.
+        label: name in the tables.
         weights: SHA-256 of a network's weights; None for what has none.
-        adapts: it has a number of propagation steps that can be set.
+        adapts: whether it has a number of propagation steps that can be set.
     """
 
     name: str
@@ -99,7 +99,7 @@ class ModelRecord:
 
 @dataclass(frozen=True)
 class Settings:
-    """How a model is run; for what has no such setting, the value here.
+    """Settings of a model's run; for what has no such setting, the value here.
 
     Args:
         propagation_steps: override of K; None follows the model's own rule.
@@ -116,12 +116,12 @@ class Settings:
 
 @dataclass(frozen=True)
 class RolloutJob:
-    """One rollout to make.
+    """A rollout to make.
 
     Args:
-        scene: what is simulated.
-        model: by what.
-        settings: and how.
+        scene: the scene that is simulated.
+        model: the simulator.
+        settings: settings of the simulator.
     """
 
     scene: SceneRecord
@@ -174,7 +174,7 @@ class Failure:
 
 
 def attempt(job: RolloutJob) -> Rollout | Failure:
-    """Run a job; whatever goes wrong comes back as a sentence."""
+    """Run a job; whatever goes wrong comes back as a `Failure` with a sentence."""
     try:
         return run(job)
     except Pb4uError as error:
@@ -188,6 +188,9 @@ def attempt(job: RolloutJob) -> Rollout | Failure:
 
 def run(job: RolloutJob) -> Rollout:
     """Simulate and measure.
+
+    Args:
+        job: the rollout to make.
 
     Raises:
         InputError: something of it cannot be used, or changed since it was planned.

@@ -18,7 +18,13 @@ from pb4u.evaluation.rollout import Failure, RolloutJob
 
 
 class Quantity(NamedTuple):
-    """How tables write a quantity: its title, its unit (or nothing), and the format of its numbers."""
+    """Notation of a quantity in tables.
+
+    Args:
+        title: its title.
+        unit: its unit, or "".
+        digits: format of its numbers, as after the colon of an f-string.
+    """
 
     title: str
     unit: str
@@ -35,13 +41,19 @@ _BESIDE_ENERGIES = {
 
 
 def quantity_named(name: str) -> Quantity:
-    """How the quantity `name` is written; what is none of those above is an energy of the potential."""
+    """Notation of the quantity `name`; what is none of those above is an energy of the potential."""
     return _BESIDE_ENERGIES.get(name) or Quantity("total loss" if name == "total" else name, "J", ".2e")
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean and standard deviation over so many scenes, in the unit of the quantity."""
+    """Mean and standard deviation over scenes, in the unit of the quantity.
+
+    Args:
+        mean: mean over the scenes.
+        deviation: standard deviation of the population of scenes.
+        scenes: number of scenes.
+    """
 
     mean: float
     deviation: float
@@ -58,7 +70,7 @@ def spread(values: Iterable[float | None]) -> Spread | None:
 
 @dataclass(frozen=True)
 class Row:
-    """A case and what came of it.
+    """A case and its outcome.
 
     Args:
         case: the rollout in its place.
@@ -76,7 +88,7 @@ class Row:
 
     @cached_property
     def coordinates(self) -> dict[str, Any]:
-        """Where the case stands: model, level, garment, body, motion, seed and steps."""
+        """Coordinates of the case in the tables: model, level, garment, body, motion, seed and steps."""
         scene, job = self.case.job.scene, self.case.job
         return {
             "model": job.model.label,
@@ -177,11 +189,21 @@ class Summary:
         return (*(name for name in names if name != "total"), "total")
 
     def select(self, **wanted: object) -> list[Row]:
-        """Rows by level, model, garment, body, motion or steps."""
+        """Rows whose coordinates have the wanted values.
+
+        Args:
+            **wanted: value by name of the coordinate: level, model, garment, body, motion, seed or steps.
+        """
         return [row for row in self.rows if wanted.items() <= row.coordinates.items()]
 
     def cell(self, level: str, model: str, steps: int | None = None) -> Cell:
-        """The cell of a model at a level."""
+        """The cell of a model at a level.
+
+        Args:
+            level: name of the resolution.
+            model: name of the model.
+            steps: number of propagation steps asked for; None for the model's own.
+        """
         rows = self.select(level=level, model=model, steps=steps)
         results = [row.result for row in rows if row.result is not None]
         triangles = spread(float(result["triangles"]) for result in results)
@@ -200,7 +222,7 @@ class Summary:
         )
 
     def cells(self) -> list[Cell]:
-        """Every cell of the run."""
+        """Cells of the run, all of them."""
         at = dict.fromkeys(tuple(row.coordinates[name] for name in ("level", "model", "steps")) for row in self.rows)
         return [self.cell(*each) for each in at]
 

@@ -16,12 +16,22 @@ _NOTE = (
 
 
 def number(quantity: str, value: float) -> str:
-    """A value as tables print it."""
+    """A value as tables print it.
+
+    Args:
+        quantity: its name.
+        value: in the unit of the quantity.
+    """
     return f"{value:{quantity_named(quantity).digits}}"
 
 
 def with_spread(quantity: str, cell: Spread | None) -> str:
-    """Mean and spread as tables print them; a dash where there are none."""
+    """Mean and spread as tables print them; a dash where there are none.
+
+    Args:
+        quantity: its name.
+        cell: mean and spread, in the unit of the quantity, or None.
+    """
     if cell is None:
         return "-"
     mean = number(quantity, cell.mean)
@@ -40,7 +50,11 @@ def _counts(cell: Cell) -> tuple[str, str]:
 
 
 def terms_tables(summary: Summary) -> list[Block]:
-    """One table a level: the energies and what they leave out, a column a model, the paper's columns beside them."""
+    """Tables, one a level: the energies and what they leave out, a column a model, the paper's columns beside them.
+
+    Args:
+        summary: the run.
+    """
     protocol = summary.plan.protocol
     tables: list[Block] = []
     for level in protocol.levels:
@@ -66,7 +80,7 @@ def terms_tables(summary: Summary) -> list[Block]:
 
 
 def level_table(summary: Summary, quantities: tuple[str, ...]) -> list[Block]:
-    """One table: a row a level and model, the paper's rows below its level's.
+    """Table with a row for each level and model, the paper's rows below its level's.
 
     Args:
         summary: the run.

@@ -21,7 +21,13 @@ def hold_finite(trajectory: Trajectory) -> Trajectory:
 
     No scene format has a place for NaN: tools drop the mesh or crash. The frames concerned are named in an
     InputWarning and under `held_frames` in the metadata, from which writers mark them. Frames before the first
-    whole one repeat that one. Raises InputError when no frame is whole.
+    whole one repeat that one.
+
+    Args:
+        trajectory: as it was simulated.
+
+    Raises:
+        InputError: no frame is whole.
     """
     whole = np.array([bool(np.isfinite(positions).all()) for positions in trajectory.positions])
     body_whole = np.array([bool(np.isfinite(positions).all()) for positions in trajectory.body_positions])

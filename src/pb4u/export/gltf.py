@@ -32,10 +32,16 @@ _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
 def write_glb(trajectory: Trajectory, path: Path, progress: Progress = unheard, body: bool = True) -> None:
-    """One GLB file; vertices keep their order, copies with a second UV at a seam follow after the last.
+    """Write one GLB file; vertices keep their order, copies with a second UV at a seam follow after the last.
 
     The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning tells where
     256 targets do not reach a millimetre.
+
+    Args:
+        trajectory: what is written, every frame finite.
+        path: file to write.
+        progress: told of the passes over the frames.
+        body: whether the body is written as well.
     """
     header, frames = trajectory.header, trajectory.frame_count
     passes = 2 if body else 1

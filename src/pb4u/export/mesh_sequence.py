@@ -24,12 +24,23 @@ SIGNATURE = "# Written by pb4u"
 
 
 def frame_files(path: Path, frames: int) -> tuple[Path, ...]:
-    """Files of an OBJ sequence named `path` of so many frames."""
+    """Files of an OBJ sequence.
+
+    Args:
+        path: name that the files are derived from.
+        frames: number of frames.
+    """
     return tuple(path.with_name(f"{path.stem}_{t:04d}{path.suffix}") for t in range(frames))
 
 
 def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
-    """Write every frame of the garment, vertex order, polygons and UVs kept; metres, Y up."""
+    """Write every frame of the garment, vertex order, polygons and UVs kept; metres, Y up.
+
+    Args:
+        trajectory: what is written, every frame finite.
+        path: name that the files are derived from, see `frame_files`.
+        progress: told of the frames written.
+    """
     topology = _topology(trajectory)
     held = set(held_frames(trajectory))
     files = frame_files(path, trajectory.frame_count)
@@ -40,12 +51,19 @@ def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = 
 
 
 def cache_files(path: Path, _frames: int) -> tuple[Path, ...]:
-    """A point cache and the OBJ that belongs to it."""
+    """Paths of a point cache and of the OBJ that belongs to it."""
     return path, path.with_suffix(".obj")
 
 
 def check_companion(path: Path) -> None:
-    """Raises InputError where the OBJ beside the cache would overwrite a mesh that was not written here."""
+    """Refuse a point cache whose OBJ would overwrite a mesh that was not written here.
+
+    Args:
+        path: the cache.
+
+    Raises:
+        InputError: such a mesh lies beside it.
+    """
     mesh = path.with_suffix(".obj")
     if not mesh.exists():
         return
@@ -56,14 +74,26 @@ def check_companion(path: Path) -> None:
 
 
 def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
-    """PC2, little-endian: header (magic, version 1, points, first frame, sampling 1, samples), then the vertices."""
+    """Write PC2, little-endian: header (magic, version 1, points, first frame, sampling 1, samples), then the vertices.
+
+    Args:
+        trajectory: what is written, every frame finite.
+        path: file to write; its OBJ goes beside it.
+        progress: told of the frames written.
+    """
     samples, points = trajectory.positions.shape[:2]
     header = struct.pack("<12siiffi", b"POINTCACHE2\0", 1, points, 0.0, 1.0, samples)
     _write(trajectory, path, header, "<f4", progress)
 
 
 def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
-    """MDD (LightWave), big-endian: samples, points, the time of each sample [s], then the vertices."""
+    """Write MDD (LightWave), big-endian: samples, points, the time of each sample [s], then the vertices.
+
+    Args:
+        trajectory: what is written, every frame finite.
+        path: file to write; its OBJ goes beside it.
+        progress: told of the frames written.
+    """
     samples, points = trajectory.positions.shape[:2]
     times = (np.arange(samples) / trajectory.fps).astype(">f4")
     header = struct.pack(">ii", samples, points) + times.tobytes()

@@ -26,11 +26,11 @@ class View:
     """Camera, size and colours of pictures.
 
     Args:
-        width: pixels.
-        height: pixels.
-        azimuth: degrees around the vertical; 0 is in front of the body, positive towards its left.
-        elevation: degrees above the horizontal.
-        turntable: degrees that the camera turns about the vertical over the whole clip.
+        width: of a picture [pixels].
+        height: of a picture [pixels].
+        azimuth: angle around the vertical [deg]; 0 is in front of the body, positive towards its left.
+        elevation: angle above the horizontal [deg].
+        turntable: turn of the camera about the vertical over the whole clip [deg].
         show_body: whether the body is drawn.
         cloth: colour of the garment, RGB in [0, 1].
     """
@@ -49,8 +49,13 @@ _MARGIN = 1.12
 _FIELD_OF_VIEW = 24.0
 
 
-class Studio:
-    """A lit room with a garment and a body in it; positions are replaced frame by frame."""
+class StillRenderer:
+    """Renderer of single frames: a lit scene with garment and body, whose positions are replaced frame by frame.
+
+    Args:
+        trajectory: what is drawn.
+        view: camera, size and colours.
+    """
 
     def __init__(self, trajectory: Trajectory, view: View) -> None:
         import pyvista
@@ -124,7 +129,11 @@ class Studio:
         return float(self._trajectory.metadata.get("heading", 0.0))
 
     def draw(self, t: int) -> np.ndarray:
-        """Frame t as (height, width, 3) uint8."""
+        """Picture of frame t, (height, width, 3) uint8 sRGB [0 to 255].
+
+        Raises:
+            Pb4uError: the renderer returns no picture.
+        """
         trajectory = self._trajectory
         _move(self._cloth, trajectory.positions[t], trajectory.faces)
         if self._body is not None:
@@ -182,25 +191,31 @@ def _move(mesh: pyvista.PolyData, points: np.ndarray, faces: np.ndarray) -> None
 
 
 def render(trajectory: Trajectory, frames: Sequence[int], view: View | None = None) -> Iterator[np.ndarray]:
-    """Pictures (height, width, 3) uint8 of the given frames.
+    """Pictures of the given frames, one after the other, each (height, width, 3) uint8 sRGB [0 to 255].
 
-    Raises Pb4uError when this machine has no off-screen OpenGL.
+    Args:
+        trajectory: what is drawn.
+        frames: numbers of the frames.
+        view: camera, size and colours.
+
+    Raises:
+        Pb4uError: this machine has no off-screen OpenGL.
     """
-    studio = _open_studio(trajectory, view or View())
+    renderer = _open_renderer(trajectory, view or View())
     try:
         for t in frames:
-            yield studio.draw(t)
+            yield renderer.draw(t)
     finally:
-        studio.close()
+        renderer.close()
 
 
-def _open_studio(trajectory: Trajectory, view: View) -> Studio:
+def _open_renderer(trajectory: Trajectory, view: View) -> StillRenderer:
     try:
         from vtkmodules.vtkCommonCore import vtkLogger
 
         # Without a display VTK tries X first and logs its failure before it falls back to off-screen drawing.
         vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-        return Studio(trajectory, view)
+        return StillRenderer(trajectory, view)
     except (ImportError, RuntimeError, OSError) as error:
         raise Pb4uError(
             f"Pictures need off-screen OpenGL, which this machine lacks ({error}); on Debian or Ubuntu install libegl1 "
@@ -211,7 +226,7 @@ def _open_studio(trajectory: Trajectory, view: View) -> Studio:
 def write_still(
     trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None, frames: int = 5
 ) -> None:
-    """A PNG or JPEG strip.
+    """Write a PNG or JPEG strip.
 
     Args:
         trajectory: what is drawn.
@@ -234,7 +249,7 @@ def write_gif(
     view: View | None = None,
     highest_fps: float = 15.0,
 ) -> None:
-    """An endlessly looping GIF.
+    """Write an endlessly looping GIF.
 
     Args:
         trajectory: what is drawn.
@@ -256,7 +271,7 @@ def write_gif(
 
 
 def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None) -> None:
-    """An MP4 (VP9) at the trajectory's own frame rate.
+    """Write an MP4 (VP9) at the trajectory's own frame rate.
 
     Args:
         trajectory: what is drawn.
@@ -266,6 +281,7 @@ def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, 
 
     Raises:
         MissingExtraError: the "render" extra is not installed.
+        Pb4uError: the encoder cannot open the file.
     """
     try:
         import cv2

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Format:
-    """How the files of some suffixes are written; functions are named "module:function" and imported when needed.
+    """A format of files, by suffix; functions are named "module:function" and imported when needed.
 
     Args:
         suffixes: of the file names, in lower case.
@@ -73,12 +73,12 @@ WRITERS: dict[str, Format] = {suffix: form for form in FORMATS for suffix in for
 
 
 def formats_help() -> str:
-    """All suffixes, then a sentence on each format."""
+    """List of all suffixes, and a sentence on each format, as text."""
     return ". ".join([" ".join(WRITERS), *(form.description for form in FORMATS)]) + "."
 
 
 def check_target(path: Path) -> None:
-    """Look at what can be told before any work is done.
+    """Refuse a file that cannot be written, as far as that can be told before any work is done.
 
     Args:
         path: file to write.
@@ -141,7 +141,13 @@ def export(trajectory: Trajectory, path: str | Path, progress: Progress | None =
 
 
 def write_npz(trajectory: Trajectory, path: Path, progress: Progress) -> None:
-    """The trajectory as it is, in one step."""
+    """Write the trajectory as it is, in one step.
+
+    Args:
+        trajectory: what is written.
+        path: file to write.
+        progress: not told of anything.
+    """
     trajectory.save(path)
 
 

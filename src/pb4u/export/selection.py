@@ -37,7 +37,7 @@ class LazyFrames:
         self._compute = compute
 
     def as_array(self) -> np.ndarray:
-        """Itself, typed as the array that it stands for."""
+        """Itself, typed as the array (frames, vertices, 3) float32 [m] that it stands for."""
         return cast(np.ndarray, self)
 
     def __len__(self) -> int:
@@ -62,7 +62,7 @@ class LazyFrames:
 
 
 def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: int) -> Trajectory:
-    """Some of the frames; an InputWarning tells where the span goes beyond the last one.
+    """A trajectory of some of the frames; an InputWarning tells where the span goes beyond the last one.
 
     Args:
         trajectory: to take them from.

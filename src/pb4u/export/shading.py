@@ -12,7 +12,15 @@ SKIN = (0.93, 0.87, 0.83)
 
 
 def unit_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Area-weighted unit normals (..., vertices, 3) float32; up where a vertex has no area around it."""
+    """Area-weighted unit vertex normals; up where a vertex has no area around it.
+
+    Args:
+        positions: (..., vertices, 3) [m].
+        faces: (faces, 3) int.
+
+    Returns:
+        (..., vertices, 3) float32 [1].
+    """
     normals = vertex_normals(
         torch.from_numpy(np.array(positions, dtype=np.float64)), torch.from_numpy(np.array(faces, dtype=np.int64))
     ).numpy()

@@ -21,7 +21,7 @@ _CANDIDATES = 32
 
 @dataclass(frozen=True, eq=False)
 class ShapeBasis:
-    """positions[t] = start + sum over k of weights[t, k] * shapes[k], within `error`.
+    """Shapes and weights: positions[t] = start + sum over k of weights[t, k] * shapes[k], within `error`.
 
     Args:
         start: (vertices, 3) float32 the first frame [m].

@@ -24,7 +24,14 @@ _FRAMES_BETWEEN_SAVES = 100
 
 
 def check_usd(path: Path) -> None:
-    """Raises MissingExtraError without the "usd" extra."""
+    """Refuse USD where its library is not installed.
+
+    Args:
+        path: file to write, for the message.
+
+    Raises:
+        MissingExtraError: the "usd" extra is not installed.
+    """
     try:
         import pxr.Usd  # noqa: F401
     except ImportError as error:
@@ -32,13 +39,19 @@ def check_usd(path: Path) -> None:
 
 
 def write_usd(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
-    """One stage: /Scene with the meshes Garment and Body, no transforms; metres, Y up, one time code a frame.
+    """Write one USD stage: /Scene with the meshes Garment and Body, no transforms; metres, Y up, one time code a frame.
 
     Points, normals and extent are sampled at every frame; the author's polygons stay polygons; UVs are the
-    face-varying `primvars:st`. The frames that `hold_finite` replaced are listed in the custom layer data. A .usdz is
-    a package of one .usdc.
+    face-varying `primvars:st`. The frames that `hold_finite` replaced are listed in the custom layer data.
 
-    Raises MissingExtraError without the "usd" extra, InputError when USD cannot write the file.
+    Args:
+        trajectory: what is written, every frame finite.
+        path: file to write: .usdc (binary), .usda (text) or .usdz (a package of one .usdc).
+        progress: told of the frames written.
+
+    Raises:
+        MissingExtraError: the "usd" extra is not installed.
+        InputError: USD cannot write the file.
     """
     check_usd(path)
     from pxr import Tf

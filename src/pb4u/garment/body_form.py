@@ -48,7 +48,7 @@ class Limb:
     tip: np.ndarray
 
     def along(self, fraction: float) -> np.ndarray:
-        """Point (3,) at a fraction of the way: 0 first joint, 1 second, 2 third."""
+        """Point (3,) [m] at a fraction of the way: 0 first joint, 1 second, 2 third."""
         first = int(np.clip(np.floor(fraction), 0, 1))
         return self.joints[first] + (fraction - first) * (self.joints[first + 1] - self.joints[first])
 
@@ -74,7 +74,15 @@ class Sections:
     support: np.ndarray
 
     def reach(self, bottom: float, top: float) -> np.ndarray:
-        """Half extents in x and z (2,) [m], about the origin, of the part between two heights."""
+        """Half extents, about the origin, of the part between two heights.
+
+        Args:
+            bottom: lower height [m].
+            top: upper height [m].
+
+        Returns:
+            (2,) in x and z [m].
+        """
         part = slice(self.level(bottom), self.level(top) + 1)
         widest = float(np.nanmax(self.support[part]))
         return widest + np.abs(self.centres[part]).max(axis=0)
@@ -85,7 +93,7 @@ class Sections:
 
 
 def directions() -> np.ndarray:
-    """(directions, 2) unit vectors in the x-z plane, from +Z towards +X."""
+    """Unit vectors (directions, 2) in the x-z plane, from +Z towards +X."""
     angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     return np.column_stack([np.sin(angle), np.cos(angle)])
 
@@ -138,7 +146,11 @@ class BodyForm:
 
     @cached_property
     def samples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points spread over the skin (n, 3), their outward normals (n, 3) and the body vertex that each belongs to."""
+        """Points spread over the skin.
+
+        Returns:
+            Points (n, 3) [m], their outward unit normals (n, 3) and the body vertex (n,) int64 that each belongs to.
+        """
         vertices, faces = self.body.vertices, self.body.faces
         a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
         cross = np.cross(b - a, c - a)
@@ -224,7 +236,15 @@ class BodyForm:
         return float(np.abs(points[near, 0]).max()) if near.any() else 0.06 * self.scale
 
     def midline(self, y: float, front: bool) -> np.ndarray:
-        """The skin point (3,) in the symmetry plane at height y, on the chest side or on the back."""
+        """Point of the skin in the symmetry plane, on the chest side or on the back.
+
+        Args:
+            y: height [m].
+            front: whether the point is on the chest side.
+
+        Returns:
+            (3,) [m].
+        """
         points, _, owner = self.samples
         arm = self.arm_skin[owner]
         near = (np.abs(points[:, 0]) < 0.02 * self.scale) & (np.abs(points[:, 1] - y) < 0.008) & ~arm

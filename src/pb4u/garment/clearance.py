@@ -70,6 +70,14 @@ def _shortfall(vertices: np.ndarray, faces: np.ndarray, surface: PosedSurface) -
 
 
 def rest_distances(vertices: np.ndarray, body: ShapedBody) -> np.ndarray:
-    """Signed distances (n,) [m] of points to the resting skin, negative inside."""
+    """Signed distances of points to the resting skin.
+
+    Args:
+        vertices: (n, 3) [m].
+        body: the resting body.
+
+    Returns:
+        (n,) [m], negative inside.
+    """
     surface = TriangleSurface(body.faces, len(body.vertices)).at(body.vertices)
     return surface.nearest(vertices).signed_distance.numpy()

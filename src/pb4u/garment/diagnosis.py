@@ -33,7 +33,7 @@ _DOUBLE = 0.2
 
 
 class Severity(str, Enum):
-    """What a fault does to a simulation."""
+    """Severity of a fault: refused, a warning, or only a note."""
 
     REFUSED = "refused"
     WARNING = "warning"
@@ -94,7 +94,7 @@ class Diagnosis:
 def diagnose(
     garment: PolygonMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
 ) -> Diagnosis:
-    """Everything that is wrong with a garment, on its own and on the resting body.
+    """Faults of a garment, all of them, on its own and on the resting body.
 
     First-frame penetration, and whether the shoulders hold a garment without pins, are measured where the garment
     belongs, after the move that units and axes call for.
@@ -288,7 +288,13 @@ def _contact_findings(
 
 
 def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
-    """Whether most of the cloth's area has its normal towards the body."""
+    """Whether most of the cloth's area has its normal towards the body.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
     near = body.surface.nearest(vertices[faces].mean(axis=1))
     return float(np.einsum("ij,ij->i", face_cross_products(vertices, faces), near.normals.numpy()).sum()) < 0.0
 

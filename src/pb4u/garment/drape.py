@@ -19,13 +19,31 @@ _SMOOTHING = 0.02
 
 
 def smooth_union(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
-    """The smaller of two fields, rounded where they differ by less than `width` [m]."""
+    """The smaller of two fields, rounded where they are nearly equal.
+
+    Args:
+        a: (...) field [m].
+        b: (...) the other field [m].
+        width: difference below which it is rounded [m].
+
+    Returns:
+        (...) [m].
+    """
     overlap = np.maximum(width - np.abs(a - b), 0.0)
     return np.minimum(a, b) - 0.25 * overlap**2 / width
 
 
 def smooth_intersection(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
-    """The larger of two fields, rounded where they differ by less than `width` [m]."""
+    """The larger of two fields, rounded where they are nearly equal.
+
+    Args:
+        a: (...) field [m].
+        b: (...) the other field [m].
+        width: difference below which it is rounded [m].
+
+    Returns:
+        (...) [m].
+    """
     return -smooth_union(-a, -b, width)
 
 

@@ -21,11 +21,19 @@ _FRAME_CHUNK = 32
 
 
 class Placement(ABC):
-    """Where a moving body alone, without any physics, puts a garment."""
+    """Positions of a garment that a moving body alone gives it, without any physics."""
 
     @abstractmethod
     def positions(self, start: int, stop: int) -> Tensor:
-        """Garment vertices (stop - start, vertices, 3) float32 [m] where the body alone puts them."""
+        """Garment vertices of consecutive frames, where the body alone puts them.
+
+        Args:
+            start: first frame.
+            stop: frame after the last.
+
+        Returns:
+            (stop - start, vertices, 3) float32 [m].
+        """
 
 
 class SkinnedPlacement(Placement):
@@ -43,7 +51,7 @@ class SkinnedPlacement(Placement):
         self.weights = garment_weights(garment, body.body) if weights is None else weights
 
     def positions(self, start: int, stop: int) -> Tensor:
-        """Skinned vertices (stop - start, vertices, 3) float32 [m]."""
+        """Garment vertices (stop - start, vertices, 3) float32 [m] skinned to the bones; see `Placement`."""
         chunks = [
             self.body.skin(self.garment.vertices, self.weights, first, min(first + _FRAME_CHUNK, stop))
             for first in range(start, stop, _FRAME_CHUNK)
@@ -75,7 +83,7 @@ class AttachedPlacement(Placement):
         self._offsets = ((rest - anchors[0])[:, None, :] @ frames[0])[:, 0]
 
     def positions(self, start: int, stop: int) -> Tensor:
-        """Skinned vertices (stop - start, vertices, 3) float32 [m]."""
+        """Garment vertices (stop - start, vertices, 3) float32 [m] moved with the body surface; see `Placement`."""
         chunks = []
         for first in range(start, stop, _FRAME_CHUNK):
             frames, anchors = self._surface_frames(self.body.positions(first, min(first + _FRAME_CHUNK, stop)))

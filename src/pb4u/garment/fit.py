@@ -84,7 +84,14 @@ class RestBody:
         return Topology(self.faces, len(self.vertices)).is_closed
 
     def signed_distances(self, points: np.ndarray) -> np.ndarray:
-        """(points,) distance [m] to the surface, negative inside; without a sign when the body is not closed."""
+        """Distances of points to the surface, negative inside; without a sign when the body is not closed.
+
+        Args:
+            points: (points, 3) [m].
+
+        Returns:
+            (points,) [m].
+        """
         distances: np.ndarray = self.surface.nearest(points).signed_distance.numpy()
         return distances if self.is_closed else np.abs(distances)
 
@@ -126,7 +133,7 @@ class Fit:
 
     @classmethod
     def identity(cls, misfit: float | np.ndarray) -> Fit:
-        """No change."""
+        """The fit that moves nothing; `misfit` is one number [m]."""
         return cls("metres", UPRIGHT, np.zeros(3), float(misfit))
 
     def apply(self, vertices: np.ndarray) -> np.ndarray:
@@ -148,7 +155,7 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
     not looked for elsewhere.
 
     Args:
-        vertices: (vertices, 3) of the garment, in its own unit and axes.
+        vertices: (vertices, 3) of the garment, in its own unit and axes [file units].
         body: the resting body.
     """
     picked = np.linspace(0, len(vertices) - 1, min(_SAMPLES, len(vertices))).astype(np.int64)
@@ -224,9 +231,14 @@ def resting_area(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> flo
 
 
 def is_held_up(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
-    """Whether enough cloth lies on the shoulders to hold a garment up; arguments as for `resting_area`.
+    """Whether enough cloth lies on the shoulders to hold a garment up.
 
     Cloth stretches over hips that are wider than the waist, so a waist alone is not taken to hold. A bodice that fits
     closely far above the waist can hold without shoulders all the same; that is not seen here.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
     """
     return resting_area(vertices, faces, body) >= LEAST_AREA

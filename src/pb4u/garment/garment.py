@@ -15,7 +15,7 @@ from pb4u.geometry.triangle_mesh import edge_lengths, face_areas
 
 @dataclass(frozen=True, eq=False)
 class SourceMap:
-    """Where each source vertex lies on the simulated mesh: triangle and barycentric coordinates.
+    """Places of the author's vertices on the simulated mesh, by triangle and barycentric coordinates.
 
     Args:
         source: the author's mesh.
@@ -64,23 +64,23 @@ class Garment:
 
     @cached_property
     def face_areas(self) -> np.ndarray:
-        """(faces,) rest areas [m^2]."""
+        """Rest areas (faces,) [m^2] of the faces."""
         return face_areas(self.vertices, self.faces)
 
     @cached_property
     def vertex_areas(self) -> np.ndarray:
-        """(vertices,) a third of the rest areas of the incident faces [m^2]."""
+        """Rest areas (vertices,) [m^2] that belong to the vertices: a third of each incident face."""
         weights = np.repeat(self.face_areas / 3.0, 3)
         return np.bincount(self.faces.reshape(-1), weights=weights, minlength=len(self.vertices))
 
     @cached_property
     def vertex_masses(self) -> np.ndarray:
-        """(vertices,) [kg]."""
+        """Masses (vertices,) [kg] of the vertices."""
         return self.material.density * self.vertex_areas
 
     @cached_property
     def edge_lengths(self) -> np.ndarray:
-        """(edges,) rest lengths [m] of `topology.edges`."""
+        """Rest lengths (edges,) [m] of `topology.edges`."""
         return edge_lengths(self.vertices, self.topology.edges)
 
     @cached_property

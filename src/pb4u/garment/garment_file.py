@@ -84,13 +84,27 @@ def _map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarra
 
 
 def nearest_places(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangle (points,) and barycentric coordinates (points, 3) of the nearest points of a mesh to `points`."""
+    """Places of a mesh that are nearest to some points.
+
+    Args:
+        points: (points, 3) [m].
+        vertices: (vertices, 3) of the mesh [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        Triangle (points,) int64 and barycentric coordinates (points, 3) in it.
+    """
     hit = TriangleSurface(faces, len(vertices)).at(vertices).nearest(points)
     return hit.triangle.numpy(), hit.barycentric.numpy()
 
 
 def fix_command(file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY) -> str:
-    """The command that mends the garment in `file` for the body called `body`, for hints."""
+    """The command that mends a garment, for hints.
+
+    Args:
+        file: the garment's file.
+        body: name or file of the body that wears it.
+    """
     worn_by = "" if body == DEFAULT_BODY else f" --body {body}" if body in body_names() else " --body BODY"
     return f"`pb4u check {shlex.quote(str(file))}{worn_by} --fix OUT.obj`"
 
@@ -139,7 +153,11 @@ def _refuse_unusable(path: Path, surface: SourceSurface) -> None:
 
 
 def likely_unit(vertices: np.ndarray) -> str | None:
-    """What a file is written in, as a verb phrase, when its extent cannot be that of a garment in metres."""
+    """Guess of a file's unit, as a verb phrase; None when its extent can be that of a garment in metres.
+
+    Args:
+        vertices: (vertices, 3) as in the file, taken for [m].
+    """
     extent = float(np.ptp(vertices, axis=0).max())
     if _SMALLEST <= extent <= _LARGEST:
         return None

@@ -19,6 +19,9 @@ class Material:
         lame_lambda: first Lame parameter [Pa].
         bending: bending coefficient [J].
         thickness: [m].
+
+    Raises:
+        InputError: a number is negative or not finite, or zero where only `lame_lambda` and `bending` may be.
     """
 
     density: float

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Neckline:
-    """A neck hole.
+    """A neck hole; lengths for an adult of 1.75 m.
 
     Args:
-        front: how far below the base of the neck it dips in front.
-        back: the same at the back.
-        spread: half its width at the shoulders, beyond half the neck.
+        front: how far below the base of the neck it dips in front [m].
+        back: the same at the back [m].
+        spread: half its width at the shoulders, beyond half the neck [m].
     """
 
     front: float
@@ -26,20 +26,20 @@ class Neckline:
 
 @dataclass(frozen=True)
 class Pattern:
-    """One garment.
+    """The cut of one garment; lengths for an adult of 1.75 m.
 
     Args:
         top: "shoulder" (it hangs from the shoulders) or "waist" (its upper loop is pinned there).
         hem: "crotch", "knee", "calf" or "ankle".
-        hem_offset: how far above that height it ends.
-        ease: slack of the torso part at chest (or waist), waist, hip and hem.
-        taper: how much it may draw in per metre going down, above and below the waist; negative where it must flare.
+        hem_offset: how far above that height it ends [m].
+        ease: slack of the torso part at chest (or waist), waist, hip and hem [m].
+        taper: how much it may draw in per metre going down, above and below the waist [m/m]; negative: must flare.
         neckline: of a garment that hangs from the shoulders.
-        sleeve: where the sleeve ends along the arm; 0 for none.
-        sleeve_ease: slack at the shoulder and at the cuff.
-        armhole_depth: how far below the armpit an armhole of a sleeveless garment reaches.
-        strap: width of the part that lies on the shoulder of a sleeveless garment.
-        front_gap: width of the opening in front; 0 for none.
+        sleeve: place along the arm where the sleeve ends (1 elbow, 2 wrist); 0 for none.
+        sleeve_ease: slack at the shoulder and at the cuff [m].
+        armhole_depth: how far below the armpit an armhole of a sleeveless garment reaches [m].
+        strap: width of the part that lies on the shoulder of a sleeveless garment [m].
+        front_gap: width of the opening in front [m]; 0 for none.
         legs: whether each leg has a tube of its own.
         loose: whether it hangs far from the nearest limb.
     """

@@ -16,13 +16,16 @@ NAMES = ("none", "waist", "hem")
 
 
 def resolve_pins(spec: str | Path | Sequence[int] | np.ndarray, garment: Garment) -> np.ndarray:
-    """(vertices,) bool mask of the pinned vertices of the simulated mesh.
+    """Mask of the pinned vertices of the simulated mesh.
 
     Args:
         spec: "none"; "waist" or "hem", the highest or lowest border; "loop:K", the border with the K-th most vertices
-            from 0; a file with vertex indices (JSON list, or separated by blanks, commas or lines); or the indices.
+            from 0; a file with vertex indices (JSON list, or separated by blanks, commas or lines); or indices (n,).
             Indices count from 0 in the author's mesh where there is one.
         garment: garment to pin.
+
+    Returns:
+        (vertices,) bool.
 
     Raises:
         InputError: the name, the border or a vertex does not exist, or the file cannot be read.

@@ -24,7 +24,7 @@ _SMOOTHING_PASSES, _PROJECTION_PASSES = 20, 40
 
 
 def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -> tuple[PolygonMesh, tuple[str, ...]]:
-    """Mends every mendable fault of a garment.
+    """Mend every mendable fault of a garment.
 
     Polygons and UVs are kept; vertex order too, unless vertices had to be welded or dropped.
 

@@ -43,13 +43,13 @@ class SourceSurface:
 
     @cached_property
     def all_faces(self) -> np.ndarray:
-        """(triangles, 3) int64 vertices of every triangle."""
+        """Vertices (triangles, 3) int64 of every triangle."""
         faces: np.ndarray = np.concatenate(self.source.polygons)[self.corners]
         return faces
 
     @cached_property
     def collapsed(self) -> np.ndarray:
-        """(triangles,) bool: a vertex twice, or no area."""
+        """Mask (triangles,) bool of triangles with a vertex twice, or without area."""
         a, b, c = self.all_faces.T
         corners = self.source.vertices[self.all_faces]
         longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
@@ -59,7 +59,7 @@ class SourceSurface:
 
     @cached_property
     def repeated(self) -> np.ndarray:
-        """(triangles,) bool: has the same three vertices as an earlier triangle."""
+        """Mask (triangles,) bool of triangles with the same three vertices as an earlier one."""
         first = np.unique(np.sort(self.all_faces, axis=1), axis=0, return_index=True)[1]
         repeated = np.ones(len(self.all_faces), dtype=bool)
         repeated[first] = False
@@ -67,12 +67,12 @@ class SourceSurface:
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """(faces,) indices of the triangles that are neither collapsed nor repeated."""
+        """Indices (faces,) int64 of the triangles that are neither collapsed nor repeated."""
         return np.flatnonzero(~self.collapsed & ~self.repeated)
 
     @cached_property
     def faces(self) -> np.ndarray:
-        """(faces, 3) int64 vertices of the kept triangles."""
+        """Vertices (faces, 3) int64 of the kept triangles."""
         faces: np.ndarray = self.all_faces[self.kept]
         return faces
 
@@ -83,7 +83,7 @@ class SourceSurface:
 
     @cached_property
     def flipped(self) -> tuple[np.ndarray, bool]:
-        """Kept triangles to turn over so that neighbours agree, and whether that is possible."""
+        """Mask (faces,) bool of kept triangles to turn over so that neighbours agree, and whether that is possible."""
         return faces_to_flip(self.topology)
 
     @cached_property
@@ -93,7 +93,7 @@ class SourceSurface:
 
     @cached_property
     def weld_target(self) -> np.ndarray:
-        """(vertices,) int64: of a border vertex the lowest of those in its place, else its own index.
+        """Indices (vertices,) int64 of the vertices welded to: of a border vertex the lowest in its place, else itself.
 
         Vertices that share an edge are never joined, however short the edge is.
         """
@@ -112,7 +112,7 @@ class SourceSurface:
 
     @property
     def unwelded(self) -> np.ndarray:
-        """Vertices that lie on another of the border."""
+        """Indices (n,) int64 of vertices that lie on another of the border."""
         return np.flatnonzero(self.weld_target != np.arange(len(self.weld_target)))
 
     @property
@@ -122,7 +122,10 @@ class SourceSurface:
 
     @cached_property
     def extra_faces(self) -> np.ndarray:
-        """Polygons to delete so that no edge has more than two faces: those of the smaller parts that meet there."""
+        """Indices (n,) int64 of polygons to delete so that no edge has more than two faces.
+
+        They are those of the smaller parts that meet at such an edge.
+        """
         topology = self.topology
         counts, face_edges = topology.edge_face_counts, topology.face_edges
         manifold = counts[topology.face_edges] == 2
@@ -140,7 +143,7 @@ class SourceSurface:
 
     @cached_property
     def double(self) -> np.ndarray:
-        """(faces,) bool: another layer, a lining or the other side of a shell, lies close and looks the other way."""
+        """Mask (faces,) bool of faces close to another layer that looks the other way: lining, or back of a shell."""
         corners = self.source.vertices[self.faces]
         centres = corners.mean(axis=1)
         normals = face_cross_products(self.source.vertices, self.faces)

@@ -40,7 +40,12 @@ def tailor(pattern: Pattern, form: BodyForm) -> ImplicitSurface:
 
 
 def hem_height(pattern: Pattern, form: BodyForm) -> float:
-    """Height [m] of the hem."""
+    """Height [m] of the hem.
+
+    Args:
+        pattern: the cut of the garment.
+        form: measures of the body.
+    """
     base = {
         "crotch": form.crotch,
         "knee": form.knee_height,

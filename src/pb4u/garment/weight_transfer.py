@@ -65,11 +65,11 @@ def diffuse(garment: Garment, values: np.ndarray, reach: np.ndarray) -> np.ndarr
 
     Args:
         garment: the cloth.
-        values: (vertices, n).
+        values: (vertices, n), in any unit.
         reach: (vertices,) about how far each value is spread [m].
 
     Returns:
-        (vertices, n).
+        (vertices, n), in the same unit.
     """
     edges, lengths = garment.topology.edges, np.maximum(garment.edge_lengths, 1e-6)
     count = len(garment.vertices)

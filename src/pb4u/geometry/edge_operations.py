@@ -41,7 +41,7 @@ def _ragged(starts: np.ndarray, counts: np.ndarray) -> np.ndarray:
 def split_long_edges(
     vertices: np.ndarray, faces: np.ndarray, longest: float, locked: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Halves every long edge.
+    """Halve every long edge.
 
     Args:
         vertices: (vertices, 3) [m].
@@ -50,7 +50,7 @@ def split_long_edges(
         locked: (vertices,) bool, extended: new vertices are not locked.
 
     Returns:
-        Vertices, faces and locked flags.
+        Vertices (new vertices, 3) [m], faces (new faces, 3) int64 and locked flags (new vertices,) bool.
     """
     mesh = Topology(faces, len(vertices))
     marked = _lengths(vertices, mesh.edges) > longest
@@ -97,7 +97,7 @@ def _vertex_faces(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.
 def collapse_short_edges(
     vertices: np.ndarray, faces: np.ndarray, shortest: float, longest: float, locked: np.ndarray, turn: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """One pass that removes short edges where manifoldness, orientation and borders allow it.
+    """Remove short edges, in one pass, where manifoldness, orientation and borders allow it.
 
     Args:
         vertices: (vertices, 3) [m].
@@ -108,7 +108,8 @@ def collapse_short_edges(
         turn: number of the pass: each tries other edges first.
 
     Returns:
-        Vertices, faces, locked flags and the number of edges removed.
+        Vertices (new vertices, 3) [m], faces (new faces, 3) int64, locked flags (new vertices,) bool and the number of
+        edges removed.
     """
     mesh = Topology(faces, len(vertices))
     lengths = _lengths(vertices, mesh.edges)
@@ -249,14 +250,14 @@ def _distinct(keys: np.ndarray) -> np.ndarray:
 
 
 def flip_edges(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int]:
-    """One pass that flips edges where it brings valences nearer to 6 (4 on the border), or else fattens triangles.
+    """Flip edges, in one pass, where it brings valences nearer to 6 (4 on the border), or else fattens triangles.
 
     Args:
         vertices: (vertices, 3) [m].
         faces: (faces, 3) int64.
 
     Returns:
-        Faces and the number of edges flipped.
+        Faces (faces, 3) int64 and the number of edges flipped.
     """
     mesh = Topology(faces, len(vertices))
     valence = np.bincount(mesh.edges.reshape(-1), minlength=len(vertices))
@@ -307,7 +308,7 @@ def flip_edges(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, int
 
 
 def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray) -> np.ndarray:
-    """Moves each vertex towards the mean of its neighbours within the surface; border vertices along the border.
+    """Vertices each moved towards the mean of its neighbours within the surface; border vertices along the border.
 
     Args:
         vertices: (vertices, 3) [m].
@@ -330,15 +331,25 @@ def relax(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray) -> np.nda
     weight = np.bincount(a, weights=weight_a, minlength=len(vertices))
     weight += np.bincount(b, weights=weight_b, minlength=len(vertices))
     shift = total / np.maximum(weight, 1.0)[:, None] - vertices
-    normals = vertex_normals(vertices, faces)
+    normals = cornerwise_normals(vertices, faces)
     inward = np.einsum("ij,ij->i", shift, normals)[:, None] * normals
     shift = shift - np.where(border[:, None], 0.0, inward)
     shift[locked] = 0.0
     return vertices + _RELAXATION * shift
 
 
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Area-weighted unit normals (vertices, 3)."""
+def cornerwise_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted unit vertex normals, summed corner by corner.
+
+    The mean is that of `triangle_mesh.area_weighted_normals`; the order of its sum, and so its last digit, is not.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        (vertices, 3) [1]; 0 where no face is.
+    """
     cross = face_cross_products(vertices, faces)
     total = np.zeros_like(vertices)
     for axis in range(3):

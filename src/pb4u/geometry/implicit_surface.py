@@ -26,7 +26,13 @@ class Lattice:
 
     @classmethod
     def around(cls, lowest: np.ndarray, highest: np.ndarray, spacing: float) -> Lattice:
-        """The lattice that covers a box, with its points at whole multiples of `spacing`."""
+        """The lattice that covers a box, with its points at whole multiples of `spacing`.
+
+        Args:
+            lowest: (3,) lowest corner of the box [m].
+            highest: (3,) highest corner [m].
+            spacing: distance between neighbours [m].
+        """
         first = np.floor(np.asarray(lowest) / spacing).astype(int)
         last = np.ceil(np.asarray(highest) / spacing).astype(int)
         nx, ny, nz = (last - first + 1).tolist()
@@ -40,7 +46,7 @@ class Lattice:
 
     @property
     def points(self) -> np.ndarray:
-        """(nx * ny * nz, 3) all points, z fastest."""
+        """Positions (nx * ny * nz, 3) [m] of all points, z fastest."""
         x, y, z = np.broadcast_arrays(*self.axes)
         return np.column_stack([x.reshape(-1), y.reshape(-1), z.reshape(-1)])
 
@@ -80,7 +86,15 @@ class ImplicitSurface:
         self._cut = _SmoothField(lattice, cut)
 
     def project(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Points (n, 3) moved along the gradient on to the surface; a point moves at most two cells."""
+        """Points moved along the gradient on to the surface, two cells at most each.
+
+        Args:
+            points: (n, 3) near the surface [m].
+            normals: (n, 3), not used: the gradient tells the side.
+
+        Returns:
+            (n, 3) [m].
+        """
         limit = self.lattice.spacing
         for _ in range(2):
             value, gradient = self._shape.value_and_gradient(points)
@@ -90,7 +104,7 @@ class ImplicitSurface:
         return points
 
     def project_border(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) moved by the shortest way on to the trimming curves, where both fields vanish."""
+        """Points (n, 3) [m] moved by the shortest way on to the trimming curves, where both fields vanish."""
         limit = 2 * self.lattice.spacing
         for _ in range(4):
             f, df = self._shape.value_and_gradient(points)
@@ -106,7 +120,7 @@ class ImplicitSurface:
 
     @cached_property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices and outward faces of the largest piece: fine, but uneven."""
+        """Vertices (vertices, 3) [m] and outward faces (faces, 3) int64 of the largest piece: fine, but uneven."""
         vertices, faces = self._contour()
         value, _ = self._cut.value_and_gradient(vertices)
         vertices, faces = _clip(vertices, faces, value)

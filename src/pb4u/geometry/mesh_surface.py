@@ -33,7 +33,15 @@ class MeshSurface:
         return TriangleSurface(self.faces, len(self.vertices)).at(self.vertices)
 
     def project(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """The nearest points (n, 3) of the surface whose side agrees with `normals` (n, 3), where there is one near."""
+        """Nearest points of the surface whose side agrees with the normals, where there is one near.
+
+        Args:
+            points: (n, 3) [m].
+            normals: (n, 3) unit normals of the points' own surface.
+
+        Returns:
+            (n, 3) [m].
+        """
         if not len(points):
             return points
         near = self._posed.nearest(points)
@@ -81,7 +89,7 @@ class MeshSurface:
         return cKDTree(samples), owner, start, end
 
     def project_border(self, points: np.ndarray) -> np.ndarray:
-        """The nearest points (n, 3) on the border edges."""
+        """Nearest points (n, 3) [m] on the border edges, of `points` (n, 3) [m]."""
         tree, owner, start, end = self._border
         _, index = tree.query(points, k=min(6, len(owner)))
         candidates = owner[index.reshape(len(points), -1)]

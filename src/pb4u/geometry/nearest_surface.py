@@ -27,7 +27,7 @@ _PAIRS_PER_CHUNK = 20_000_000
 
 @dataclass(frozen=True, eq=False)
 class NearestPoints:
-    """Where a surface is nearest to each of some points; tensors of the points' dtype and device, without gradient.
+    """Nearest points of a surface to some points; tensors of the points' dtype and device, without gradient.
 
     Args:
         triangle: (points,) int64 face of the whole surface.
@@ -54,6 +54,9 @@ class TriangleSurface:
         faces: (faces, 3) int64, counter-clockwise seen from outside.
         vertex_count: number of vertices.
         region: (vertices,) bool or None; faces with a vertex outside the region are left out.
+
+    Raises:
+        InputError: no face is left.
     """
 
     def __init__(self, faces: np.ndarray, vertex_count: int, region: np.ndarray | None = None) -> None:
@@ -88,7 +91,15 @@ class TriangleSurface:
 
 
 class PosedSurface:
-    """A surface at one instant, ready to be queried; the search tree is built on first use and kept."""
+    """A surface at one instant, ready to be queried; the search tree is built on first use and kept.
+
+    Args:
+        surface: the unchanging part.
+        vertices: (vertices, 3) [m].
+
+    Raises:
+        InputError: the number of vertices is another than the surface has.
+    """
 
     def __init__(self, surface: TriangleSurface, vertices: Tensor) -> None:
         if vertices.shape != (surface.vertex_count, 3):
@@ -115,7 +126,7 @@ class PosedSurface:
 
     @cached_property
     def face_normals(self) -> Tensor:
-        """(kept faces, 3) float64 unit normals, 0 for a degenerate face."""
+        """Unit normals (kept faces, 3) float64 of the faces, 0 for a degenerate one."""
         a, b, c = self._corners
         cross = torch.linalg.cross(b - a, c - a)
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(1e-300)
@@ -223,7 +234,14 @@ class PosedSurface:
         return result
 
     def nearest_face_centre(self, points: Tensor | np.ndarray) -> tuple[Tensor, Tensor]:
-        """Face (points,) int64 with the nearest centre, and the distance to it [m]: the HOOD family's convention."""
+        """Face with the nearest centre to each point: the HOOD family's convention.
+
+        Args:
+            points: (points, 3) [m].
+
+        Returns:
+            Face (points,) int64 and the distance to its centre (points,) [m].
+        """
         asked = torch.as_tensor(points).detach()
         queried = asked.to(self.vertices.device, torch.float64)
         if self.vertices.device.type == "cpu":
@@ -261,7 +279,7 @@ def _closest_of(points: Tensor, faces: Tensor, corners: tuple[Tensor, Tensor, Te
 
 
 def closest_barycentric(points: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
-    """Where triangles are closest to points, each to its own.
+    """Barycentric coordinates of the point of each triangle that is closest to a point of its own.
 
     By Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, 5.1.5); a degenerate
     triangle counts as its edges.

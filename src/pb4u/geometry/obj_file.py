@@ -43,13 +43,13 @@ def read_obj(path: Path) -> PolygonMesh:
 
 
 def read_obj_vertices(path: Path) -> tuple[np.ndarray, list[bytes]]:
-    """What is needed of a file of a sequence after the first: much quicker than `read_obj`, which parses every face.
+    """Vertices of an OBJ file with its faces as text: much quicker than `read_obj`, which parses every face.
 
     Args:
         path: the file.
 
     Returns:
-        Vertices (vertices, 3) float64, and the text of the faces, equal where two files have the same ones.
+        Vertices (vertices, 3) float64 [m], and the text of the faces, equal where two files have the same ones.
 
     Raises:
         InputError: a number of a vertex cannot be read or is not finite.

@@ -15,17 +15,22 @@ def deformation_gradients(positions: Tensor, faces: Tensor, inverse_rest_shape: 
         inverse_rest_shape: (faces, 2, 2) inverse edge matrix of the rest triangle in its own plane [1/m].
 
     Returns:
-        (..., faces, 3, 2).
+        (..., faces, 3, 2) [1].
     """
     a, b, c = (positions.index_select(-2, faces[:, k]) for k in range(3))
     return torch.stack([b - a, c - a], dim=-1) @ inverse_rest_shape
 
 
 def principal_stretches(positions: Tensor, faces: Tensor, inverse_rest_shape: Tensor) -> Tensor:
-    """Singular values of the deformation gradient; arguments as for `deformation_gradients`.
+    """Singular values of the deformation gradients of the faces.
+
+    Args:
+        positions: (..., vertices, 3) deformed vertices [m].
+        faces: (faces, 3) int64.
+        inverse_rest_shape: (faces, 2, 2) as for `deformation_gradients` [1/m].
 
     Returns:
-        (..., faces, 2), largest first; 1 is unstretched.
+        (..., faces, 2) [1], largest first; 1 is unstretched.
     """
     gradient = deformation_gradients(positions, faces, inverse_rest_shape)
     f1, f2 = gradient[..., 0], gradient[..., 1]
@@ -40,7 +45,16 @@ def principal_stretches(positions: Tensor, faces: Tensor, inverse_rest_shape: Te
 
 
 def face_strains(positions: Tensor, faces: Tensor, inverse_rest_shape: Tensor) -> Tensor:
-    """(..., faces) largest |principal stretch - 1| of each face; arguments as for `deformation_gradients`."""
+    """Largest |principal stretch - 1| of each face.
+
+    Args:
+        positions: (..., vertices, 3) deformed vertices [m].
+        faces: (faces, 3) int64.
+        inverse_rest_shape: (faces, 2, 2) as for `deformation_gradients` [1/m].
+
+    Returns:
+        (..., faces) [1].
+    """
     return (principal_stretches(positions, faces, inverse_rest_shape) - 1.0).abs().amax(dim=-1)
 
 
@@ -48,12 +62,12 @@ def weighted_percentile(values: Tensor, weights: Tensor, percent: float) -> Tens
     """Smallest value that at least a share of the weight does not exceed.
 
     Args:
-        values: (..., n).
-        weights: (n,) positive.
+        values: (..., n), in any unit.
+        weights: (n,) positive, in any unit.
         percent: the share, 0 to 100.
 
     Returns:
-        (...,).
+        (...,), in the unit of the values.
     """
     ordered, order = values.sort(dim=-1)
     share = weights[order].cumsum(dim=-1)

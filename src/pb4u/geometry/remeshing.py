@@ -9,10 +9,10 @@ import numpy as np
 from pb4u.errors import InputError
 from pb4u.geometry.edge_operations import (
     collapse_short_edges,
+    cornerwise_normals,
     flip_edges,
     relax,
     split_long_edges,
-    vertex_normals,
 )
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import face_areas
@@ -27,11 +27,19 @@ class Surface(Protocol):
     """The shape that a remeshed surface keeps to."""
 
     def project(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Points (n, 3) moved on to the surface, near them and on the side that `normals` (n, 3) say."""
+        """Points moved on to the surface, near where they were.
+
+        Args:
+            points: (n, 3) [m].
+            normals: (n, 3) unit normals that say on which side to stay.
+
+        Returns:
+            (n, 3) [m].
+        """
         ...
 
     def project_border(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) moved on to the border curves."""
+        """Points (n, 3) [m] moved on to the border curves."""
         ...
 
 
@@ -158,7 +166,7 @@ def _relax_on(vertices: np.ndarray, faces: np.ndarray, locked: np.ndarray, surfa
     border = Topology(faces, len(vertices)).border_vertices
     for _ in range(passes):
         moved = relax(vertices, faces, locked)
-        normals = vertex_normals(moved, faces)
+        normals = cornerwise_normals(moved, faces)
         moved[~border] = surface.project(moved[~border], normals[~border])
         if border.any():
             moved[border] = surface.project_border(moved[border])

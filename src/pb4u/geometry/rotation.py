@@ -19,7 +19,15 @@ def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Quaternion product a b (..., 4), wxyz: the rotation b followed by a."""
+    """Quaternion product a b: the rotation b followed by a.
+
+    Args:
+        a: (..., 4) unit quaternions wxyz.
+        b: (..., 4) unit quaternions wxyz.
+
+    Returns:
+        (..., 4) unit quaternions wxyz.
+    """
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack(
@@ -34,12 +42,20 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def conjugate(q: np.ndarray) -> np.ndarray:
-    """Inverse (..., 4) of unit quaternions wxyz."""
+    """Inverse rotations (..., 4) of unit quaternions (..., 4) wxyz."""
     return q * np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) turned by unit quaternions (..., 4) wxyz."""
+    """Vectors turned by rotations.
+
+    Args:
+        q: (..., 4) unit quaternions wxyz.
+        v: (..., 3) vectors in any unit.
+
+    Returns:
+        (..., 3) in the same unit.
+    """
     w, u = q[..., :1], q[..., 1:]
     t = 2.0 * np.cross(u, v)
     return v + w * t + np.cross(u, t)
@@ -53,13 +69,30 @@ def from_axis_angle(axis_angle: np.ndarray) -> np.ndarray:
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angle (...) [rad] in [0, pi] of the rotation that takes unit quaternions a to b."""
+    """Angle of the rotation that takes one orientation to another.
+
+    Args:
+        a: (..., 4) unit quaternions wxyz.
+        b: (..., 4) unit quaternions wxyz.
+
+    Returns:
+        (...) in [0, pi] [rad].
+    """
     d = multiply(b, conjugate(a))
     return 2.0 * np.arctan2(np.linalg.norm(d[..., 1:], axis=-1), np.abs(d[..., 0]))
 
 
 def slerp(a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Shortest spherical interpolation (..., 4) between unit quaternions a (s = 0) and b (s = 1); s broadcasts."""
+    """Shortest spherical interpolation between rotations.
+
+    Args:
+        a: (..., 4) unit quaternions wxyz, at s = 0.
+        b: (..., 4) unit quaternions wxyz, at s = 1.
+        s: (...) share of the way [1], broadcast.
+
+    Returns:
+        (..., 4) unit quaternions wxyz.
+    """
     cosine = np.sum(a * b, axis=-1, keepdims=True)
     b = np.where(cosine < 0, -b, b)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
@@ -73,7 +106,15 @@ def slerp(a: np.ndarray, b: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def about_axis(axis: str, angle: np.ndarray) -> np.ndarray:
-    """Quaternions (..., 4) wxyz of turns by `angle` (...) [rad] about the axis "x", "y" or "z"."""
+    """Rotations about a coordinate axis.
+
+    Args:
+        axis: "x", "y" or "z".
+        angle: (...) [rad].
+
+    Returns:
+        (..., 4) unit quaternions wxyz.
+    """
     half = 0.5 * np.asarray(angle, dtype=np.float64)
     q = np.zeros((*half.shape, 4))
     q[..., 0] = np.cos(half)
@@ -82,12 +123,15 @@ def about_axis(axis: str, angle: np.ndarray) -> np.ndarray:
 
 
 def from_euler(angles: np.ndarray, order: str, degrees: bool = True) -> np.ndarray:
-    """Quaternions (..., 4) wxyz of Euler angles, applied about fixed axes one after the other.
+    """Rotations of Euler angles, applied about fixed axes one after the other.
 
     Args:
-        angles: (..., axes) in the order of `order`.
+        angles: (..., axes) in the order of `order` [deg] or [rad].
         order: axis letters; "xyz" turns about X first, so that R = Rz Ry Rx.
         degrees: whether the angles are in degrees instead of radians.
+
+    Returns:
+        (..., 4) unit quaternions wxyz.
     """
     turns = np.deg2rad(angles) if degrees else angles
     result = about_axis(order[0].lower(), turns[..., 0])
@@ -97,6 +141,14 @@ def from_euler(angles: np.ndarray, order: str, degrees: bool = True) -> np.ndarr
 
 
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Smallest rotation (..., 4) wxyz that takes unit vectors a (..., 3) to b (..., 3), which must not be opposite."""
+    """Smallest rotation that takes one direction to another.
+
+    Args:
+        a: (..., 3) unit vectors.
+        b: (..., 3) unit vectors, none opposite to its `a`.
+
+    Returns:
+        (..., 4) unit quaternions wxyz.
+    """
     q = np.concatenate([1.0 + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)], axis=-1)
     return q / np.linalg.norm(q, axis=-1, keepdims=True)

@@ -38,24 +38,24 @@ class Topology:
 
     @property
     def edge_keys(self) -> np.ndarray:
-        """(edges,) int64 lower index x vertex count + higher index, increasing."""
+        """Keys (edges,) int64 of the edges, increasing: lower index x vertex count + higher index."""
         return self._half_edges_by_edge[2]
 
     @cached_property
     def edges(self) -> np.ndarray:
-        """(edges, 2) int64 undirected edges, each once, lower index first, in lexicographic order."""
+        """Vertices (edges, 2) int64 of the undirected edges, each once, lower index first, in lexicographic order."""
         return np.column_stack(np.divmod(self.edge_keys, max(self.vertex_count, 1)))
 
     @cached_property
     def face_edges(self) -> np.ndarray:
-        """(faces, 3) int64 edge index of corners 01, 12 and 20 of each face."""
+        """Indices (faces, 3) int64 of the edges at corners 01, 12 and 20 of each face."""
         edge_of = np.empty(3 * len(self.faces), dtype=np.int64)
         edge_of[self._half_edges_by_edge[0]] = np.repeat(np.arange(len(self.edge_keys)), self.edge_face_counts)
         return edge_of.reshape(3, -1).T
 
     @cached_property
     def edge_face_counts(self) -> np.ndarray:
-        """(edges,) number of faces that meet at each edge: 1 on a border, 2 inside, more where not manifold."""
+        """Number (edges,) int64 of faces that meet at each edge: 1 on a border, 2 inside, more where not manifold."""
         order, starts, _ = self._half_edges_by_edge
         return np.diff(np.append(starts, len(order)))
 
@@ -68,45 +68,45 @@ class Topology:
 
     @cached_property
     def edge_faces(self) -> np.ndarray:
-        """(edges, 2) int64 the first two faces at each edge, the second one -1 on a border."""
+        """Indices (edges, 2) int64 of the first two faces at each edge, the second one -1 on a border."""
         half_edges = self._edge_half_edges
         return np.where(half_edges >= 0, half_edges % max(len(self.faces), 1), -1)
 
     @cached_property
     def edge_opposites(self) -> np.ndarray:
-        """(edges, 2) int64 third vertex of those faces, the second one -1 on a border."""
+        """Third vertices (edges, 2) int64 of the faces in `edge_faces`, the second one -1 on a border."""
         thirds = self.faces[:, [2, 0, 1]].T.reshape(-1)
         return np.where(self._edge_half_edges >= 0, thirds[self._edge_half_edges], -1)
 
     @cached_property
     def hinges(self) -> np.ndarray:
-        """(hinges, 4) int64 edge (v0, v1) and opposite vertices (v2 of the face that runs v0->v1, v3 of the other).
+        """Vertices (hinges, 4) int64 of the two faces at each inner edge: the edge v0, v1, then their third vertices.
 
-        Border edges have no hinge; an edge with more than two faces keeps its first two.
+        The first face runs v0->v1. Border edges have no hinge; an edge with more than two faces keeps its first two.
         """
         inner = self.edge_face_counts >= 2
         return np.column_stack([self._half_edges[self._edge_half_edges[inner, 0]], self.edge_opposites[inner]])
 
     @cached_property
     def hinge_faces(self) -> np.ndarray:
-        """(hinges, 2) int64 the two faces of each row of `hinges`."""
+        """Indices (hinges, 2) int64 of the two faces of each row of `hinges`."""
         return self.edge_faces[self.edge_face_counts >= 2]
 
     @cached_property
     def border_vertices(self) -> np.ndarray:
-        """(vertices,) bool, at an edge that only one face uses."""
+        """Mask (vertices,) bool of the vertices at an edge that only one face uses."""
         on_border = np.zeros(self.vertex_count, dtype=bool)
         on_border[self.edges[self.edge_face_counts == 1]] = True
         return on_border
 
     @cached_property
     def boundary_edges(self) -> np.ndarray:
-        """(borders, 2) int64 directed half-edges that only one face uses, in that face's direction."""
+        """Directed half-edges (borders, 2) int64 that only one face uses, in that face's direction."""
         return self._half_edges[self.edge_face_counts[self.face_edges.T.reshape(-1)] == 1]
 
     @cached_property
     def boundary_loops(self) -> tuple[np.ndarray, ...]:
-        """Closed vertex loops along the border, longest first; the mesh lies to the left of each."""
+        """Closed loops of vertices along the border, (n,) int64 each, longest first; the mesh lies to their left."""
         following: dict[int, list[int]] = {}
         for a, b in self.boundary_edges.tolist():
             following.setdefault(a, []).append(b)
@@ -130,17 +130,17 @@ class Topology:
 
     @cached_property
     def piece_of_vertex(self) -> np.ndarray:
-        """(vertices,) int32 label of the connected piece; an isolated vertex is a piece of its own."""
+        """Label (vertices,) int32 of each vertex's connected piece; an isolated vertex is a piece of its own."""
         return connected_labels(self.vertex_count, *self.edges.T)
 
     @property
     def isolated_vertices(self) -> np.ndarray:
-        """Indices of vertices that no face uses."""
+        """Indices (n,) int64 of vertices that no face uses."""
         return np.flatnonzero(np.bincount(self.faces.reshape(-1), minlength=self.vertex_count) == 0)
 
     @property
     def non_manifold_edges(self) -> np.ndarray:
-        """(n, 2) edges shared by three or more faces."""
+        """Edges (n, 2) int64 shared by three or more faces."""
         return self.edges[self.edge_face_counts > 2]
 
     @property
@@ -160,8 +160,8 @@ def connected_labels(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
     Args:
         count: number of nodes.
-        a: (links,) one end of each link.
-        b: (links,) the other end.
+        a: (links,) int64 one end of each link.
+        b: (links,) int64 the other end.
 
     Returns:
         (count,) int32 from 0; a node without links is a component of its own.
@@ -174,7 +174,7 @@ def connected_labels(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def faces_to_flip(topology: Topology) -> tuple[np.ndarray, bool]:
-    """Which faces to turn over so that neighbours agree, and whether that is possible.
+    """Faces to turn over so that neighbours agree, and whether that is possible.
 
     In each piece the fewer faces are turned. Not possible means a one-sided surface (a Moebius strip): its faces are
     then left alone.

@@ -15,7 +15,7 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
         faces: (faces, 3) int64.
 
     Returns:
-        (..., vertices, 3); 0 where no face is.
+        (..., vertices, 3) [1]; 0 where no face is.
     """
     a, b, c = (vertices.index_select(-2, faces[:, k]) for k in range(3))
     cross = torch.linalg.cross(b - a, c - a)
@@ -26,13 +26,29 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def face_cross_products(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(faces, 3) outward normals as long as twice the area [m^2] of a numpy mesh (vertices, 3) [m]."""
+    """Outward normals as long as twice the area of each face, of a numpy mesh.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        (faces, 3) [m^2].
+    """
     a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]
     return np.cross(b - a, c - a)
 
 
 def area_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(vertices, 3) unit vertex normals of a numpy mesh (vertices, 3) [m], weighted by area; 0 where no face is."""
+    """Unit vertex normals of a numpy mesh, weighted by area.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        (vertices, 3) [1]; 0 where no face is.
+    """
     cross = np.repeat(face_cross_products(vertices, faces), 3, axis=0)
     columns = [np.bincount(faces.reshape(-1), cross[:, k], len(vertices)) for k in range(3)]
     normals = np.stack(columns, axis=1)
@@ -40,17 +56,41 @@ def area_weighted_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray
 
 
 def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(faces,) areas [m^2] of a numpy mesh (vertices, 3) [m]."""
+    """Areas of the faces of a numpy mesh.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        (faces,) [m^2].
+    """
     return 0.5 * np.linalg.norm(face_cross_products(vertices, faces), axis=1)
 
 
 def edge_lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """(edges,) lengths [m] of (edges, 2) vertex pairs of a numpy mesh (vertices, 3) [m]."""
+    """Lengths of the edges of a numpy mesh.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        edges: (edges, 2) int64 pairs of vertices.
+
+    Returns:
+        (edges,) [m].
+    """
     return np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
 
 
 def smallest_angles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(faces,) smallest interior angle [rad] of each triangle; 0 for a degenerate one."""
+    """Smallest interior angle of each face of a numpy mesh.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        (faces,) [rad]; 0 for a degenerate face.
+    """
     corners = vertices[faces]
     angles = []
     for k in range(3):

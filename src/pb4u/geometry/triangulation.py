@@ -13,8 +13,8 @@ def triangulate(vertices: np.ndarray, polygons: Sequence[np.ndarray]) -> tuple[n
     A quad is cut along its shorter diagonal, an n-gon by clipping ears in its mean plane.
 
     Args:
-        vertices: (vertices, 3).
-        polygons: vertex indices of each polygon, 3 or more.
+        vertices: (vertices, 3) [m].
+        polygons: (corners,) int64 vertex indices of each polygon, 3 or more.
 
     Returns:
         corners: (triangles, 3) int64 into the polygons' corners laid end to end.

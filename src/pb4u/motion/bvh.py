@@ -10,7 +10,7 @@ import numpy as np
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_euler
-from pb4u.motion.correspondences import BVH_SOURCES, SourceMap
+from pb4u.motion.correspondences import BVH_SOURCES, SkeletonRoles
 from pb4u.motion.recording import Recording, finite_frames
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
@@ -130,7 +130,7 @@ def _number(path: Path, word: str, what: str) -> float:
     return value
 
 
-def _source(path: Path, joints: list[_Joint]) -> SourceMap:
+def _source(path: Path, joints: list[_Joint]) -> SkeletonRoles:
     names = {_plain(joint.name) for joint in joints}
     for source in BVH_SOURCES:
         if source.bones <= names:

@@ -18,7 +18,13 @@ ROLE_INDEX: Mapping[str, int] = {role: i for i, role in enumerate(ROLES)}
 
 @dataclass(frozen=True)
 class Blend:
-    """A rotation `amount` of the way from one bone's (or role's) to another's."""
+    """A rotation part of the way from one bone's (or role's) to another's.
+
+    Args:
+        first: bone or role at which the way begins.
+        second: bone or role at which it ends.
+        amount: share of the way, 0 to 1.
+    """
 
     first: str
     second: str
@@ -29,8 +35,8 @@ Part: TypeAlias = str | Blend
 
 
 @dataclass(frozen=True, eq=False)
-class SourceMap:
-    """How the bones of a recorded skeleton play the roles.
+class SkeletonRoles:
+    """Bone names of a recorded skeleton by role.
 
     Args:
         family: name of the naming scheme.
@@ -46,7 +52,7 @@ class SourceMap:
 
     @property
     def bones(self) -> frozenset[str]:
-        """Every bone that the recording must have."""
+        """Names of the bones that the recording must have."""
         return frozenset(
             bone
             for part in self.roles.values()
@@ -56,12 +62,12 @@ class SourceMap:
 
 @dataclass(frozen=True, eq=False)
 class TargetMap:
-    """How the roles drive the bones of a body; bones that are not named go rigidly with their parents.
+    """Roles that drive the bones of a body; bones that are not named go rigidly with their parents.
 
     Args:
         bones: bone -> role, or blend of roles.
         joints: limb role -> bone whose head marks the upper end of that limb segment.
-        elbow_flexion: as in `SourceMap`, used where the rest arm is straight.
+        elbow_flexion: as in `SkeletonRoles`, used where the rest arm is straight.
     """
 
     bones: Mapping[str, Part]
@@ -96,16 +102,16 @@ _PARTS: Mapping[str, tuple[Part, ...]] = {
 _CMU_ELBOW = (0.0, 0.5, 3**0.5 / 2)
 
 
-def _source_maps() -> Iterator[SourceMap]:
+def _recorded_skeletons() -> Iterator[SkeletonRoles]:
     for column, (family, words) in enumerate(zip(_COLUMNS, _SIDE_WORDS, strict=True)):
         roles = {role: _PARTS[role][column] for role in TORSO_ROLES}
         for side, word in zip("LR", words, strict=True):
             roles |= {f"{role}.{side}": str(_PARTS[role][column]).format(word) for role in LIMB_ROLES}
         elbow = _CMU_ELBOW if family.startswith("CMU") else (0.0, 0.0, 1.0)
-        yield SourceMap(family, roles, elbow, ("smpl", "smplh", "smplx") if family == "SMPL" else ())
+        yield SkeletonRoles(family, roles, elbow, ("smpl", "smplh", "smplx") if family == "SMPL" else ())
 
 
-CMU, _CGSPEED, _MOTIONBUILDER, _POSER, _MIXAMO, SMPL = _source_maps()
+CMU, _CGSPEED, _MOTIONBUILDER, _POSER, _MIXAMO, SMPL = _recorded_skeletons()
 # In this order: the bones of Mixamo are a part of those of cgspeed.
 BVH_SOURCES = (_CGSPEED, _MIXAMO, _MOTIONBUILDER, _POSER)
 

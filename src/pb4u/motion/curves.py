@@ -8,18 +8,34 @@ import numpy as np
 
 
 def wave(phase: np.ndarray, peak: float = 0.0) -> np.ndarray:
-    """Cosine of a phase counted in cycles, 1 at `peak`."""
+    """Cosine of a phase, 1 at `peak`.
+
+    Args:
+        phase: (n,) [cycles].
+        peak: phase of the maximum [cycles].
+
+    Returns:
+        (n,) in [-1, 1].
+    """
     return np.cos(2.0 * np.pi * (phase - peak))
 
 
 def ease(s: np.ndarray) -> np.ndarray:
-    """0 to 1 while s goes from 0 to 1, at rest (C2) at both ends and beyond them."""
+    """Smooth step (n,) from 0 to 1 while s (n,) [1] goes from 0 to 1, at rest (C2) at both ends and beyond them."""
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
 def bump(s: np.ndarray, peak: float = 0.5) -> np.ndarray:
-    """0 to 1 to 0 while s goes from 0 to 1, highest at `peak`, at rest (C2) at both ends and beyond them."""
+    """Smooth pulse from 0 to 1 to 0, at rest (C2) at both ends and beyond them.
+
+    Args:
+        s: (n,) share of the pulse's time, 0 to 1 [1].
+        peak: s of the maximum.
+
+    Returns:
+        (n,) in [0, 1].
+    """
     s = np.clip(s, 0.0, 1.0)
     # u maps the peak to the middle.
     u = s ** (np.log(0.5) / np.log(peak)) if peak >= 0.5 else 1.0 - (1.0 - s) ** (np.log(0.5) / np.log(1.0 - peak))
@@ -36,11 +52,14 @@ def hermite(
     """Piecewise quintic (C2); constant before the first knot and after the last one.
 
     Args:
-        time: (n,).
-        knots: times in increasing order.
-        values: number or vector at each knot.
-        velocities: first derivative at each knot, zero by default.
-        accelerations: second derivative at each knot, zero by default.
+        time: (n,) in the unit of `knots`.
+        knots: (knots,) times in increasing order [s], or phases [cycles].
+        values: (knots,) or (knots, components), value at each knot, in any unit.
+        velocities: (knots,) or (knots, components), first derivative by time at each knot; zero by default.
+        accelerations: (knots,) or (knots, components), second derivative by time at each knot; zero by default.
+
+    Returns:
+        (n,) or (n, components), in the unit of `values`.
     """
     t, p = np.asarray(knots, dtype=np.float64), np.asarray(values, dtype=np.float64)
     v = np.zeros_like(p) if velocities is None else np.asarray(velocities, dtype=np.float64)
@@ -63,9 +82,12 @@ def keyframes(phase: np.ndarray, knots: Sequence[float], values: Sequence[float]
     """Periodic spline (C2).
 
     Args:
-        phase: (n,) counted in cycles.
+        phase: (n,) [cycles].
         knots: phases in [0, 1), increasing.
         values: number at each knot.
+
+    Returns:
+        (n,) in the unit of `values`.
     """
     from scipy.interpolate import CubicSpline
 

@@ -14,12 +14,12 @@ from pb4u.motion.performance import Foot, about
 
 @dataclass(frozen=True, eq=False)
 class FootShape:
-    """Where a foot rolls, relative to its ankle when it stands flat at rest [m].
+    """Points that a foot rolls over, relative to its ankle when it stands flat at rest [m].
 
     Args:
-        ankle: (3,) rest position of the ankle.
-        heel: (3,) the point on the ground under the back of the heel.
-        ball: (3,) the joint between foot and toes.
+        ankle: (3,) rest position of the ankle [m].
+        heel: (3,) the point on the ground under the back of the heel [m].
+        ball: (3,) the joint between foot and toes [m].
     """
 
     ankle: np.ndarray
@@ -38,16 +38,23 @@ class FootShape:
         return cls(ankle, heel - ankle, toes - ankle)
 
     def rolled(self, pitch: np.ndarray) -> np.ndarray:
-        """Ankle (frames, 3) from its flat place, the foot rolled on the ground by `pitch` [deg], heel up positive."""
+        """Displacement of the ankle from its flat place, the foot rolled on the ground.
+
+        Args:
+            pitch: (frames,) roll [deg], heel up positive.
+
+        Returns:
+            (frames, 3) [m].
+        """
         rotation = about("x", pitch, len(pitch))
         pivot = np.where(pitch[:, None] > 0.0, self.ball, self.heel)
         return pivot - rotate(rotation, pivot)
 
     def foot(self, place: np.ndarray, yaw: np.ndarray, pitch: np.ndarray, toe_pitch: np.ndarray) -> Foot:
-        """The foot rolled by `pitch` [deg] over a flat place.
+        """Positions and rotations over time of the foot rolled on the ground at a given place.
 
         Args:
-            place: (frames, 3) where the ankle is when the foot is flat; y counts from its height at rest.
+            place: (frames, 3) position of the ankle [m] when the foot is flat; y counts from its height at rest.
             yaw: (frames,) turn of the foot [deg].
             pitch: (frames,) roll over the ball (heel up, positive) or over the heel (toes up, negative) [deg].
             toe_pitch: (frames,) pitch of the toes in the world [deg].

@@ -80,7 +80,13 @@ RUN = Gait(
 
 
 class Gaiting:
-    """A gait fitted to one body: the hips are as high as its legs reach the planned feet."""
+    """A gait fitted to one body: the hips are as high as its legs reach the planned feet.
+
+    Args:
+        gait: the gait of a person with legs of `REFERENCE_LEG`.
+        humanoid: the body.
+        amplitude: how large the movement is, 1 as it was made.
+    """
 
     def __init__(self, gait: Gait, humanoid: Humanoid, amplitude: float = 1.0) -> None:
         self.gait = gait

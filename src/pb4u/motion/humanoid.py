@@ -21,7 +21,7 @@ _ARM_ROLES = ("upper_arm", "forearm", "forearm_end", "hand")
 
 
 class Humanoid:
-    """What retargeting and procedural clips need to know of one body.
+    """A body's joints and bones by role, as retargeting and procedural clips need them.
 
     Args:
         body: the body at rest.
@@ -60,15 +60,30 @@ class Humanoid:
 
     @property
     def leg_length(self) -> float:
-        """Hip to knee to ankle at rest [m], mean of both legs."""
+        """Length of hip to knee to ankle at rest [m], mean of both legs."""
         return leg_length(self.joint)
 
     def aligned(self, roles: np.ndarray, source: ReferencePose) -> np.ndarray:
-        """Role rotations (frames, roles, 4) counted from `source`, counted from this body's rest pose instead."""
+        """Role rotations counted from this body's rest pose.
+
+        Args:
+            roles: (frames, roles, 4) unit quaternions wxyz, counted from `source`.
+            source: reference pose of another skeleton.
+
+        Returns:
+            (frames, roles, 4) unit quaternions wxyz.
+        """
         return multiply(roles, alignment(source, self.reference))
 
     def bone_rotations(self, roles: np.ndarray) -> np.ndarray:
-        """World rotations from rest (frames, bones, 4) of every bone, from aligned role rotations."""
+        """World rotations from rest of every bone.
+
+        Args:
+            roles: (frames, roles, 4) unit quaternions wxyz, counted from this body's rest pose.
+
+        Returns:
+            (frames, bones, 4) unit quaternions wxyz.
+        """
         skeleton = self.body.skeleton
         result = np.empty((len(roles), skeleton.bone_count, 4))
         for i, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):
@@ -84,9 +99,16 @@ class Humanoid:
         return result
 
     def root_positions(self, rotations: np.ndarray, hip_midpoints: np.ndarray) -> np.ndarray:
-        """World positions (frames, 3) of the root joint that put the middle of the hips at `hip_midpoints`.
+        """World positions of the root joint that put the middle of the hips where it is wanted.
 
         Holds for skeletons whose hip joints move with the root alone, as all supported ones are.
+
+        Args:
+            rotations: (frames, bones, 4) unit quaternions wxyz, from rest.
+            hip_midpoints: (frames, 3) wanted middle of the hips [m].
+
+        Returns:
+            (frames, 3) [m].
         """
         arm = self.hip_midpoint - self.body.skeleton.joints[0]
         return hip_midpoints - rotate(rotations[:, 0], arm)
@@ -150,5 +172,5 @@ def _part_way(first: np.ndarray, second: np.ndarray, amount: float, along: np.nd
 
 @lru_cache(maxsize=16)
 def humanoid_of(body: ShapedBody) -> Humanoid:
-    """The humanoid of a body, kept for the next call."""
+    """The humanoid of a body, computed once for each body while it is in the cache."""
     return Humanoid(body)

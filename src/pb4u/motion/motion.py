@@ -54,7 +54,7 @@ class Motion(ABC):
         return humanoid_of(body).arms_swung_out(poses, self.arms_away_degrees) if self.arms_away_degrees else poses
 
     def available_frames(self, fps: float) -> int | None:
-        """How many frames there are at `fps`; None where the motion has no end."""
+        """Number of frames at `fps` frames per second; None where the motion has no end."""
         return None if self.duration is None else int(self.duration * fps + 1e-6) + 1
 
     @abstractmethod

@@ -24,14 +24,20 @@ Angle = np.ndarray | float
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """A rotation Ry(yaw) Rx(pitch) Rz(roll) in degrees: yaw to the left, pitch forward, roll with the left side up."""
+    """A rotation Ry(yaw) Rx(pitch) Rz(roll).
+
+    Args:
+        pitch: forward [deg], one number or (frames,), as all of them.
+        yaw: to the left [deg].
+        roll: with the left side up [deg].
+    """
 
     pitch: Angle = 0.0
     yaw: Angle = 0.0
     roll: Angle = 0.0
 
     def quaternions(self, frames: int) -> np.ndarray:
-        """(frames, 4) wxyz."""
+        """Unit quaternions (frames, 4) wxyz of the rotation, constant angles repeated for `frames` frames."""
         facing = multiply(about("y", self.yaw, frames), about("x", self.pitch, frames))
         return multiply(facing, about("z", self.roll, frames))
 
@@ -63,12 +69,12 @@ class Arm:
 
 @dataclass(frozen=True, eq=False)
 class Foot:
-    """Where a foot is.
+    """Positions and rotations of a foot over time.
 
     Args:
         ankle: (frames, 3) world position of the ankle [m].
-        rotation: (frames, 4) world rotation of the foot from rest.
-        toes: (frames, 4) world rotation of the toes from rest.
+        rotation: (frames, 4) world rotation of the foot from rest, unit quaternions wxyz.
+        toes: (frames, 4) world rotation of the toes from rest, unit quaternions wxyz.
     """
 
     ankle: np.ndarray
@@ -78,15 +84,15 @@ class Foot:
 
 @dataclass(frozen=True, eq=False)
 class Performance:
-    """What a body does over time.
+    """Movement of a body over time, in terms that fit any humanoid.
 
     Args:
         hips: (frames, 3) world position of the middle of the hips [m].
         pelvis: rotation of the pelvis in the world.
+        feet: planned feet by side.
         chest: rotation of the chest from the pelvis.
         head: rotation of the head from the chest.
         arms: arm angles by side.
-        feet: planned feet by side.
     """
 
     hips: np.ndarray
@@ -98,7 +104,16 @@ class Performance:
 
 
 def about(axis: str, degrees: Angle, frames: int) -> np.ndarray:
-    """Quaternions (frames, 4) wxyz about a world axis."""
+    """Rotations about a world axis.
+
+    Args:
+        axis: "x", "y" or "z".
+        degrees: angle [deg], one number or (frames,).
+        frames: number of frames.
+
+    Returns:
+        (frames, 4) unit quaternions wxyz.
+    """
     return about_axis(axis, np.deg2rad(np.broadcast_to(np.asarray(degrees, dtype=np.float64), (frames,))))
 
 
@@ -134,7 +149,13 @@ def role_rotations(performance: Performance, humanoid: Humanoid) -> np.ndarray:
 
 
 def poses_of(performance: Performance, humanoid: Humanoid, fps: float) -> PoseSequence:
-    """The poses of a body that performs."""
+    """Poses of a body that performs.
+
+    Args:
+        performance: the movement.
+        humanoid: the body.
+        fps: frames per second of the movement.
+    """
     rotations = humanoid.bone_rotations(role_rotations(performance, humanoid))
     return PoseSequence(rotations, humanoid.root_positions(rotations, performance.hips), fps)
 
@@ -188,14 +209,29 @@ def _leg_rotations(
 
 
 def reachable_distance(distance: np.ndarray, leg: float) -> np.ndarray:
-    """Hip-to-ankle distance as far as the leg reaches: unchanged up to `FULL_STRETCH`, then ever closer to locked."""
+    """Hip-to-ankle distance as far as the leg reaches: unchanged up to `FULL_STRETCH`, then ever closer to locked.
+
+    Args:
+        distance: (frames,) wanted distance [m].
+        leg: length of the straight leg [m].
+
+    Returns:
+        (frames,) [m].
+    """
     start, end = FULL_STRETCH * leg, _LOCKED * leg
     over = np.maximum(distance - start, 0.0)
     return np.minimum(distance, start) + (end - start) * np.tanh(over / (end - start))
 
 
 def level_heading(rotation: np.ndarray) -> np.ndarray:
-    """The turn about Y (frames, 4) of rotations (frames, 4): the twist part of their swing-twist decomposition."""
+    """Turn about Y in rotations: the twist part of their swing-twist decomposition.
+
+    Args:
+        rotation: (frames, 4) unit quaternions wxyz.
+
+    Returns:
+        (frames, 4) unit quaternions wxyz.
+    """
     twist = rotation * np.array([1.0, 0.0, 1.0, 0.0])
     return twist / np.linalg.norm(twist, axis=-1, keepdims=True)
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pb4u.body.skeleton import PoseSequence, Skeleton, joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import about_axis, conjugate, multiply, rotate, slerp
-from pb4u.motion.correspondences import ROLES, Blend, SourceMap
+from pb4u.motion.correspondences import ROLES, Blend, SkeletonRoles
 from pb4u.motion.reference_pose import leg_length
 
 
@@ -28,7 +28,7 @@ class Recording:
     """
 
     name: str
-    source: SourceMap
+    source: SkeletonRoles
     skeleton: Skeleton
     poses: PoseSequence
     notes: tuple[str, ...] = ()
@@ -120,11 +120,11 @@ class Recording:
         return self.skeleton.index(part.first if isinstance(part, Blend) else part)
 
     def joint(self, role: str) -> np.ndarray:
-        """Position (3,) of the upper joint of a limb role in the reference pose."""
+        """Position (3,) of the upper joint of a limb role in the reference pose, in the unit of the recording."""
         return self.skeleton.joints[self.joint_index(role)]
 
     def role_rotations(self, poses: PoseSequence) -> np.ndarray:
-        """World rotations (frames, roles, 4) from the reference pose of every role."""
+        """World rotations (frames, roles, 4), unit quaternions wxyz, of every role from the reference pose."""
         result = np.empty((len(poses), len(ROLES), 4))
         for i, role in enumerate(ROLES):
             part = self.source.roles[role]
@@ -136,13 +136,13 @@ class Recording:
         return result
 
     def hip_midpoints(self, poses: PoseSequence) -> np.ndarray:
-        """World positions (frames, 3) halfway between the hip joints."""
+        """World positions (frames, 3) halfway between the hip joints, in the unit of the recording."""
         joints = joint_positions(self.skeleton, poses)
         return 0.5 * (joints[:, self.joint_index("thigh.L")] + joints[:, self.joint_index("thigh.R")])
 
     @property
     def leg_length(self) -> float:
-        """Hip to knee to ankle in the reference pose, mean of both legs, in the unit of the recording."""
+        """Length of hip to knee to ankle in the reference pose, mean of both legs, in the unit of the recording."""
         return leg_length(self.joint)
 
 
@@ -155,8 +155,11 @@ def finite_frames(values: np.ndarray, path: Path) -> np.ndarray:
     """The values unchanged, where all are finite.
 
     Args:
-        values: (frames, numbers).
+        values: (frames, numbers), in any unit.
         path: their file, for the message.
+
+    Returns:
+        (frames, numbers), the argument itself.
 
     Raises:
         InputError: a value is a NaN or an infinity; names its frame.

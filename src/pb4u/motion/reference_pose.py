@@ -31,11 +31,11 @@ class ReferencePose:
     def of_joints(
         cls, joint: Callable[[str], np.ndarray], t_pose_elbow_flexion: tuple[float, float, float]
     ) -> ReferencePose:
-        """From joint positions by limb role.
+        """Reference pose of a skeleton, from joint positions by limb role.
 
         Args:
-            joint: position (3,) of the upper joint of a limb role.
-            t_pose_elbow_flexion: where the left forearm folds in a T-pose; used where the elbow is straight at rest.
+            joint: position (3,) of the upper joint of a limb role, in any unit.
+            t_pose_elbow_flexion: direction in which the left forearm folds in a T-pose; for straight elbows.
         """
         directions = {
             f"{role}.{side}": _unit(joint(f"{end}.{side}") - joint(f"{role}.{side}"))
@@ -66,10 +66,10 @@ T_POSE = ReferencePose(
 
 
 def leg_length(joint: Callable[[str], np.ndarray]) -> float:
-    """Hip to knee to ankle, mean of both legs, in the unit of the joints.
+    """Length of hip to knee to ankle, mean of both legs, in the unit of the joints.
 
     Args:
-        joint: position (3,) of the upper joint of a limb role.
+        joint: position (3,) of the upper joint of a limb role, in any unit.
     """
     total = 0.0
     for side in "LR":

@@ -25,7 +25,10 @@ _START_FRAMES, _START_SPEED = 6, np.deg2rad(3000.0)
 
 
 def without_flips(recording: Recording) -> Recording:
-    """Joints that jump, or turn faster than a limb can, are led over it by slerp; repairs are counted in `notes`."""
+    """The recording with flips mended: joints that jump, or turn faster than a limb can, are led over it by slerp.
+
+    Repairs are counted in `Recording.notes`.
+    """
     fps = recording.poses.fps
     local = _local(recording)
     counts: dict[str, int] = {}

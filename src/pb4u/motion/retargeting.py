@@ -26,6 +26,10 @@ class Retargeting:
 
     A recording of the body's own family keeps its rotations and its travel as they are. Either way the performance
     starts above the origin and faces +Z in its first frame.
+
+    Args:
+        recording: the performance.
+        body: the body that repeats it.
     """
 
     def __init__(self, recording: Recording, body: ShapedBody) -> None:
@@ -65,21 +69,28 @@ class Retargeting:
 
 
 def heading(rotation: np.ndarray) -> np.ndarray:
-    """The turn about Y (..., 4) in a pelvis rotation (..., 4); the identity where the front points up or down."""
+    """Turn about Y in the rotation of a pelvis; the identity where its front points up or down.
+
+    Args:
+        rotation: (..., 4) unit quaternions wxyz.
+
+    Returns:
+        (..., 4) unit quaternions wxyz.
+    """
     front = rotate(rotation, np.array([0.0, 0.0, 1.0]))
     level = np.hypot(front[..., 0], front[..., 2])
     return about_axis("y", np.where(level > 0.2, np.arctan2(front[..., 0], front[..., 2]), 0.0))
 
 
 def lowest_heights(body: ShapedBody, poses: PoseSequence) -> np.ndarray:
-    """How low a posed body reaches, by the outermost vertices of each bone.
+    """Heights of the lowest point of a posed body, by the outermost vertices of each bone.
 
     Args:
         body: the body.
         poses: poses of its skeleton.
 
     Returns:
-        (frames,) height y [m] of its lowest point.
+        (frames,) y [m].
     """
     transforms = bone_transforms(body.skeleton, poses)
     return _outermost_surface(body).positions(transforms)[..., 1].min(dim=1).values.double().numpy()

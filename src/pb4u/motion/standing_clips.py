@@ -47,7 +47,7 @@ class StandingClip(ABC):
         """The performance at `time` (frames,) [s]."""
 
     def feet(self, frames: int, pitch: np.ndarray | float = 0.0, lift: np.ndarray | float = 0.0) -> dict[str, Foot]:
-        """Both feet in place; toes stay flat.
+        """Positions and rotations of both feet in place, by side; toes stay flat.
 
         Args:
             frames: number of frames.
@@ -64,7 +64,17 @@ class StandingClip(ABC):
         return result
 
     def hips(self, x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float, frames: int) -> np.ndarray:
-        """(frames, 3) [m]: offsets from standing, in leg lengths."""
+        """Positions of the middle of the hips, from offsets from standing; an offset may be one number.
+
+        Args:
+            x: (frames,) offset to the left [leg lengths].
+            y: (frames,) offset upward [leg lengths].
+            z: (frames,) offset to the front [leg lengths].
+            frames: number of frames.
+
+        Returns:
+            (frames, 3) [m].
+        """
         path = [np.broadcast_to(np.asarray(a, dtype=np.float64), (frames,)) for a in (x, y, z)]
         return self.leg * np.stack(path, axis=1) + np.array([0.0, self.height, 0.0])
 

@@ -13,7 +13,12 @@ from pb4u.motion.standing_clips import StandingClip
 
 
 class SpotTurn(StandingClip):
-    """Turning to the left on the spot, stepping with one foot after the other, arms lifted by the turn."""
+    """Turning to the left on the spot, stepping with one foot after the other, arms lifted by the turn.
+
+    Args:
+        humanoid: the body.
+        amplitude: how large the movement is, 1 as it was made.
+    """
 
     PERIOD = 1.2
     TURN = 84.0
@@ -67,7 +72,12 @@ class SpotTurn(StandingClip):
 
 
 class Dance(StandingClip):
-    """Side steps on the beat with swaying hips and arms that sweep wide, overhead and across, over sixteen beats."""
+    """Side steps on the beat with swaying hips and arms that sweep wide, overhead and across, over sixteen beats.
+
+    Args:
+        humanoid: the body.
+        amplitude: how large the movement is, 1 as it was made.
+    """
 
     BEAT = 0.52
     BEATS = 16

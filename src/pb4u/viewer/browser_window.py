@@ -35,7 +35,7 @@ _AFTER_FAILURE = 0.5
 
 
 class BrowserWindow(Requests):
-    """Everything of one window: it answers the requests of its panels, hears its simulation, and draws its page.
+    """One browser window: answers the requests of its panels, takes in frames of its simulation, and draws its page.
 
     Args:
         client: the window.
@@ -183,7 +183,7 @@ class BrowserWindow(Requests):
     # The page itself: one thread alone touches the scene.
 
     def close(self, timeout: float = 0.0) -> bool:
-        """End all work for this window; true when every thread has ended within `timeout` seconds."""
+        """End all work for this window; true when every thread has ended within `timeout` [s]."""
         self._closed.set()
         self._wake.set()
         self.display.close()

@@ -12,12 +12,12 @@ from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
 
 class Clip:
-    """Frames to show, every one of them finite.
+    """A sequence of frames to show, every one of them finite.
 
     Args:
         label: what the page calls it.
         simulated: the frames as they were simulated.
-        shown: the same, with every frame finite.
+        shown: the same frames, those that are not finite replaced by whole ones (`hold_finite`).
     """
 
     def __init__(self, label: str, simulated: Trajectory, shown: Trajectory) -> None:
@@ -26,7 +26,7 @@ class Clip:
 
     @property
     def header(self) -> TrajectoryHeader:
-        """What does not change from frame to frame."""
+        """Header of the trajectory: all that does not change from frame to frame."""
         return self._simulated.header
 
     @property
@@ -36,15 +36,15 @@ class Clip:
 
     @property
     def frame_count(self) -> int:
-        """Frames that are there now."""
+        """Number of frames that are there now."""
         return self._shown.frame_count
 
     def garment(self, t: int) -> np.ndarray:
-        """(vertices, 3) float32 [m] of all garments at frame t."""
+        """Vertices (vertices, 3) float32 [m] of all garments at frame t."""
         return np.asarray(self._shown.positions[t], dtype=np.float32)
 
     def body(self, t: int) -> np.ndarray:
-        """(body vertices, 3) float32 [m] at frame t."""
+        """Vertices (body vertices, 3) float32 [m] of the body at frame t."""
         return np.asarray(self._shown.body_positions[t], dtype=np.float32)
 
     def trajectory(self) -> Trajectory:

@@ -47,7 +47,11 @@ _PATCH_SPREAD = 1.9
 
 
 def light(scene: SceneApi) -> None:
-    """What all windows share: sky, fill and rim light, so that what the key light leaves dark stays readable."""
+    """Add the lights that all windows share: sky, fill and rim, so that what the key light leaves dark stays readable.
+
+    Args:
+        scene: of the server.
+    """
     scene.set_up_direction("+y")
     scene.world_axes.visible = False
     scene.configure_default_lights(enabled=False)
@@ -58,7 +62,7 @@ def light(scene: SceneApi) -> None:
 
 
 class Display:
-    """What one page draws, sent no faster than its browser takes it in. One thread alone works with it.
+    """The drawing of one page, sent no faster than its browser takes it in. One thread alone works with it.
 
     Args:
         client: the window.

@@ -20,7 +20,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 class ExportPanel(Panel):
-    """Format, and which clip where there are two."""
+    """Controls of an export: format, and which clip where there are two."""
 
     def _add_controls(self) -> None:
         gui = self._gui
@@ -41,7 +41,7 @@ class ExportPanel(Panel):
             self._go.disabled = False
 
     def offer(self, clips: int) -> None:
-        """Ask which one where there are two."""
+        """Show the choice of a clip where there are two; `clips` is their number."""
         self._which.visible = clips > 1
 
 
@@ -53,8 +53,12 @@ def deliver(clip: Clip, suffix: str, folder: Path | None = None) -> tuple[str, b
         suffix: one of `pb4u.export.registry.WRITERS`.
         folder: where to keep the files as well; None keeps none.
 
-    Returns the name and content of one file for the browser (a ZIP where the format is several files), and where it
-    was kept. Raises InputError or MissingExtraError with the sentence of the exporter.
+    Returns:
+        Name and content of one file for the browser (a ZIP where the format is several files), and where it was kept.
+
+    Raises:
+        InputError: there is no such format or no frame yet, or the exporter refuses.
+        MissingExtraError: the format needs an extra.
     """
     if suffix not in WRITERS:
         raise unknown_name("format", suffix, WRITERS)

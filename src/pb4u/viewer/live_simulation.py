@@ -60,7 +60,7 @@ def require_offered(run: RunSpecification) -> None:
 
 
 class Ending(Enum):
-    """How a simulation ended."""
+    """The ways in which a simulation ends."""
 
     finished = "finished"
     cancelled = "cancelled"

@@ -46,7 +46,14 @@ class ColourScale:
     colours: str = "viridis"
 
     def vertex_colours(self, values: np.ndarray) -> np.ndarray:
-        """(vertices, 4) uint8 linear RGBA of `values` (vertices,); what is not finite is painted as the low end."""
+        """Colours of values; what is not finite is painted as the low end.
+
+        Args:
+            values: (vertices,) in the unit that `title` names.
+
+        Returns:
+            (vertices, 4) uint8 linear RGBA [0 to 255].
+        """
         share = (np.nan_to_num(values, nan=self.low) - self.low) / (self.high - self.low)
         return _linear_colours(self.colours)[np.clip(255 * share, 0, 255).astype(np.uint8)]
 
@@ -99,7 +106,7 @@ class Overlay:
         self.clip = clip
 
     def colours(self, t: int) -> np.ndarray | None:
-        """(vertices, 4) uint8 linear RGBA of frame t; None where nothing is painted."""
+        """Colours (vertices, 4) uint8 linear RGBA [0 to 255] of frame t; None where nothing is painted."""
         return None
 
     @property
@@ -115,7 +122,14 @@ class Wireframe(Overlay):
 
 
 class PaintedOverlay(Overlay, ABC):
-    """A number at every vertex, as a colour."""
+    """A number at every vertex, shown as a colour.
+
+    Args:
+        clip: what is looked at.
+
+    Attributes:
+        scale: range, unit and colours of the numbers.
+    """
 
     scale: ColourScale
 
@@ -125,7 +139,7 @@ class PaintedOverlay(Overlay, ABC):
 
     @abstractmethod
     def values(self, t: int) -> np.ndarray:
-        """(vertices,) of frame t."""
+        """Value (vertices,) to paint at each vertex in frame t, in the unit of `scale`."""
 
     def colours(self, t: int) -> np.ndarray:
         if t not in self._done:
@@ -136,7 +150,7 @@ class PaintedOverlay(Overlay, ABC):
 
     @cached_property
     def ruler(self) -> Ruler:
-        """What measures this clip."""
+        """The instrument that measures this clip, made on first use."""
         return Ruler(self.clip.trajectory())
 
     def _garment(self, t: int) -> torch.Tensor:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Requests(Protocol):
-    """What a user may ask of a window: the one way from the panels back to it. Each is called from any thread."""
+    """Requests of a user to a window: the one way from the panels back to it. Each is called from any thread."""
 
     @property
     def closed(self) -> bool:
@@ -30,18 +30,31 @@ class Requests(Protocol):
         """Do something to the state, and show it."""
 
     def reset_camera(self) -> None:
-        """Look at everything again."""
+        """Point the camera at all clips again."""
 
     def simulate(self, run: RunSpecification) -> None:
-        """Begin a simulation. Raises InputError while another runs, or for what the page does not offer."""
+        """Begin a simulation.
+
+        Args:
+            run: what is simulated, and how.
+
+        Raises:
+            InputError: another one runs, or the page does not offer what is asked for.
+        """
 
     def cancel(self) -> None:
         """End the simulation before its next step."""
 
     def export(self, suffix: str, which: int) -> str:
-        """Hand the user clip number `which` in the format of `suffix`; returns a sentence that says so.
+        """Hand the user a clip as a file; returns a sentence that says so.
 
-        Raises InputError or MissingExtraError where that cannot be.
+        Args:
+            suffix: one of `pb4u.export.registry.WRITERS`.
+            which: number of the clip, from 0.
+
+        Raises:
+            InputError: the clip cannot be written.
+            MissingExtraError: the format needs an extra.
         """
 
 
@@ -89,7 +102,7 @@ class Panel(ABC):
 
 
 class Tone(Enum):
-    """How a sentence is meant: colour of the letters, colour of the ground."""
+    """Kinds of sentences, each with the colour of its letters and of its ground."""
 
     plain = ("#475467", "#f2f4f7")
     good = ("#027a48", "#ecfdf3")
@@ -98,7 +111,12 @@ class Tone(Enum):
 
 
 def notice(sentence: str, tone: Tone = Tone.plain) -> str:
-    """A sentence in a coloured box, as HTML; nothing where there is nothing to say."""
+    """A sentence in a coloured box, as HTML; nothing where there is nothing to say.
+
+    Args:
+        sentence: plain text, escaped here.
+        tone: colours of the box.
+    """
     if not sentence:
         return ""
     colour, ground = tone.value

@@ -47,7 +47,7 @@ class Measurement(Worker):
         return len(self._rows)
 
     def series(self, quantity: str) -> np.ndarray:
-        """(frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite."""
+        """Values (frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite."""
         values = [row.get(quantity, np.nan) for row in list(self._rows)]
         return np.pad(np.array(values, dtype=float), (0, self._frames - len(values)), constant_values=np.nan)
 
@@ -63,7 +63,7 @@ class Measurement(Worker):
 
 
 class PlotPanel(Panel):
-    """One quantity of every clip over the frames."""
+    """Curves of one quantity over the frames, one for each clip."""
 
     _EVERY = 0.2
     """Seconds between redraws: each sends all curves anew."""
@@ -84,7 +84,7 @@ class PlotPanel(Panel):
 
         Args:
             measurements: of every clip that is shown.
-            frame: where the line stands.
+            frame: frame of the timeline at which the line stands.
         """
         now, title = time.monotonic(), self._quantity.value
         progress = [(measurement, measurement.done, measurement.failure) for measurement in measurements]
@@ -126,11 +126,14 @@ class PlotPanel(Panel):
 
 
 def chart_data(curves: list[np.ndarray], frame: float) -> tuple[np.ndarray, ...]:
-    """Abscissa, one row a curve, and the line at `frame`, all of one length.
+    """Data of a chart: abscissa, one row a curve, and the vertical line at `frame`.
 
     Args:
-        curves: (frames,) values each, all of one length; NaN where there is none.
-        frame: where the line stands.
+        curves: (frames,) values each, in one unit, all of one length; NaN where there is none.
+        frame: place of the line on the abscissa [frames].
+
+    Returns:
+        Arrays of one length, (frames + 2,) each: abscissa [frames], the curves, and the line in their unit.
     """
     count = len(curves[0])
     known = np.concatenate(curves)

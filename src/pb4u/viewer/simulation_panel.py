@@ -16,7 +16,7 @@ from pb4u.viewer.worker import plain_sentence
 
 
 class SimulationPanel(Panel):
-    """Garment, body, motion, material, triangle count and model; frames arrive as they are computed."""
+    """Controls of a simulation: garment, body, motion, material, triangle count and model, and how far it is."""
 
     def _add_controls(self) -> None:
         gui = self._gui
@@ -48,7 +48,11 @@ class SimulationPanel(Panel):
         self._stop.on_click(self._answer(self._requests.cancel))
 
     def run(self) -> RunSpecification:
-        """What is filled in. Raises InputError where that cannot be a run."""
+        """The run that is filled in.
+
+        Raises:
+            InputError: that cannot be a run.
+        """
         worn = GarmentSpecification(self._garment.value, self._material.value, triangles=int(self._triangles.value))
         return RunSpecification(
             SceneSpecification(
@@ -67,23 +71,33 @@ class SimulationPanel(Panel):
             raise
 
     def began(self) -> None:
-        """A simulation has been accepted."""
+        """Show that a simulation has been accepted."""
         self._start.disabled, self._stop.disabled = True, False
         self._bar.value, self._bar.visible = 0.0, True  # type: ignore[misc]
         self._status.content = notice("Loading and dressing.")
 
     def progress(self, done: int, total: int) -> None:
-        """So many steps are done, lead-in included, of so many."""
+        """Show how far the simulation is.
+
+        Args:
+            done: steps done, lead-in included.
+            total: steps in all, lead-in included.
+        """
         self._bar.value = 100.0 * done / total  # type: ignore[misc]
         self._status.content = notice(f"Step {done} of {total}, lead-in included.")
 
     def stopping(self) -> None:
-        """It has been told to end."""
+        """Show that the simulation has been told to end."""
         self._stop.disabled = True
         self._status.content = notice("Stopping after this step.")
 
     def ended(self, sentence: str, ending: Ending) -> None:
-        """It is over: how, in words and for the colour of the box."""
+        """Show that the simulation is over.
+
+        Args:
+            sentence: how it ended, in words.
+            ending: how, for the colour of the box.
+        """
         self._start.disabled, self._stop.disabled = False, True
         self._bar.visible = False
         self._status.content = notice(sentence, Tone.good if ending is Ending.finished else Tone.warning)

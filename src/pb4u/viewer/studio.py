@@ -58,7 +58,7 @@ class Studio:
 
     @property
     def windows(self) -> tuple[BrowserWindow, ...]:
-        """Those that are open."""
+        """Browser windows that are open."""
         with self._lock:
             return tuple(self._windows.values())
 
@@ -85,7 +85,7 @@ class Studio:
 
 
 def check_port(host: str, port: int) -> None:
-    """See that one can listen there.
+    """Refuse an address and port on which nobody can listen.
 
     Args:
         host: address.

@@ -70,7 +70,7 @@ class PlainSurface(Surface):
         pass
 
     def hide(self) -> None:
-        """Out of sight until it is shown again."""
+        """Hide it until it is shown again."""
         if self._mesh is not None:
             self._mesh.visible = False
 

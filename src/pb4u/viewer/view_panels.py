@@ -71,7 +71,7 @@ def _caption(what: str, when: str, held: tuple[str, ...]) -> str:
 
 
 class LookPanel(Panel):
-    """What is painted on the cloth, and what stands in the scene."""
+    """Controls of the looks: what is painted on the cloth, and what stands in the scene."""
 
     def _add_controls(self) -> None:
         gui = self._gui

@@ -34,24 +34,29 @@ class PlaybackClock:
         self.frame_count = 0
 
     def frozen(self) -> PlaybackClock:
-        """Another one, which stays at this moment."""
+        """A copy of the clock which stays at this moment."""
         other, now = copy(self), self._now()
         other._now = lambda: now
         return other
 
     def load(self, fps: float, frame_count: int) -> None:
-        """Begin anew at frame 0 of `frame_count`, paused, at `fps` frames per second [1/s]."""
+        """Begin anew at frame 0, paused.
+
+        Args:
+            fps: frames per second [1/s].
+            frame_count: number of frames.
+        """
         self._fps, self.frame_count = fps, frame_count
         self.pause_at(0)
 
     def grow(self, frame_count: int) -> None:
-        """More frames are there now."""
+        """Take in that there are `frame_count` frames now."""
         self._settle()
         self.frame_count = frame_count
 
     @property
     def frame(self) -> int:
-        """The frame to show now; 0 where there is none."""
+        """Number of the frame to show now; 0 where there is none."""
         # The small addition keeps a position that rounding left just below a frame from showing the one before.
         return min(int(self._reading(self._now())[0] + 1e-6), max(self.frame_count - 1, 0))
 
@@ -67,7 +72,7 @@ class PlaybackClock:
 
     @property
     def wait(self) -> float:
-        """Seconds until another frame is due; `IDLE_WAIT` while paused."""
+        """Time [s] until another frame is due; `IDLE_WAIT` while paused."""
         position, playing = self._reading(self._now())
         return max(1.0 - position % 1.0, 1e-3) / (self._fps * self._speed) if playing else IDLE_WAIT
 
@@ -161,27 +166,32 @@ class ViewState:
         self.clock.load(clips[0].header.fps if clips else 30.0, self._length())
 
     def grow(self) -> None:
-        """Take notice of frames that have come."""
+        """Take in the frames that have come."""
         self.clock.grow(self._length())
 
     def frozen(self) -> ViewState:
-        """What is to be shown at this moment, for a thread that reads it while others change the state."""
+        """A copy of the state as it is now, for a thread that reads it while others change the state."""
         other = copy(self)
         other.clock = self.clock.frozen()
         return other
 
     @property
     def picture(self) -> tuple[object, ...]:
-        """All that the drawing of the clips depends on: where two of these are equal, so is what is drawn."""
+        """Key of all that the drawing of the clips depends on: where two are equal, so is what is drawn."""
         return self.clips, self.clock.frame, self.overlay, self.body, self.follow
 
     def frame_of(self, clip: Clip, frame: int) -> int:
-        """The clip's own frame at a frame of the timeline: the same moment, or its last one."""
+        """The clip's own frame at a frame of the timeline: the same moment, or its last one.
+
+        Args:
+            clip: one of the clips.
+            frame: frame of the timeline, which the first clip gives.
+        """
         own = round(frame * clip.header.fps / self.clips[0].header.fps)
         return min(own, max(clip.frame_count - 1, 0))
 
     def held(self, frame: int) -> tuple[str, ...]:
-        """A sentence for every clip whose frame there is not finite."""
+        """Sentences, one for every clip whose frame at `frame` of the timeline is not finite."""
         shown = [(clip, self.frame_of(clip, frame)) for clip in self.clips]
         return tuple(
             f"Frame {own} of {clip.label} is not finite: the last whole frame before it is shown."

@@ -22,7 +22,7 @@ class Worker(ABC):
         self._thread = threading.Thread(target=self._work, name=f"pb4u {name}", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Begin the work in the thread."""
         self._thread.start()
 
     def cancel(self) -> None:
@@ -45,7 +45,7 @@ class Worker(ABC):
 
 
 def plain_sentence(error: BaseException) -> str:
-    """What a page says of an error; of one that nobody foresaw the terminal of the studio shows the traceback."""
+    """Sentence that a page says of an error; the traceback of one that is not the product's own is printed."""
     if isinstance(error, Pb4uError):
         return " ".join(str(error).split())
     if isinstance(error, MemoryError):

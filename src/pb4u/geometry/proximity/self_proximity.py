@@ -73,9 +73,13 @@ class SelfProximity:
         self.contours = ContourFinder(faces, vertex_count)
 
     def find(self, vertices: np.ndarray, radius: float) -> FacingPairs:
-        """The pairs within `radius` [m] at `vertices` (vertices, 3) [m].
+        """The pairs that are close at one instant.
 
         A vertex that a contour encloses has passed through the faces of that contour; its other pairs are left out.
+
+        Args:
+            vertices: (vertices, 3) [m].
+            radius: largest height on either side of a face [m].
         """
         vertex, face, height = facing_pairs(vertices, self.faces, radius)
         contours = self.contours.find(vertices)

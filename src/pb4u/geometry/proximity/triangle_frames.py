@@ -46,11 +46,14 @@ class TriangleFrames:
         return TriangleFrames(_through(unit, a), _through(second, a), _through(third, a), centres, radii)
 
     def contains_foot(self, triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """(pairs,) bool, whether the foot of each point on its triangle's plane lies in the triangle.
+        """Whether the foot of each point on its triangle's plane lies in the triangle.
 
         Args:
             triangles: (pairs,) int64.
             points: (pairs, 3) [m].
+
+        Returns:
+            (pairs,) bool.
         """
         inside = np.zeros(len(points), dtype=bool)
         second = _at(self.second, triangles, points)
@@ -60,11 +63,14 @@ class TriangleFrames:
         return inside
 
     def heights(self, triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """(pairs,) signed height [m] of each point over its triangle's plane.
+        """Signed height of each point over its triangle's plane.
 
         Args:
             triangles: (pairs,) int64.
             points: (pairs, 3) [m].
+
+        Returns:
+            (pairs,) [m].
         """
         return _at(self.height, triangles, points)
 
