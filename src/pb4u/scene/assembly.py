@@ -104,7 +104,7 @@ def make_scene(
 
 
 def assemble(specification: SceneSpecification) -> Scene:
-    """The scene of a specification, everything in it loaded.
+    """Scene of a specification, everything in it loaded.
 
     Args:
         specification: what the scene is made of.

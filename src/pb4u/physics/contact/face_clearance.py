@@ -36,7 +36,13 @@ class FaceClearance:
     passes: int = 2
 
     def lift(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
-        """`state` with its edges and faces out of the bodies at `pose`."""
+        """State with its edges and faces lifted out of the bodies.
+
+        Args:
+            garments: static quantities.
+            state: to be lifted.
+            pose: the bodies at the state's frame.
+        """
         if not len(pose.colliders.faces):
             return state
         x = state.positions
