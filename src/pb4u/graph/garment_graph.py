@@ -76,13 +76,13 @@ def garment_graph(
     dtype: torch.dtype = torch.float32,
     further_edges: Mapping[str, Tensor] | None = None,
 ) -> GarmentGraph:
-    """The static graph of garments, on their device.
+    """Static graph of garments, on their device.
 
     Args:
         garments: the pack.
-        material_range: where materials are mapped to [0, 1].
-        dtype: of the floating arrays.
-        further_edges: undirected edges (edges, 2) int64 between vertices of one garment beyond its mesh, by name.
+        material_range: ranges of material parameters that are mapped to [0, 1].
+        dtype: data type of the floating arrays.
+        further_edges: undirected edges (edges, 2) int64 vertex indices within one garment beyond its mesh, by name.
     """
     material = _vertex_material(garments, material_range)
     pairs = {"mesh": garments.edges, **(further_edges or {})}
