@@ -14,7 +14,7 @@ def replace_file(path: Path, content: bytes) -> None:
     """Write a file beside its place and move it there. Raises OSError, leaving nothing behind.
 
     Args:
-        path: of the file.
+        path: path of the file.
         content: all of its bytes.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}")

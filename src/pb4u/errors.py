@@ -22,7 +22,7 @@ class MissingExtraError(Pb4uError, ImportError):
 
     Args:
         extra: name of the missing extra.
-        purpose: what needs it, as the beginning of the sentence.
+        purpose: feature that needs it, as the beginning of the sentence.
     """
 
     def __init__(self, extra: str, purpose: str) -> None:
@@ -38,8 +38,8 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
     """Error for a name that is none of the `known`, with the names nearest to it.
 
     Args:
-        kind: what was named, such as "garment".
-        name: as it was given.
+        kind: kind of thing that was named, such as "garment".
+        name: name that was given.
         known: every name there is.
     """
     names = list(known)

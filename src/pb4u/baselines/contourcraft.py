@@ -55,7 +55,7 @@ class ContourCraftConfiguration(NetworkConfiguration):
     Args:
         blocks: number of blocks, each over all kinds of edges.
         level: coarse level used besides the mesh; its edges span 2^(level + 1) mesh edges.
-        radius: how near cloth must come to itself to be joined by edges [m]; 0 for no such edges.
+        radius: distance [m] within which cloth is joined to itself by edges; 0 for no such edges.
         losses: losses minimised besides the incremental potential.
         layout: the columns read.
 

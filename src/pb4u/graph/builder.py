@@ -48,8 +48,8 @@ class GraphBuilder:
 
     Args:
         static: mesh edges and rest-state features.
-        layout: which columns to make.
-        world_edges: which body vertices a garment vertex sees.
+        layout: columns to make.
+        world_edges: rule for the body vertices that a garment vertex has edges to.
         finder: finds the edges that change from step to step.
         rest: tensors handed on to every graph (`Graph.rest`), by name.
     """
@@ -80,7 +80,7 @@ class GraphBuilder:
             collider: bodies around t; None where there are none.
             dt: time step [s].
             origin: (3,) subtracted from all positions before they are rounded to the graph's precision [m].
-            extra: (vertices, width) node features that the layout names as `extra`, each in its [unit].
+            extra: (vertices, width) node features that the layout names as `extra`, each in the unit of its `Feature`.
 
         Raises:
             InputError: an extra feature of the layout is absent or of another width.

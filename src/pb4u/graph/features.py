@@ -19,13 +19,13 @@ class Feature:
     """One named group of columns.
 
     Args:
-        name: how layouts refer to it.
+        name: name in layouts.
         width: number of columns.
         unit: SI unit, "1" where it has none.
         normalised: whether running statistics centre and scale it.
         typical: usual spread, taken where there are no statistics yet; spreads below a hundredth of it are raised to
             that.
-        source: what it is and where the definition comes from; for the reader, so not compared.
+        source: meaning and origin of the definition; for the reader, so not compared.
     """
 
     name: str
@@ -165,7 +165,7 @@ def map_log(values: Tensor, limits: tuple[float, float]) -> Tensor:
     """Dimensionless values (...) on a log scale, limits[0] -> 0 and limits[1] -> 1, clamped to [-1, 2].
 
     Args:
-        values: (...) of any [unit], 0 or more.
+        values: (...) of any unit, 0 or more.
         limits: both above 0, in the unit of the values.
     """
     low, high = (float(torch.tensor(limit, dtype=torch.float64).log()) for limit in limits)
@@ -176,7 +176,7 @@ def map_linear(values: Tensor, limits: tuple[float, float]) -> Tensor:
     """Dimensionless values (...) on a linear scale, limits[0] -> 0 and limits[1] -> 1, clamped to [-1, 2].
 
     Args:
-        values: (...) of any [unit].
+        values: (...) of any unit.
         limits: in the unit of the values.
     """
     return ((values - limits[0]) / (limits[1] - limits[0])).clamp(-1.0, 2.0)

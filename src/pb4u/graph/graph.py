@@ -1,4 +1,4 @@
-"""What a network sees of one time step: typed nodes and edges with their features. No weights, no positions."""
+"""Graph of one time step, as a network reads it: typed nodes and edges with their features, without positions."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ class EdgeSet:
     """Directed edges of one kind, in ascending order of receiver.
 
     Args:
-        kind: which weights treat them: mesh, world, or what a network adds (coarse levels, repulsion, attraction).
+        kind: name of their weights: mesh, world, or one that a network adds (coarse levels, repulsion, attraction).
         sender_set: name of the node set they start from.
         receiver_set: name of the node set they end in.
         senders: node at the start of each edge.
         receivers: node at the end of each edge.
         features: (edges, columns), each column in the unit of its `Feature`.
-        columns: which table the features are of: "mesh_edge", "world_edge" or "found_edge".
+        columns: table that the features are from: "mesh_edge", "world_edge" or "found_edge".
     """
 
     kind: str

@@ -18,8 +18,8 @@ class WorldEdgeRule:
 
     Args:
         radius: largest distance [m] (paper: a threshold; reference 1.4: 3 cm).
-        neighbours: how many of the nearest; 1 in the released code, a large number for all within the radius, as in the
-            paper.
+        neighbours: number of the nearest that are taken; 1 in the released code, a large number for all within the
+            radius, as in the paper.
 
     Raises:
         InputError: a radius that is not above 0 and finite, or neighbours not from 1 to 64.

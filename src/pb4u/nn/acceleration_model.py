@@ -66,7 +66,7 @@ class NetworkConfiguration(ABC):
     Args:
         width: number of columns of all latents and hidden layers.
         layout: the columns read.
-        world_edges: which body vertices a garment vertex sees.
+        world_edges: rule for the body vertices that a garment vertex has edges to.
         passes: evaluations of the network in one time step, each adding to the accelerations of the one before; 1 in
             the paper. Above 1 the layout should name "descent" and "advance".
         carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free

@@ -50,11 +50,11 @@ class Normaliser(nn.Module):
         return self.mean.shape[0]
 
     def forward(self, values: Tensor) -> Tensor:
-        """Normalised values (rows, width), dimensionless, of `values` (rows, width), each column in its [unit]."""
+        """Normalised values (rows, width), dimensionless, of `values` (rows, width), each column in its unit."""
         return (values - self.mean) / self.spread
 
     def restore(self, values: Tensor) -> Tensor:
-        """Values (rows, width), each column in its [unit], of normalised `values` (rows, width) [1]."""
+        """Values (rows, width), each column in its unit, of normalised `values` (rows, width) [1]."""
         return values * self.spread + self.mean
 
     @torch.no_grad()
@@ -62,7 +62,7 @@ class Normaliser(nn.Module):
         """Add one step to the statistics: each world its mean and mean square once, however many rows it has.
 
         Args:
-            values: (rows, width), each column in its [unit].
+            values: (rows, width), each column in its unit.
             world: (rows,) int64 world of each row.
             most: number above that of any world; worlds without a row add nothing.
 

@@ -45,10 +45,10 @@ class _SegmentSum(torch.autograd.Function):
 
 
 def gather(nodes: Tensor, ends: Incidence) -> Tensor:
-    """Values (edges, width) of the node at each edge's end, in the [unit] of `nodes`.
+    """Values (edges, width) of the node at each edge's end, in the unit of `nodes`.
 
     Args:
-        nodes: (nodes, width) values of any [unit].
+        nodes: (nodes, width) values of any unit.
         ends: node at that end of each edge.
     """
     if not torch.is_grad_enabled():
@@ -57,10 +57,10 @@ def gather(nodes: Tensor, ends: Incidence) -> Tensor:
 
 
 def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:
-    """Sums (nodes, width) over the edges that end at each node, in the [unit] of `edges`; zero where none does.
+    """Sums (nodes, width) over the edges that end at each node, in the unit of `edges`; zero where none does.
 
     Args:
-        edges: (edges, width) values of any [unit].
+        edges: (edges, width) values of any unit.
         ends: node at that end of each edge.
     """
     if not torch.is_grad_enabled():
@@ -69,5 +69,5 @@ def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:
 
 
 def joined(parts: list[Tensor]) -> Tensor:
-    """Concatenation (rows, width) of `parts` (rows, width) of one [unit]; a single part as it is."""
+    """Concatenation (rows, width) of `parts` (rows, width) of one unit; a single part as it is."""
     return parts[0] if len(parts) == 1 else torch.cat(parts)

@@ -76,7 +76,7 @@ class NullTerm(EnergyTerm):
     """A term switched off: zero everywhere, under the name of the one that it stands for.
 
     Args:
-        name: of the term.
+        name: name of the term that it stands for.
     """
 
     def __init__(self, name: str) -> None:

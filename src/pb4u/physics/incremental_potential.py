@@ -31,7 +31,7 @@ class Energies:
     """Energies of each garment of a pack [J].
 
     Args:
-        terms: name of the term -> (garments,).
+        terms: (garments,) energies [J] by name of the term.
     """
 
     terms: Mapping[str, Tensor]
@@ -55,7 +55,11 @@ class Energies:
         return self.per_garment.sum()
 
     def floats(self, garment: int | None = None) -> dict[str, float]:
-        """Every term and their `total` [J], of one garment, or of all together."""
+        """Energies [J] by name of the term, with their `total`, of one garment or of all together.
+
+        Args:
+            garment: index of the garment; None for the sums over all.
+        """
         values = {name: float(value.sum() if garment is None else value[garment]) for name, value in self.terms.items()}
         return {**values, "total": sum(values.values())}
 

@@ -98,13 +98,13 @@ class Iteration:
 
 
 class Solver:
-    """Minimises step potentials; keeps what depends on the garments alone from one step to the next.
+    """Minimises step potentials; keeps data that depend on the garments alone from one step to the next.
 
     Computes in float64 on the CPU.
 
     Args:
         tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
-        max_iterations: Newton iterations after which it stops anyway.
+        max_iterations: Newton iterations after which it stops in any case.
         forcing: relative tolerance of the linear solves.
     """
 
@@ -125,7 +125,7 @@ class Solver:
         """Minimise `potential` from `start`; pinned vertices stay where they are.
 
         Args:
-            potential: of the step.
+            potential: potential of the step.
             start: (vertices, 3) float64 [m] any prediction, pinned vertices where they will be.
             iterations: Newton iterations after which it stops; `max_iterations` by default.
             watch: called before every iteration, and at the end.

@@ -19,7 +19,7 @@ class DivergedError(Pb4uError):
 
     Args:
         frame: index of the frame in its scene, lead-in included.
-        reason: what is not finite.
+        reason: values that are not finite, as part of a sentence.
     """
 
     def __init__(self, frame: int, reason: str) -> None:
@@ -113,7 +113,7 @@ class TimeStep:
         Args:
             k: number of the part, from 0.
             count: number of parts.
-            state: where the part before ended.
+            state: state at the end of the part before.
         """
         pins = self.pin_positions
         return replace(

@@ -107,7 +107,7 @@ def assemble(specification: SceneSpecification) -> Scene:
     """Scene of a specification, everything in it loaded.
 
     Args:
-        specification: what the scene is made of.
+        specification: names, paths or loaded objects that the scene is made of.
 
     Raises:
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.

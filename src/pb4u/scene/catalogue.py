@@ -100,7 +100,7 @@ def catalogue_scene(
     """Scene of the catalogue called `name`, loaded.
 
     Args:
-        name: as printed by `scene_names`, such as "test/dress/07_02" or "test/tshirt/walk-2000".
+        name: entry as `scene_names` prints it, such as "test/dress/07_02" or "test/tshirt/walk-2000".
         triangles: resolution; the garment's base level by default.
         frames: frames to write; 60 of a built-in motion and the whole of a recording by default.
         body: built-in body.

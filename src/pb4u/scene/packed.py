@@ -341,8 +341,8 @@ def pack(
 
     Args:
         garments: to pack, those of a world one after the other.
-        dtype: of floating arrays.
-        device: where the arrays live.
+        dtype: data type of floating arrays.
+        device: device of the arrays.
         worlds: world of each garment, ascending from 0; each alone in its own by default.
 
     Raises InputError when a rest triangle is degenerate.

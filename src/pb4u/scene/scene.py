@@ -20,7 +20,7 @@ UP = (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class DressedGarment:
-    """A garment and how the body carries it.
+    """A garment and its placement on the body.
 
     Args:
         garment: rest shape, material and pins.

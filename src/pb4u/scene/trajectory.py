@@ -202,7 +202,7 @@ class Trajectory:
 
     @property
     def frames(self) -> Iterable[Frame]:
-        """Every frame in turn."""
+        """Frames in their order."""
         for p, v, b in zip(self.positions, self.velocities, self.body_positions, strict=True):
             yield Frame(p, v, b)
 
@@ -282,7 +282,7 @@ class TrajectoryWriter:
     An error on the way leaves nothing.
 
     Args:
-        path: of the file.
+        path: path of the file.
         header: everything that does not change from frame to frame.
 
     Raises InputError where the folder is absent or cannot be written.

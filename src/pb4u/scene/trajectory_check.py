@@ -60,7 +60,7 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
 
     Args:
         members: arrays of the file by name, with the shapes of `_LAYOUT`; positions in [m], indices as integers.
-        path: of the file, for the refusal.
+        path: path of the file, for the refusal.
 
     Raises InputError naming the first member that does not fit.
     """

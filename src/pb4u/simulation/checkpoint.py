@@ -120,10 +120,10 @@ def save_checkpoint(
     """Write weights, normalisers and everything needed to rebuild them; the file appears whole or not at all.
 
     Args:
-        path: of the file.
+        path: path of the file.
         model: with the weights.
         configuration: network that the model was built from.
-        record: how it was trained.
+        record: record of its training.
         licence: SPDX name of the weights' licence.
 
     Raises InputError where the folder cannot be written.
@@ -147,8 +147,8 @@ def load_checkpoint(path: Path | str, name: str | None = None) -> Checkpoint:
     """Checkpoint in a file that `save_checkpoint` wrote.
 
     Args:
-        path: of the file.
-        name: of the checkpoint; the file's stem by default.
+        path: path of the file.
+        name: name of the checkpoint; the file's stem by default.
 
     Raises InputError where the file is absent, cut, foreign, of a newer format, or at odds with its own configuration.
     """

@@ -57,7 +57,7 @@ def load_simulator(
         propagation_steps: override of K for a network; None follows the paper's rule.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
-        first_frame: how frame 0 is made: "settled" by the solver, in one "long_step" of the method's own as in the
+        first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
             paper, or "auto": settled where the solver runs.
 
     Raises InputError for an unknown name, a bad file or an impossible option.

@@ -51,7 +51,7 @@ class NewtonOptions:
         substeps: equal parts that a frame is divided into; None for as many as the garment's resolution needs.
         iterations: passes over all vertices in each sub-step.
         contact_distance: distance [m] from the body at which contact begins; ours is 2 mm too.
-        contact_stiffness: of the contact springs [N/m].
+        contact_stiffness: stiffness of the contact springs [N/m].
         search_distance: distance [m] beyond that, on either side of the body's surface, within which a vertex is
             looked up.
     """

@@ -63,7 +63,7 @@ class RunSpecification:
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         propagation_steps: override of K for a network; None follows the paper's rule.
         device: "auto", "cpu" or "cuda", for networks and newton.
-        first_frame: how frame 0 is made: "settled" by the solver, or by one "long_step" of the method itself; "auto"
+        first_frame: way to make frame 0: "settled" by the solver, or by one "long_step" of the method itself; "auto"
             is settled where the solver runs.
 
     Raises:
@@ -117,7 +117,7 @@ class RunSpecification:
         """Scene, loaded, at the frame rate that the simulator has to run at.
 
         Args:
-            simulator: that is to simulate it.
+            simulator: simulator that will simulate it.
 
         Raises:
             InputError: something of the scene cannot be used.
@@ -161,10 +161,10 @@ class RunSpecification:
         """Simulate a scene that was assembled from this description.
 
         Args:
-            simulator: as `simulator` gives it.
-            scene: as `assemble` gives it.
+            simulator: the one that `simulator` gives.
+            scene: the one that `assemble` gives.
             path: trajectory file to write; as frames come, where they need no resampling. None keeps them in memory.
-            record: where the run notes its cost and how it ended.
+            record: receives the cost of the run and how it ended.
             progress: called with (frames done, frames in all), lead-in included.
 
         Returns:

@@ -51,7 +51,7 @@ class Simulator(ABC):
     """A method that moves garments.
 
     Attributes:
-        name: as the user gives it.
+        name: name that the user gives.
         fps: the frame rate it has to run at [1/s], or None where it takes any.
     """
 
@@ -66,7 +66,7 @@ class Simulator(ABC):
 
         Args:
             scene: garments and bodies.
-            record: where the run notes its cost and how it ended.
+            record: receives the cost of the run and how it ended.
         """
 
     def propagation_steps(self, scene: Scene) -> int | None:
@@ -84,7 +84,7 @@ class Simulator(ABC):
 
         Args:
             scene: garments and bodies.
-            record: where the run notes its cost and how it ended.
+            record: receives the cost of the run and how it ended.
             progress: called with (frames done, frames in all), lead-in included.
         """
         record = record or RunRecord()
@@ -122,7 +122,7 @@ class Simulator(ABC):
         Args:
             scene: garments and bodies.
             path: trajectory file to write.
-            record: where the run notes its cost and how it ended.
+            record: receives the cost of the run and how it ended.
             progress: called with (frames done, frames in all), lead-in included.
 
         Raises Pb4uError when the state stopped being finite before the first frame to write.

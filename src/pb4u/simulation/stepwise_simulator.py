@@ -43,7 +43,7 @@ class StepwiseSimulator(Simulator):
 
         Args:
             timeline: garments and bodies.
-            record: where the run notes its cost.
+            record: receives the cost of the run.
         """
 
     def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
@@ -69,7 +69,7 @@ def _written(scene: Scene, timeline: Timeline, state: State, method: StepMethod)
 
 
 class SolverSimulator(StepwiseSimulator):
-    """`--model solver`: the incremental potential minimised each frame, from free flight, then contact response.
+    """Solver of every frame (`--model solver`): minimises the incremental potential from free flight, then contact.
 
     The reference, and the floor that energies are measured from.
 
@@ -109,7 +109,7 @@ class NetworkSimulator(StepwiseSimulator):
         propagation_steps: override of K; None follows the paper's rule.
         refine: solver iterations after each step; 0 for none.
         contact: pushes out vertices left inside the body; none by default.
-        device: that the network computes on.
+        device: device that the network computes on.
         passes: evaluations of the network in a step; None is its own number.
         first_frame: makes frame 0; by default one long step of the method's own.
 

@@ -88,7 +88,7 @@ class Timeline:
         Args:
             scene: garments and bodies.
             dtype: data type of positions and static quantities.
-            device: of the arrays.
+            device: device of the arrays.
         """
         garments = pack([worn.garment for worn in scene.garments], dtype, device, [0] * len(scene.garments))
         bodies = scene.colliders

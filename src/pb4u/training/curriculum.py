@@ -22,7 +22,7 @@ class Curriculum:
         window_steps: steps of a window from each fraction on.
         collision_weight: weight [J/m^3] at each fraction, linear in between.
         learning_rate: learning rate at the start.
-        halvings: how often the rate halves over the budget, in equal stages.
+        halvings: number of times that the rate halves over the budget, in equal stages.
         rate_floor: fraction of the rate that is added throughout.
         settling_share: share of windows that begin with a settling step while windows are one step long; later all do.
 

@@ -23,7 +23,7 @@ class Workers:
     Args:
         rank: number of this process, from 0.
         count: number of processes.
-        device: that this process computes on.
+        device: device that this process computes on.
     """
 
     rank: int

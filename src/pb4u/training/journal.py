@@ -177,7 +177,7 @@ def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
 
     Args:
         lines: metrics as `RunFolder.metrics` reads them.
-        path: of the picture.
+        path: path of the picture.
     """
     steps = [line for line in lines if "total" in line]
     if not steps:

@@ -18,7 +18,7 @@ class MovingAverage:
     """Moving average of weights, which varies less than the weights of one step; shorter in the first steps.
 
     Args:
-        module: whose parameters are averaged.
+        module: module whose parameters are averaged.
         decay: share of the average that a step keeps.
     """
 

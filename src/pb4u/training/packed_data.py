@@ -49,7 +49,7 @@ class PosedClip:
         name: name of the motion, with its seed.
         split: "train" or "validation".
         body: index of the body.
-        poses: as `rounded_poses` gives them, so that a pack holds them exactly.
+        poses: poses rounded by `rounded_poses`, so that a pack holds them exactly.
     """
 
     name: str
@@ -108,7 +108,7 @@ def save_training_data(data: TrainingData, path: Path | str) -> None:
 
     Args:
         data: bodies, outfits and clips.
-        path: of the file.
+        path: path of the file.
 
     Raises InputError where the folder cannot be written.
     """

@@ -27,8 +27,8 @@ class Snapshot:
     """State of a training at one step.
 
     Args:
-        tensors: as `Learner.state` gives them.
-        counters: as `Counters.to_json` gives them.
+        tensors: (...) each as in the model, by name, as `Learner.state` gives them.
+        counters: progress, as `Counters.to_json` gives it.
     """
 
     tensors: dict[str, Tensor]
@@ -46,7 +46,7 @@ class Recovery:
     Args:
         learner: model in training.
         workers: this process and the others.
-        folder: where checkpoints are kept, or None.
+        folder: folder of the checkpoints, or None.
         journal: log of incidents.
     """
 
@@ -121,7 +121,7 @@ class Recovery:
 
         Args:
             tensors: (...) each as in the model, by name, in the units that `Learner.state` gave them.
-            counters: as `Counters.to_json` gave them.
+            counters: progress, as `Counters.to_json` gave it.
 
         Raises InputError where it is not of this configuration.
         """

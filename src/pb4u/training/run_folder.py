@@ -57,7 +57,7 @@ class RunFolder:
         """Make a new folder with its configuration.
 
         Args:
-            path: of the folder.
+            path: path of the folder.
             configuration: plain JSON data.
 
         Raises InputError where something else is in it, or it cannot be made.
@@ -122,7 +122,7 @@ class RunFolder:
 
         Args:
             tensors: (...) each as in the model, by name, in the units that `Learner.state` gives them.
-            counters: as `Counters.to_json` gives them.
+            counters: progress, as `Counters.to_json` gives it.
 
         Raises NotSavedError where it cannot be written.
         """

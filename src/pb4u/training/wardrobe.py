@@ -26,7 +26,7 @@ class Wardrobe:
 
     Args:
         data: bodies, outfits and clips.
-        device: of all arrays.
+        device: device of all arrays.
         dtype: data type of floating arrays.
     """
 
@@ -50,7 +50,7 @@ class Wardrobe:
 
         Args:
             body: index of the body.
-            poses: of that body.
+            poses: poses of that body.
         """
         return bone_transforms(self.data.bodies[body].skeleton, poses).to(self.device, self.dtype)
 

@@ -109,7 +109,7 @@ def nearest_planes(
 
     Args:
         pose: the bodies at one instant.
-        garments: whose vertices are looked up.
+        garments: pack whose vertices are looked up.
         x: (vertices, 3) [m].
         among: (vertices,) bool, the vertices to look up; the rest keep the planes of `otherwise`.
         otherwise: planes looked up before.
@@ -134,7 +134,7 @@ def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor
 
     Args:
         pose: the bodies at one instant, regions left out of contact included.
-        garments: whose vertices are looked up.
+        garments: pack whose vertices are looked up.
         x: (vertices, 3) [m].
     """
     planes = _blank(x)

@@ -34,7 +34,7 @@ def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
     """Positions (vertices, 3) [m] with vertices that the body passed over lifted, in every world whose energy falls.
 
     Args:
-        potential: of the step.
+        potential: potential of the step.
         x: (vertices, 3) [m] at its end, pinned vertices where they will be; these are left there.
     """
     step, planes = potential.step, potential.contacts.now
@@ -62,7 +62,7 @@ class TrackedContact:
     to and fro for ever.
 
     Args:
-        potential: of the step.
+        potential: potential of the step.
         start: (vertices, 3) [m] where the iterations begin.
     """
 
