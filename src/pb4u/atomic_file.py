@@ -11,7 +11,12 @@ from typing import Any
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write `content` beside `path` and move it into place. Raises OSError, leaving nothing behind."""
+    """Write a file beside its place and move it there. Raises OSError, leaving nothing behind.
+
+    Args:
+        path: path of the file.
+        content: all of its bytes.
+    """
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with open(beside, "wb") as stream:
@@ -26,7 +31,12 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def json_text(value: Any, indent: int | None = None) -> str:
-    """`value` as JSON, numbers that are not finite written as null, which every reader takes."""
+    """JSON text of a value, numbers that are not finite written as null, which every reader takes.
+
+    Args:
+        value: JSON data.
+        indent: spaces for each level; None for one line.
+    """
     return json.dumps(_finite(value), indent=indent, allow_nan=False)
 
 

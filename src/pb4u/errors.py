@@ -1,4 +1,4 @@
-"""What the program refuses, and what it only warns about."""
+"""Errors and warnings of the package."""
 
 from __future__ import annotations
 
@@ -18,7 +18,12 @@ class InputError(Pb4uError, ValueError):
 
 
 class MissingExtraError(Pb4uError, ImportError):
-    """An optional part of the package is not installed."""
+    """An optional part of the package is not installed.
+
+    Args:
+        extra: name of the missing extra.
+        purpose: feature that needs it, as the beginning of the sentence.
+    """
 
     def __init__(self, extra: str, purpose: str) -> None:
         super().__init__(f'{purpose} needs the "{extra}" extra: pip install "pb4u[{extra}]".')
@@ -30,11 +35,11 @@ class InputWarning(UserWarning):
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
-    """The refusal of a name that is none of the `known`.
+    """Error for a name that is none of the `known`, with the names nearest to it.
 
     Args:
-        kind: what was named, such as "garment".
-        name: as it was given.
+        kind: kind of thing that was named, such as "garment".
+        name: name that was given.
         known: every name there is.
     """
     names = list(known)

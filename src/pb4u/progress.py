@@ -1,4 +1,4 @@
-"""How long work tells whoever waits for it how far it is."""
+"""Progress reports of work that takes long."""
 
 from __future__ import annotations
 
@@ -9,4 +9,9 @@ Progress = Callable[[int, int], None]
 
 
 def unheard(done: int, total: int) -> None:
-    """Takes progress where nobody waits."""
+    """Ignore a progress report.
+
+    Args:
+        done: parts done.
+        total: parts in all.
+    """

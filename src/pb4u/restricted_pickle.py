@@ -55,7 +55,7 @@ class _DtypeShell(_Shell):
 
 
 def load_pickle(path: str | Path) -> Any:
-    """What a pickle file holds, if it is made of numbers, strings, collections, numpy arrays and sparse matrices.
+    """Content of a pickle file made of numbers, strings, collections, numpy arrays and sparse matrices.
 
     Chumpy objects become plain arrays; pickles of Python 2 are read as latin-1. The classes and functions that the file
     names are never called: known ones are replaced by constructors of this module, all others are refused.

@@ -22,7 +22,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import pack
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.state import State
-from pb4u.simulation.newton_cloth import hinge_stiffness, membrane_stiffness, wave_speed
+from pb4u.simulation.newton_cloth import hinge_stiffness, newton_membrane, wave_speed
 
 newton_installed = pytest.mark.skipif(find_spec("newton") is None, reason='the "newton" extra is not installed')
 
@@ -104,7 +104,7 @@ def test_pins_go_where_the_placement_says() -> None:
 def test_a_hanging_strip_stretches_by_its_weight() -> None:
     """Its mean strain is density g height / (2 E), E the two-dimensional Young's modulus of the Lame pair."""
     garment = strip(cells=4)
-    mu, lam = membrane_stiffness(MATERIAL)
+    mu, lam = newton_membrane(MATERIAL)
     young = 4 * mu * (mu + lam) / (2 * mu + lam)
     expected = MATERIAL.density * 9.81 * 0.4 / (2 * young)
     y = simulator(substeps=12, iterations=10).simulate(scene_of(garment, 16)).positions[:, :, 1]
@@ -158,7 +158,7 @@ def test_newtons_membrane_force_is_ours_at_small_strain() -> None:
     from newton import Axis, ModelBuilder
     from newton.solvers import SolverVBD
 
-    mu, lam = membrane_stiffness(MATERIAL)
+    mu, lam = newton_membrane(MATERIAL)
     builder = ModelBuilder(up_axis=Axis.Y)
     corners = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.0, 0.02, 0.0]])
     builder.add_cloth_mesh(

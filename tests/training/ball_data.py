@@ -15,7 +15,7 @@ from pb4u.garment.material import MATERIALS
 from pb4u.presets.networks import pb4u_small
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.curriculum import Curriculum
-from pb4u.training.packed_data import Clip, Outfit, TrainingData, rounded_poses
+from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
 
 
 def ball() -> ShapedBody:
@@ -40,12 +40,12 @@ def sheet(cells: int, side: float = 0.5, height: float = 0.703) -> Garment:
     return Garment("sheet", vertices, faces, MATERIALS["default"])
 
 
-def slide(split: str, speed: float, frames: int = 20) -> Clip:
+def slide(split: str, speed: float, frames: int = 20) -> PosedClip:
     rotations = np.zeros((frames, 1, 4))
     rotations[..., 0] = 1.0
     roots = np.zeros((frames, 3))
     roots[:, 0], roots[:, 1] = np.arange(frames) / 30.0 * speed, 0.5
-    return Clip(f"slide-{speed}", split, 0, rounded_poses(PoseSequence(rotations, roots, 30.0)))
+    return PosedClip(f"slide-{speed}", split, 0, rounded_poses(PoseSequence(rotations, roots, 30.0)))
 
 
 def ball_data(cells: tuple[int, ...] = (8, 12)) -> TrainingData:

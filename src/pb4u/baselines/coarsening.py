@@ -16,14 +16,16 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 REMEMBERED = 64
-"""Garments whose levels are worth keeping: more than a training's wardrobe holds, some megabytes."""
+"""Number of garments whose levels are kept: more than a training's wardrobe holds, some megabytes."""
 
 
 def coarse_levels(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> list[np.ndarray]:
-    """The undirected edges (edges, 2) int64 of `count` levels; an edge of level l spans 2^(l + 1) mesh edges or fewer.
+    """Undirected edges (edges, 2) int64 vertex indices of `count` coarse levels.
+
+    An edge of level l spans 2^(l + 1) mesh edges or fewer.
 
     Args:
-        edges: (edges, 2) int64 of the mesh, which may have several pieces.
+        edges: (edges, 2) int64 vertex indices of the mesh, which may have several pieces.
         rest_positions: (vertices, 3) [m]; they only decide between vertices that are equally central.
         count: number of levels; the last may be without edges.
     """
@@ -39,7 +41,12 @@ def coarse_levels(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> 
 
 
 def level_labels(levels: Sequence[np.ndarray], vertex_count: int) -> np.ndarray:
-    """(vertices,) int64 how many levels a vertex has edges on: 0 for one of the mesh alone."""
+    """Number of levels that each vertex has edges on, (vertices,) int64, dimensionless; 0 for the mesh alone.
+
+    Args:
+        levels: (edges, 2) int64 vertex indices of each level, from fine to coarse.
+        vertex_count: number of vertices.
+    """
     labels = np.zeros(vertex_count, dtype=np.int64)
     for number, edges in enumerate(levels, start=1):
         labels[edges.reshape(-1)] = number
@@ -47,10 +54,14 @@ def level_labels(levels: Sequence[np.ndarray], vertex_count: int) -> np.ndarray:
 
 
 def graph_centres(graph: csr_matrix, rest_positions: np.ndarray) -> list[int]:
-    """A vertex of least eccentricity of every piece that has edges.
+    """Index of a vertex of least eccentricity in every piece that has edges.
 
     Each search from a vertex bounds how eccentric all others can be (Takes and Kosters 2011): some dozens of searches
     instead of one a vertex.
+
+    Args:
+        graph: adjacency matrix (vertices, vertices).
+        rest_positions: (vertices, 3) [m]; they only decide between vertices that are equally central.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -63,7 +74,12 @@ def graph_centres(graph: csr_matrix, rest_positions: np.ndarray) -> list[int]:
 
 
 def hops_from(graph: csr_matrix, source: int) -> np.ndarray:
-    """(vertices,) int64 edges between `source` and every vertex; -1 where there is no way."""
+    """Number of edges between `source` and every vertex, (vertices,) int64, dimensionless; -1 where there is no path.
+
+    Args:
+        graph: adjacency matrix (vertices, vertices).
+        source: index of a vertex.
+    """
     from scipy.sparse.csgraph import breadth_first_order
 
     order, before = breadth_first_order(graph, source, directed=True)

@@ -50,14 +50,17 @@ CONTOURCRAFT_LAYOUT = FeatureLayout(
 
 @dataclass(frozen=True, kw_only=True)
 class ContourCraftConfiguration(NetworkConfiguration):
-    """A ContourCraft; what is not listed is as in `NetworkConfiguration`.
+    """Configuration of a ContourCraft; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
-        blocks: each over all kinds of edges.
+        blocks: number of blocks, each over all kinds of edges.
         level: coarse level used besides the mesh; its edges span 2^(level + 1) mesh edges.
-        radius: how near cloth must come to itself to be joined by edges [m]; 0 for no such edges.
-        losses: what is minimised besides the incremental potential.
+        radius: distance [m] within which cloth is joined to itself by edges; 0 for no such edges.
+        losses: losses minimised besides the incremental potential.
         layout: the columns read.
+
+    Raises:
+        InputError: a level that is not from 0 to 12, or a radius below 0.
     """
 
     blocks: int = 15
@@ -80,7 +83,11 @@ class ContourCraftConfiguration(NetworkConfiguration):
 
 
 class ContourCraft(EncodeProcessDecode):
-    """Blocks over mesh, coarse, repulsion, attraction and world edges."""
+    """Network of blocks over mesh, coarse, repulsion, attraction and world edges.
+
+    Args:
+        configuration: width, columns, level and blocks.
+    """
 
     def __init__(self, configuration: ContourCraftConfiguration) -> None:
         require_scipy("ContourCraft")
@@ -93,7 +100,12 @@ class ContourCraft(EncodeProcessDecode):
         self.blocks = nn.ModuleList(InteractionBlock(width, kinds) for _ in range(configuration.blocks))
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
-        """Normalised accelerations (garment vertices, 3); `steps` is not read."""
+        """Normalised accelerations (garment vertices, 3), dimensionless.
+
+        Args:
+            graph: with normalised features.
+            steps: not read.
+        """
         return self.decode_after(self.blocks, *self.encode(graph), graph)
 
     def derive(self, garments: PackedGarments) -> Derived:

@@ -37,14 +37,17 @@ _REMEMBERED = 16
 
 @dataclass(frozen=True, kw_only=True)
 class EslrConfiguration(NetworkConfiguration):
-    """A reconstruction of ESLR; what is not listed is as in `NetworkConfiguration`.
+    """Configuration of a reconstruction of ESLR; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
-        layers: each one message passing beside one attention.
-        landmarks: vertices of a garment that attention runs over; 0 for no attention at all.
-        heads: of attention; they divide the width.
+        layers: number of layers, each one message passing beside one attention.
+        landmarks: number of vertices of a garment that attention runs over; 0 for no attention at all.
+        heads: number of attention heads; it divides the width.
         geodesic_scale: length that geodesic distances are measured in [m].
         layout: the columns read.
+
+    Raises:
+        InputError: landmarks below 0, a scale that is not above 0, or heads that do not divide the width.
     """
 
     layers: int = 8
@@ -67,7 +70,11 @@ class EslrConfiguration(NetworkConfiguration):
 
 
 class Eslr(EncodeProcessDecode):
-    """Layers of local message passing beside attention over landmarks."""
+    """Network of layers of local message passing beside attention over landmarks.
+
+    Args:
+        configuration: width, columns, layers and attention.
+    """
 
     def __init__(self, configuration: EslrConfiguration) -> None:
         require_scipy("ESLR")
@@ -78,7 +85,12 @@ class Eslr(EncodeProcessDecode):
         self.layers = nn.ModuleList(_Layer(configuration) for _ in range(configuration.layers))
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
-        """Normalised accelerations (garment vertices, 3); `steps` is not read."""
+        """Normalised accelerations (garment vertices, 3), dimensionless.
+
+        Args:
+            graph: with normalised features.
+            steps: not read.
+        """
         nodes, edges = self.encode(graph)
         for layer in self.layers:
             nodes, edges = layer(nodes, edges, graph)
@@ -106,7 +118,7 @@ class _Layer(nn.Module):
         self.local = InteractionBlock(width, ("mesh", "world"))
         self.smoothed = MLP(width, width, width, norm=True)
         self.distant: nn.Module = (
-            GeodesicAttention(width, configuration.heads) if configuration.landmarks else Nothing()
+            GeodesicAttention(width, configuration.heads) if configuration.landmarks else NoAttention()
         )
         self.fusion = SplitMLP((width, width), width, width, norm=True)
 
@@ -121,21 +133,26 @@ class _Layer(nn.Module):
 
 
 def _neighbour_mean(nodes: Tensor, latents: Tensor, graph: Graph) -> Tensor:
-    """(vertices, width) mean of v_j + e_ij over the mesh neighbours j of each vertex i; 0 where it has none."""
+    """Mean (vertices, width) of v_j + e_ij over the mesh neighbours j of each vertex i; 0 where it has none."""
     mesh = graph.edges["mesh"]
     total = segment_sum(gather(nodes, mesh.senders) + latents, mesh.receivers)
     return total / mesh.degrees().to(total).clamp_min(1.0)
 
 
-class Nothing(nn.Module):
-    """In attention's place where there is none."""
+class NoAttention(nn.Module):
+    """Zeros in the place of attention, for a configuration without landmarks."""
 
     def forward(self, values: Tensor, graph: Graph) -> Tensor:
         return torch.zeros_like(values)
 
 
 class GeodesicAttention(nn.Module):
-    """Landmarks attend to each other, then every vertex to them; scores have a learned bias of the distance."""
+    """Attention of landmarks to each other, then of every vertex to them; scores have a learned bias of the distance.
+
+    Args:
+        width: number of columns of the latents.
+        heads: number of attention heads; it divides the width.
+    """
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -144,7 +161,12 @@ class GeodesicAttention(nn.Module):
         self.collect, self.spread = _Attention(width, heads), _Attention(width, heads)
 
     def forward(self, values: Tensor, graph: Graph) -> Tensor:
-        """(vertices, width) of garment latents `values` (vertices, width), garment by garment."""
+        """Latents (vertices, width), dimensionless, after attention within each garment.
+
+        Args:
+            values: (vertices, width) [1] latents of the garments.
+            graph: with landmarks and geodesic distances in `Graph.rest`.
+        """
         values = self.norm(values)
         landmarks, geodesics, offsets = graph.rest[LANDMARKS], graph.rest[GEODESICS].to(values), graph.vertex_offsets
         results = []
@@ -173,7 +195,7 @@ class _Attention(nn.Module):
         self.output = nn.Linear(width, width)
 
     def forward(self, queries: Tensor, tokens: Tensor, distances: Tensor) -> Tensor:
-        """(queries, width), given latents and the distances (queries, tokens) in units of the scale."""
+        """Latents (queries, width), given latents and the distances (queries, tokens) in units of the scale."""
         q, k, v = (self._split(values) for values in (self.query(queries), self.key(tokens), self.value(tokens)))
         bias = self.bias(distances[..., None]).permute(2, 0, 1).contiguous()
         mixed = F.scaled_dot_product_attention(q[None], k[None], v[None], attn_mask=bias[None])[0]
@@ -184,14 +206,14 @@ class _Attention(nn.Module):
 
 
 def geodesic_landmarks(edges: np.ndarray, rest_positions: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Farthest-point landmarks (count,) int64 and shortest ways along edges to them (vertices, count) float32 [m].
+    """Farthest-point landmarks (count,) int64 and shortest paths along edges to them (vertices, count) float32 [m].
 
     The first is the vertex farthest from the middle, each next the one farthest from those before, so that every piece
-    gets one while they last. A way that does not exist counts twice the longest that does. Where there are fewer
+    gets one while they last. A path that does not exist counts twice the longest that does. Where there are fewer
     vertices than landmarks, the rest of the landmarks are -1 and infinitely far.
 
     Args:
-        edges: (edges, 2) int64 of the mesh.
+        edges: (edges, 2) int64 vertex indices of the mesh.
         rest_positions: (vertices, 3) [m].
         count: number of landmarks.
     """

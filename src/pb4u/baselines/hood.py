@@ -31,16 +31,22 @@ class LevelChoice(Protocol):
     """A rule for the two coarse levels that a garment uses."""
 
     def levels(self, mean_edge_length: float) -> tuple[int, int]:
-        """The near and the far one, for a mean rest edge length [m]; an edge of level l spans 2^(l + 1) mesh edges."""
+        """Numbers of the near and the far level for a garment of `mean_edge_length` [m] at rest.
+
+        An edge of level l spans 2^(l + 1) mesh edges.
+        """
 
 
 @dataclass(frozen=True)
 class LevelsByHops:
-    """HOOD's own: the same levels at every resolution, so that they shrink in metres as meshes get finer.
+    """HOOD's own rule: the same levels at every resolution, so that they shrink in metres as meshes get finer.
 
     Args:
-        near: the finer level, counted from 0.
-        far: the coarser one.
+        near: number of the finer level, counted from 0.
+        far: number of the coarser level.
+
+    Raises:
+        InputError: the levels do not rise from 0 to at most 12.
     """
 
     near: int = 0
@@ -56,11 +62,14 @@ class LevelsByHops:
 
 @dataclass(frozen=True)
 class LevelsByLength:
-    """Levels whose edges are about as long in metres at every resolution; our own, not published.
+    """Rule for levels whose edges are about as long in metres at every resolution; our own, not published.
 
     Args:
         near: length of the finer level's edges [m]; HOOD's at the 15 mm of its training meshes by default.
         far: length of the coarser level's edges [m].
+
+    Raises:
+        InputError: the lengths do not rise from above 0.
     """
 
     near: float = 0.03
@@ -78,11 +87,11 @@ class LevelsByLength:
 
 @dataclass(frozen=True, kw_only=True)
 class HoodConfiguration(NetworkConfiguration):
-    """A HOOD; what is not listed is as in `NetworkConfiguration`.
+    """Configuration of a HOOD; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
         repeats: blocks of each of the five stages; 3 in the paper, 15 blocks together.
-        choice: which coarse levels.
+        choice: rule for the coarse levels.
         layout: the columns read; coarse edges have those of mesh edges.
     """
 
@@ -96,7 +105,11 @@ class HoodConfiguration(NetworkConfiguration):
 
 
 class Hood(EncodeProcessDecode):
-    """Blocks over one or two levels at a time. Every vertex keeps one latent, whatever the level."""
+    """Network of blocks over one or two levels at a time; every vertex keeps one latent, whatever the level.
+
+    Args:
+        configuration: width, columns, levels and blocks.
+    """
 
     def __init__(self, configuration: HoodConfiguration) -> None:
         require_scipy("HOOD")
@@ -109,7 +122,12 @@ class Hood(EncodeProcessDecode):
         self.blocks = nn.ModuleList(InteractionBlock(width, (*kinds, "world")) for kinds in self.schedule)
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
-        """Normalised accelerations (garment vertices, 3); `steps` is not read."""
+        """Normalised accelerations (garment vertices, 3), dimensionless.
+
+        Args:
+            graph: with normalised features.
+            steps: not read.
+        """
         nodes, edges = self.encode(graph)
         masks = [_level_masks(graph, depth) for depth in range(3)]
         saved: list[dict[str, Tensor]] = []

@@ -22,10 +22,11 @@ MESH_GRAPH_LAYOUT = FeatureLayout(
 
 @dataclass(frozen=True, kw_only=True)
 class MeshGraphNetConfiguration(NetworkConfiguration):
-    """A MeshGraphNet; what is not listed is as in `NetworkConfiguration`.
+    """Configuration of a MeshGraphNet; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
-        blocks: each passes messages one mesh edge further; 15, and 48 for HOOD's reach, in the family's tables.
+        blocks: number of blocks, each passing messages one mesh edge further; 15, and 48 for HOOD's reach, in the
+            family's tables.
         layout: the columns read; absolute edge vectors and lengths by default.
     """
 
@@ -38,7 +39,11 @@ class MeshGraphNetConfiguration(NetworkConfiguration):
 
 
 class MeshGraphNet(EncodeProcessDecode):
-    """Blocks over mesh and world edges."""
+    """Network of blocks over mesh and world edges.
+
+    Args:
+        configuration: width, columns and blocks.
+    """
 
     def __init__(self, configuration: MeshGraphNetConfiguration) -> None:
         super().__init__(configuration)
@@ -47,5 +52,10 @@ class MeshGraphNet(EncodeProcessDecode):
         self.blocks = nn.ModuleList(InteractionBlock(width, ("mesh", "world")) for _ in range(configuration.blocks))
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
-        """Normalised accelerations (garment vertices, 3); `steps` is not read."""
+        """Normalised accelerations (garment vertices, 3), dimensionless.
+
+        Args:
+            graph: with normalised features.
+            steps: not read.
+        """
         return self.decode_after(self.blocks, *self.encode(graph), graph)

@@ -1,4 +1,4 @@
-"""What the baselines derive from the meshes of a pack at rest, remembered: trainings prepare the same garments anew."""
+"""Cache of data derived from the meshes of a pack at rest: trainings prepare the same garments again and again."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ T = TypeVar("T")
 
 
 class MeshMemory(Generic[T]):
-    """The latest results of a function of a mesh and a count; meshes are told apart by their content.
+    """Cache of the latest results of a function of a mesh and a count; meshes are told apart by their content.
 
     Args:
         derive: called with edges (edges, 2) int64, rest positions (vertices, 3) [m] and the count.
-        remembered: how many results are kept.
+        remembered: number of results that are kept.
     """
 
     def __init__(self, derive: Callable[[np.ndarray, np.ndarray, int], T], remembered: int) -> None:
@@ -33,7 +33,13 @@ class MeshMemory(Generic[T]):
         self._results: OrderedDict[bytes, T] = OrderedDict()
 
     def of(self, garments: PackedGarments, garment: int, count: int) -> T:
-        """The result for one garment of a pack, its vertices numbered within it."""
+        """Result for one garment of a pack, its vertices numbered within it.
+
+        Args:
+            garments: the pack.
+            garment: index of the garment.
+            count: third argument of `derive`.
+        """
         start, stop = garments.vertex_offsets[garment : garment + 2]
         edges = garments.edges[garments.edge_garment == garment].cpu().numpy() - start
         rest = garments.rest_positions[start:stop].to(torch.float64).cpu().numpy()
@@ -49,11 +55,13 @@ class MeshMemory(Generic[T]):
 def packed_levels(
     garments: PackedGarments, levels: Sequence[Sequence[np.ndarray]], kinds: Sequence[str]
 ) -> tuple[dict[str, Tensor], Tensor]:
-    """Edges (edges, 2) int64 of the pack by kind, and (vertices,) int64 how many levels each vertex has edges on.
+    """Edges (edges, 2) int64 vertex indices of the pack by kind, and the number of levels at each vertex (vertices,).
+
+    The number is int64: of the coarse levels that the vertex has edges on.
 
     Args:
         garments: the pack.
-        levels: edges (edges, 2) int64 of each garment's coarse levels, from fine to coarse, numbered within it.
+        levels: edges (edges, 2) int64 indices of each garment's coarse levels, from fine to coarse, numbered within it.
         kinds: names of the last levels of each garment.
     """
     spans = list(pairwise(garments.vertex_offsets))
@@ -65,6 +73,6 @@ def packed_levels(
 
 
 def require_scipy(method: str) -> None:
-    """Raises InputError where scipy, which a machine that only trains may lack, is not installed."""
+    """Refuse a `method` where scipy, which a machine that only trains may lack, is not installed: raises InputError."""
     if find_spec("scipy") is None:
         raise InputError(f"{method} needs scipy, which is not installed here; `pip install scipy` adds it.")

@@ -1,4 +1,4 @@
-"""Contact of cloth with itself, as ContourCraft has it: edges (reference 6.1) and what is minimised (reference 6.3)."""
+"""Contact of cloth with itself, as ContourCraft has it: edges (reference 6.1) and losses (reference 6.3)."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ REPULSION, ATTRACTION = "repulsion", "attraction"
 
 
 class PackProximity:
-    """Finds where each garment of a pack is close to itself; edges and losses share one.
+    """Searches for places where each garment of a pack is close to itself; edges and losses share one.
 
     Args:
         garments: the pack.
 
     Attributes:
         garments: the pack.
-        spans: vertices of each garment in the pack.
-        finders: of each garment, on vertices numbered within it.
+        spans: rows of the vertices of each garment in the pack.
+        finders: search of each garment, on vertices numbered within it.
     """
 
     def __init__(self, garments: PackedGarments) -> None:
@@ -53,7 +53,7 @@ class SelfProximityEdges:
         self._pack, self._radius = pack, radius
 
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:
-        """Repulsion and attraction edges (edges, 2) int64 of the pack, each pair of vertices once a kind.
+        """Repulsion and attraction edges (edges, 2) int64 vertex indices of the pack, each pair once a kind.
 
         Args:
             positions: (vertices, 3) [m].
@@ -90,7 +90,7 @@ class Ramp:
     most: float
 
     def at(self, progress: float) -> float:
-        """The weight at a fraction of the budget."""
+        """Weight at a fraction `progress` of the budget, in the unit of `most`."""
         points = (self.start, self.stop)
         stage = bisect_right(points, progress)
         return (0.0, self.most * (progress - self.start) / max(self.stop - self.start, 1e-12), self.most)[stage]
@@ -100,7 +100,7 @@ class Ramp:
 class Repulsion:
     """Sum over vertices and the faces they stand over of w A_i / A_ref max(eps - s d, 0)^3 [J].
 
-    d is the height over the face's plane after the step, s its sign before it: who was outside stays outside. The
+    d is the height over the face's plane after the step, s its sign before it, so that a vertex stays on its side. The
     vertex area A_i over `reference_area` makes it the same at every resolution, as our collisions are.
 
     Args:
@@ -117,7 +117,15 @@ class Repulsion:
     name = "repulsion"
 
     def energy(self, pack: PackProximity, garment: int, weight: float, before: Tensor, after: Tensor) -> Tensor:
-        """The loss of one garment [J]; arguments as in `ContourLength.energy`."""
+        """Loss of one garment, a scalar [J], differentiable with respect to `after`.
+
+        Args:
+            pack: the garments.
+            garment: index of the garment.
+            weight: w at this point of the training [J/m^3].
+            before: (vertices, 3) positions of the pack before the step [m].
+            after: (vertices, 3) positions of the pack after it [m].
+        """
         proximity, own = pack.finders[garment], pack.spans[garment]
         facing = proximity.find(before[own].detach().to("cpu", torch.float64).numpy(), self.reach)
         kept = ~facing.passed
@@ -138,7 +146,7 @@ class Repulsion:
 
 @dataclass(frozen=True)
 class ContourLength:
-    """w times the squared lengths of the segments in which the cloth intersects itself after the step [J].
+    """Sum of w times the squared lengths of the segments in which the cloth intersects itself after the step [J].
 
     Only the places along the edges where they cross faces are differentiated; the ends of the edges are taken as fixed
     (reference 6.3).
@@ -151,12 +159,12 @@ class ContourLength:
     name = "contours"
 
     def energy(self, pack: PackProximity, garment: int, weight: float, before: Tensor, after: Tensor) -> Tensor:
-        """The loss of one garment [J], differentiable with respect to `after`.
+        """Loss of one garment, a scalar [J], differentiable with respect to `after`.
 
         Args:
             pack: the garments.
-            garment: which of them.
-            weight: w at this point of the training.
+            garment: index of the garment.
+            weight: w at this point of the training [J/m^2].
             before: (vertices, 3) positions of the pack before the step [m].
             after: (vertices, 3) positions of the pack after it [m].
         """
@@ -168,7 +176,7 @@ class SelfContactLoss:
     """A loss of self-contact, for the garments of one pack; see `FurtherLoss`.
 
     Args:
-        loss: of one garment.
+        loss: loss of one garment.
         pack: the garments.
     """
 
@@ -188,9 +196,13 @@ class SelfContactLoss:
 
 
 def squared_contour_length(finder: ContourFinder, positions: Tensor) -> Tensor:
-    """Sum of the squared lengths [m^2] of all segments at `positions` (vertices, 3) [m], in float64.
+    """Sum of the squared lengths of all intersection segments, a float64 scalar [m^2].
 
     Differentiable as `ContourLength` says.
+
+    Args:
+        finder: finds the segments of one garment.
+        positions: (vertices, 3) [m] of that garment.
     """
     positions = positions.to(torch.float64)
     contours = finder.find(positions.detach().cpu().numpy())

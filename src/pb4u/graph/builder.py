@@ -1,4 +1,4 @@
-"""From the state of garments and bodies to the graph of one time step."""
+"""Builds the graph of one time step from the state of garments and bodies."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class EdgeFinder(Protocol):
     """Finds edges between garment vertices anew at every step, such as those of cloth that comes near itself."""
 
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:
-        """Undirected edges (edges, 2) int64 between vertices of one garment, by kind; empty kinds are named as well.
+        """Undirected edges (edges, 2) int64 vertex indices within one garment, by kind; empty kinds are named as well.
 
         Args:
             positions: (vertices, 3) [m].
@@ -48,10 +48,10 @@ class GraphBuilder:
 
     Args:
         static: mesh edges and rest-state features.
-        layout: which columns to make.
-        world_edges: which body vertices a garment vertex sees.
-        finder: of edges that change from step to step.
-        rest: handed on to every graph (`Graph.rest`).
+        layout: columns to make.
+        world_edges: rule for the body vertices that a garment vertex has edges to.
+        finder: finds the edges that change from step to step.
+        rest: tensors handed on to every graph (`Graph.rest`), by name.
     """
 
     static: GarmentGraph
@@ -62,6 +62,7 @@ class GraphBuilder:
 
     @property
     def dtype(self) -> torch.dtype:
+        """Data type of the features."""
         return self.static.incident_length.dtype
 
     def build(
@@ -72,14 +73,14 @@ class GraphBuilder:
         origin: Tensor | None = None,
         extra: Mapping[str, Tensor] | None = None,
     ) -> Graph:
-        """The graph at `state`.
+        """Graph of the time step that leaves `state`.
 
         Args:
             state: packed garments at time t.
             collider: bodies around t; None where there are none.
             dt: time step [s].
             origin: (3,) subtracted from all positions before they are rounded to the graph's precision [m].
-            extra: (vertices, width) node features that the layout names as `extra`.
+            extra: (vertices, width) node features that the layout names as `extra`, each in the unit of its `Feature`.
 
         Raises:
             InputError: an extra feature of the layout is absent or of another width.

@@ -19,13 +19,13 @@ class Feature:
     """One named group of columns.
 
     Args:
-        name: how layouts refer to it.
+        name: name in layouts.
         width: number of columns.
         unit: SI unit, "1" where it has none.
         normalised: whether running statistics centre and scale it.
         typical: usual spread, taken where there are no statistics yet; spreads below a hundredth of it are raised to
             that.
-        source: what it is and where the definition comes from; for the reader, so not compared.
+        source: meaning and origin of the definition; for the reader, so not compared.
     """
 
     name: str
@@ -43,10 +43,10 @@ def _index(*features: Feature) -> dict[str, Feature]:
 DT = Feature("dt", 1, "1", False, 1.0, "log(dt / (1/30 s)); a constant dt would leave a running spread of zero")
 
 NODE_FEATURES = _index(
-    Feature("velocity", 3, "m/step", True, 1e-2, "garment: velocity x dt; body: now - previous frame (ref. 1.2)"),
-    Feature("normal", 3, "1", True, 0.6, "area-weighted unit vertex normal (ref. 1.2)"),
+    Feature("velocity", 3, "m/step", True, 1e-2, "garment: velocity x dt; body: now - previous frame (reference 1.2)"),
+    Feature("normal", 3, "1", True, 0.6, "area-weighted unit vertex normal (reference 1.2)"),
     Feature("areal_density", 1, "1", False, 1.0, "log areal density, [0, 1] over the training range; -1 on the body"),
-    Feature("vertex_mass", 1, "log kg", True, 2.0, "log vertex mass, -1 on the body: the released form (ref. 1.2)"),
+    Feature("vertex_mass", 1, "log kg", True, 2.0, "log vertex mass, -1 on the body: released form (reference 1.2)"),
     Feature("material", 3, "1", False, 1.0, "bending, mu, lambda, [0, 1] over the training range; -1 on the body"),
     DT,
 )
@@ -56,27 +56,25 @@ MESH_EDGE_FEATURES = _index(
     Feature("rest_direction", 3, "1", True, 0.6, "the same at rest (paper, edge feature 2)"),
     Feature("length_ratio", 1, "1", True, 0.1, "length now / length at rest (paper, edge feature 3)"),
     DT,
-    Feature("material", 3, "1", False, 1.0, "mean of both ends' bending, mu, lambda (ref. 1.2, release)"),
-    Feature("relative_position", 3, "m", True, 1e-2, "sender - receiver, now: fine15 and HOOD (ref. 1.2)"),
+    Feature("material", 3, "1", False, 1.0, "mean of both ends' bending, mu, lambda (reference 1.2, release)"),
+    Feature("relative_position", 3, "m", True, 1e-2, "sender - receiver, now: fine15 and HOOD (reference 1.2)"),
     Feature("length", 1, "m", True, 1e-2, "its norm: fine15 and HOOD"),
     Feature("rest_relative_position", 3, "m", True, 1e-2, "sender - receiver at rest: fine15 and HOOD"),
     Feature("rest_length", 1, "m", True, 1e-2, "its norm: fine15 and HOOD"),
 )
 
 WORLD_EDGE_FEATURES = _index(
-    Feature("relative_now", 3, "m", True, 1e-2, "receiver - sender, both now (ref. 1.2)"),
+    Feature("relative_now", 3, "m", True, 1e-2, "receiver - sender, both now (reference 1.2)"),
     Feature("distance_now", 1, "m", True, 1e-2, "its norm"),
-    Feature("relative_next", 3, "m", True, 1e-2, "receiver - sender, garment now and body next (ref. 1.2)"),
+    Feature("relative_next", 3, "m", True, 1e-2, "receiver - sender, garment now and body next (reference 1.2)"),
     Feature("distance_next", 1, "m", True, 1e-2, "its norm"),
-    Feature(
-        "relative_velocity", 3, "m/step", True, 1e-2, "garment's velocity - body's to come: ContourCraft (ref. 6.1)"
-    ),
+    Feature("relative_velocity", 3, "m/step", True, 1e-2, "garment's velocity - body's next one (reference 6.1)"),
     Feature("relative_speed", 1, "m/step", True, 1e-2, "its norm: ContourCraft"),
     DT,
 )
 
 FOUND_EDGE_FEATURES = _index(
-    Feature("relative_position", 3, "m", True, 1e-2, "sender - receiver, now (ref. 6.1)"),
+    Feature("relative_position", 3, "m", True, 1e-2, "sender - receiver, now (reference 6.1)"),
     Feature("length", 1, "m", True, 1e-2, "its norm"),
     Feature("previous_relative_position", 3, "m", True, 1e-2, "sender - receiver, a step before"),
     Feature("previous_length", 1, "m", True, 1e-2, "its norm"),
@@ -107,13 +105,13 @@ ADVANCE = Feature("advance", 3, "cm/step^2", False, 1.0, "acceleration from free
 
 @dataclass(frozen=True)
 class MaterialRange:
-    """Where materials are mapped to [0, 1]: the training range (ref. 1.7).
+    """Ranges of material parameters that are mapped to [0, 1]: those of training (reference 1.7).
 
     Args:
-        density: [kg/m^2].
-        lame_mu: [Pa].
-        lame_lambda: [Pa].
-        bending: [J].
+        density: lowest and highest [kg/m^2].
+        lame_mu: lowest and highest [Pa].
+        lame_lambda: lowest and highest [Pa].
+        bending: lowest and highest [J].
     """
 
     density: tuple[float, float] = (0.0434, 0.7)
@@ -124,16 +122,19 @@ class MaterialRange:
 
 @dataclass(frozen=True)
 class FeatureLayout:
-    """Which columns a network reads, in order.
+    """Columns that a network reads, in order.
 
     Args:
         node: names from `NODE_FEATURES`.
         mesh_edge: names from `MESH_EDGE_FEATURES`.
         world_edge: names from `WORLD_EDGE_FEATURES`.
-        extra: further node features that the caller hands over by name; zero on the body.
-        material_range: where materials are mapped to [0, 1].
+        extra: further node features, given to the builder by name; zero on the body.
+        material_range: ranges of material parameters that are mapped to [0, 1].
         found_edge: names from `FOUND_EDGE_FEATURES`, for edges found anew at every step between garment vertices that
             come near each other.
+
+    Raises:
+        InputError: a name that its table does not have.
     """
 
     node: tuple[str, ...] = ("velocity", "normal", "dt", "areal_density", "material")
@@ -150,7 +151,7 @@ class FeatureLayout:
                     raise InputError(f"There is no {label} feature {name!r}; there are: {', '.join(table)}.")
 
     def columns(self, table: str) -> tuple[Feature, ...]:
-        """The chosen features of one of `TABLES`, with the extra ones of the nodes."""
+        """Chosen features of one of `TABLES`; those of the nodes with the extra ones."""
         chosen = tuple(TABLES[table][name] for name in getattr(self, table))
         return (*chosen, *self.extra) if table == "node" else chosen
 
@@ -161,10 +162,10 @@ def total_width(columns: tuple[Feature, ...]) -> int:
 
 
 def map_log(values: Tensor, limits: tuple[float, float]) -> Tensor:
-    """Values on a log scale, limits[0] -> 0 and limits[1] -> 1, kept within [-1, 2].
+    """Dimensionless values (...) on a log scale, limits[0] -> 0 and limits[1] -> 1, clamped to [-1, 2].
 
     Args:
-        values: of any shape, 0 or more.
+        values: (...) of any unit, 0 or more.
         limits: both above 0, in the unit of the values.
     """
     low, high = (float(torch.tensor(limit, dtype=torch.float64).log()) for limit in limits)
@@ -172,10 +173,10 @@ def map_log(values: Tensor, limits: tuple[float, float]) -> Tensor:
 
 
 def map_linear(values: Tensor, limits: tuple[float, float]) -> Tensor:
-    """Values on a linear scale, limits[0] -> 0 and limits[1] -> 1, kept within [-1, 2].
+    """Dimensionless values (...) on a linear scale, limits[0] -> 0 and limits[1] -> 1, clamped to [-1, 2].
 
     Args:
-        values: of any shape.
+        values: (...) of any unit.
         limits: in the unit of the values.
     """
     return ((values - limits[0]) / (limits[1] - limits[0])).clamp(-1.0, 2.0)

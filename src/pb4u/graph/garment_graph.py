@@ -20,7 +20,7 @@ class GarmentEdges:
 
     Args:
         senders: vertex at the start of each directed edge.
-        receivers: vertex at its end.
+        receivers: vertex at the end of each.
         rest_vector: (edges, 3) sender - receiver at rest [m].
         rest_length: (edges, 1) [m].
         inverse_rest_length: (edges, 1) [1/m].
@@ -42,7 +42,7 @@ class GarmentGraph:
     """Static nodes and edges of packed garments.
 
     Args:
-        edges: by name; "mesh" always, and what a network adds, such as "coarse".
+        edges: edges by kind; "mesh" always, and those that a network adds, such as "coarse".
         node_types: (vertices,) int64 `NodeType`.
         node_owner: (vertices,) int64 garment.
         node_world: (vertices,) int64 world.
@@ -50,10 +50,10 @@ class GarmentGraph:
         vertex_mass: (vertices, 1) log of the vertex mass [kg].
         node_material: (vertices, 3) bending, mu, lambda mapped to [0, 1].
         incident_length: (vertices,) mean rest length of the mesh edges at each vertex [m].
-        mean_edge_lengths: of each garment [m].
+        mean_edge_lengths: mean rest edge length of each garment [m].
         vertex_offsets: first vertex of each garment, and the total.
         world_offsets: first vertex of each world, and the total.
-        faces: (faces, 3) int64.
+        faces: (faces, 3) int64 vertex indices.
     """
 
     edges: dict[str, GarmentEdges]
@@ -76,13 +76,13 @@ def garment_graph(
     dtype: torch.dtype = torch.float32,
     further_edges: Mapping[str, Tensor] | None = None,
 ) -> GarmentGraph:
-    """The static graph of garments, on their device.
+    """Static graph of garments, on their device.
 
     Args:
         garments: the pack.
-        material_range: where materials are mapped to [0, 1].
-        dtype: of the floating arrays.
-        further_edges: undirected edges (edges, 2) int64 between vertices of one garment beyond its mesh, by name.
+        material_range: ranges of material parameters that are mapped to [0, 1].
+        dtype: data type of the floating arrays.
+        further_edges: undirected edges (edges, 2) int64 vertex indices within one garment beyond its mesh, by name.
     """
     material = _vertex_material(garments, material_range)
     pairs = {"mesh": garments.edges, **(further_edges or {})}

@@ -1,4 +1,4 @@
-"""What a network sees of one time step: typed nodes and edges with their features. No weights, no positions."""
+"""Graph of one time step, as a network reads it: typed nodes and edges with their features, without positions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GARMENT, BODY = "garment", "body"
 
 
 class NodeType(IntEnum):
-    """What a node is."""
+    """Kind of a node: free garment vertex, body vertex or pinned garment vertex."""
 
     GARMENT = 0
     BODY = 1
@@ -27,7 +27,7 @@ class NodeSet:
     """Nodes of one mesh kind.
 
     Args:
-        features: (nodes, columns).
+        features: (nodes, columns), each column in the unit of its `Feature`.
         types: (nodes,) int64 `NodeType`.
         world: (nodes,) int64 world that each node belongs to.
     """
@@ -42,9 +42,9 @@ class EdgePiece:
     """A run of edges that holds all edges of a run of receivers.
 
     Args:
-        edges: where they are in the edge set.
-        senders: one end; only its `index` may be read of a piece that is not the whole.
-        receivers: the other, numbered from the first receiver of the run.
+        edges: rows of the edge set.
+        senders: nodes at the start of the edges; of a piece that is not the whole, only `index` may be read.
+        receivers: nodes at the end of the edges, numbered from the first receiver of the run.
     """
 
     edges: slice
@@ -57,13 +57,13 @@ class EdgeSet:
     """Directed edges of one kind, in ascending order of receiver.
 
     Args:
-        kind: which weights treat them: mesh, world, or what a network adds (coarse levels, repulsion, attraction).
+        kind: name of their weights: mesh, world, or one that a network adds (coarse levels, repulsion, attraction).
         sender_set: name of the node set they start from.
         receiver_set: name of the node set they end in.
         senders: node at the start of each edge.
         receivers: node at the end of each edge.
-        features: (edges, columns).
-        columns: which table the features are of: "mesh_edge", "world_edge" or "found_edge".
+        features: (edges, columns), each column in the unit of its `Feature`.
+        columns: table that the features are from: "mesh_edge", "world_edge" or "found_edge".
     """
 
     kind: str
@@ -76,22 +76,26 @@ class EdgeSet:
 
     @property
     def edge_count(self) -> int:
+        """Number of directed edges."""
         return self.receivers.index.shape[0]
 
     def pieces(self) -> tuple[EdgePiece, ...]:
-        """All edges as one piece while gradients are recorded, else run by run."""
+        """Edges as one piece while gradients are recorded, else run by run."""
         if torch.is_grad_enabled() or len(self.receivers.runs) < 2:
             return (EdgePiece(slice(0, self.edge_count), self.senders, self.receivers),)
         return tuple(self._piece(edges, nodes) for edges, nodes in self.receivers.runs)
 
     def degrees(self) -> Tensor:
-        """(receivers, 1) number of edges that end at each receiver."""
+        """Number of edges that end at each receiver, (receivers, 1), dimensionless."""
         return self.receivers.offsets.diff().to(self.features.dtype)[:, None]
 
     def restrict(self, nodes: Sequence[Span]) -> EdgeSet:
-        """Only the edges that end in the given spans of receivers, which are renumbered.
+        """Edges that end in the given spans of receivers, which are renumbered.
 
         Senders of the same set must lie in the same spans and are renumbered with them; others keep their numbers.
+
+        Args:
+            nodes: spans of receivers to keep.
         """
         offsets, limits = self.receivers.offsets, [bound for span in nodes for bound in span]
         ends = offsets[torch.tensor(limits, device=offsets.device)].tolist()
@@ -119,7 +123,7 @@ class Graph:
         nodes: node sets by name: "garment", and "body" where a body is near.
         edges: edge sets by name: "mesh", what a network adds ("coarse"), "body_to_garment", "garment_to_body".
         vertex_offsets: first garment node of each garment, and the total.
-        rest: what the network derived once from the garments at rest (`Derived.rest`).
+        rest: tensors that the network derived once from the garments at rest (`Derived.rest`), by name.
     """
 
     nodes: dict[str, NodeSet]
@@ -128,7 +132,12 @@ class Graph:
     rest: Mapping[str, Tensor] = field(default_factory=dict)
 
     def with_features(self, nodes: dict[str, Tensor], edges: dict[str, Tensor]) -> Graph:
-        """The same graph with other features, by name of the set."""
+        """Copy of the graph with other features.
+
+        Args:
+            nodes: (nodes, columns) features of each node set by name, normalised ones dimensionless [1].
+            edges: (edges, columns) features of each edge set by name, likewise [1].
+        """
         return replace(
             self,
             nodes={name: replace(node_set, features=nodes[name]) for name, node_set in self.nodes.items()},

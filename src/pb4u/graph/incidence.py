@@ -1,4 +1,4 @@
-"""Which node each edge touches, and which edges each node touches."""
+"""Incidence of edges and nodes: the node at each edge's end, and the edges at each node."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ class Incidence:
 
     @property
     def node_count(self) -> int:
+        """Number of nodes."""
         return self.offsets.shape[0] - 1
 
     @cached_property
@@ -39,7 +40,7 @@ class Incidence:
         return edge_runs(self.offsets)
 
     def restrict(self, edges: Sequence[Span], nodes: Sequence[Span]) -> Incidence:
-        """Only the given spans, renumbered.
+        """Incidence of the given spans alone, renumbered.
 
         Args:
             edges: spans of edges, each touching exactly the span of nodes beside it.
@@ -57,7 +58,12 @@ class Incidence:
 
 
 def incidence(index: Tensor, node_count: int) -> Incidence:
-    """The incidence of edges that end at `index` (edges,) int64 among `node_count` nodes."""
+    """Incidence of one end of a list of edges.
+
+    Args:
+        index: (edges,) int64 node at that end of each edge.
+        node_count: number of nodes.
+    """
     ordered, order = torch.sort(index, stable=True)
     nodes = torch.arange(node_count + 1, device=index.device)
     return Incidence(index, torch.searchsorted(ordered, nodes), order)
@@ -67,7 +73,7 @@ def both_directions(pairs: Tensor, node_count: int) -> tuple[Incidence, Incidenc
     """Senders and receivers of undirected edges, both ways, in ascending order of receiver, then of sender.
 
     Args:
-        pairs: (edges, 2) int64, each edge once.
+        pairs: (edges, 2) int64 node indices, each edge once.
         node_count: number of nodes.
     """
     both = torch.cat([pairs, pairs.flip(1)])
@@ -78,11 +84,11 @@ def both_directions(pairs: Tensor, node_count: int) -> tuple[Incidence, Incidenc
 def edge_runs(offsets: Tensor, edges_per_run: int = EDGES_PER_RUN) -> tuple[tuple[Span, Span], ...]:
     """Spans of edges and of nodes of about `edges_per_run` edges, cut between nodes; they cover everything in order.
 
-    None where all edges fit into one run, or on an accelerator.
+    Empty where all edges fit into one run, or on an accelerator.
 
     Args:
-        offsets: (nodes + 1,) int64 first edge of each node, and the total.
-        edges_per_run: aimed at.
+        offsets: (nodes + 1,) int64 index of the first edge of each node, and the total.
+        edges_per_run: number of edges aimed at.
     """
     if offsets.device.type != "cpu" or int(offsets[-1]) <= edges_per_run:
         return ()

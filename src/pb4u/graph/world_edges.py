@@ -1,4 +1,4 @@
-"""World edges: which body vertices lie near each garment vertex."""
+"""World edges: from each garment vertex to the body vertices near it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from pb4u.errors import InputError
 
 @dataclass(frozen=True)
 class WorldEdgeRule:
-    """Which body vertices a garment vertex sees.
+    """Rule for the body vertices that a garment vertex has edges to.
 
     Args:
-        radius: largest distance [m] (paper: a threshold; ref. 1.4: 3 cm).
-        neighbours: how many of the nearest; 1 in the released code, a large number for all within the radius, as in the
-            paper.
+        radius: largest distance [m] (paper: a threshold; reference 1.4: 3 cm).
+        neighbours: number of the nearest that are taken; 1 in the released code, a large number for all within the
+            radius, as in the paper.
+
+    Raises:
+        InputError: a radius that is not above 0 and finite, or neighbours not from 1 to 64.
     """
 
     radius: float = 0.03
@@ -35,10 +38,9 @@ class WorldEdgeRule:
 
 @torch.no_grad()
 def nearest_within(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
-    """The nearest targets of each point: a tree on the CPU, all distances on an accelerator and without scipy.
+    """Indices (points, neighbours) int64 of the nearest targets of each point, and flags of those within the radius.
 
-    Returns indices (points, neighbours) int64, nearest first, and whether each lies within the radius; absent ones are
-    index 0.
+    Nearest first; absent ones are index 0. By a tree on the CPU, by all distances on an accelerator or without scipy.
 
     Args:
         points: (points, 3) [m]; one that is not finite is near nothing.

@@ -20,13 +20,13 @@ from pb4u.nn.mlp import MLP, SplitMLP
 
 @dataclass(frozen=True, kw_only=True)
 class Pb4uConfiguration(NetworkConfiguration):
-    """What makes one Pb4U-GNet differ from another; what is not listed is as in `NetworkConfiguration`.
+    """Configuration of a Pb4U-GNet; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
-        blocks: MeshGraphNet blocks after the update.
+        blocks: number of MeshGraphNet blocks after the update.
         propagation: the paper's or the released form.
-        control: how many propagation steps.
-        scaling: how large an update.
+        control: rule for the number of propagation steps.
+        scaling: rule for the factors on the accelerations.
     """
 
     blocks: int = 15
@@ -40,7 +40,11 @@ class Pb4uConfiguration(NetworkConfiguration):
 
 
 class Pb4uGNet(EncodeProcessDecode):
-    """The network of the paper, on normalised features."""
+    """The network of the paper, on normalised features.
+
+    Args:
+        configuration: width, columns, propagation and blocks.
+    """
 
     def __init__(self, configuration: Pb4uConfiguration) -> None:
         super().__init__(configuration)
@@ -53,7 +57,12 @@ class Pb4uGNet(EncodeProcessDecode):
         self.decoder = MLP(width, width, 3, norm=False)
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
-        """Normalised accelerations (garment vertices, 3), with `steps` propagation steps for each garment."""
+        """Normalised accelerations (garment vertices, 3), dimensionless.
+
+        Args:
+            graph: with normalised features.
+            steps: propagation steps of each garment.
+        """
         nodes, edges = self.encode(graph)
         propagated = self.propagation(nodes, edges, graph, steps)
         hidden = self.update.project(0, nodes[GARMENT], bias=True) + self.update.project(1, propagated)
@@ -61,9 +70,9 @@ class Pb4uGNet(EncodeProcessDecode):
         return self.decode_after(self.blocks, nodes, edges, graph)
 
     def propagation_steps(self, mean_edge_length: float) -> int:
-        """K for a garment of this mean rest edge length [m]."""
+        """Number K of propagation steps of a garment of `mean_edge_length` [m]."""
         return self.control.steps(mean_edge_length)
 
     def update_scale(self, garments: GarmentGraph) -> Tensor | None:
-        """S, (vertices, 1) dimensionless, or None for 1."""
+        """Factors S (vertices, 1), dimensionless, on the accelerations, or None for 1."""
         return self.scaling.factors(garments)

@@ -21,13 +21,16 @@ from pb4u.nn.segment import gather, joined, segment_sum
 
 @dataclass(frozen=True)
 class PropagationForm:
-    """What the paper and its released code do differently.
+    """Form of the propagation: choices in which the paper and its released code differ.
 
     Args:
         decay: gamma; 0.9 in the released code, not stated in the paper.
         norm: "messages": h = gamma h + LN(sum) (paper); "accumulated": h = LN(gamma h + sum) (release).
         message_norm: whether f_m ends in a LayerNorm of its own (release).
         world_edges: whether body neighbours send messages too (paper: "spatial and topological" neighbours).
+
+    Raises:
+        InputError: a norm of another name.
     """
 
     decay: float = 0.9
@@ -48,7 +51,7 @@ class Propagation(nn.Module):
     """K weight-shared message steps over the garment; the latents of body vertices are sent, but do not change.
 
     Args:
-        width: of all latents and hidden layers.
+        width: number of columns of all latents and hidden layers.
         form: the paper's or the released one.
     """
 
@@ -59,12 +62,12 @@ class Propagation(nn.Module):
         self.norm = nn.LayerNorm(width)
 
     def forward(self, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph, steps: Sequence[int]) -> Tensor:
-        """h^K (garment vertices, width); a garment is dropped from the computation after its last step.
+        """Latents h^K (garment vertices, width), dimensionless; a garment is left out after its last step.
 
         Args:
-            nodes: latents (nodes, width) by set name.
-            edges: latents (edges, width) by set name.
-            graph: what joins what.
+            nodes: latents (nodes, width) [1] by set name.
+            edges: latents (edges, width) [1] by set name.
+            graph: the ends of the edges.
             steps: K of each garment.
         """
         inflows = self._inflows(nodes, edges, graph)

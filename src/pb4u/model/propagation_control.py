@@ -1,4 +1,4 @@
-"""How many propagation steps a garment takes (paper, "Resolution-Aware Propagation Control")."""
+"""Number of propagation steps of a garment (paper, "Resolution-Aware Propagation Control")."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class PropagationControl(Protocol):
     """A rule for the number of propagation steps of a garment."""
 
     def steps(self, mean_edge_length: float) -> int:
-        """Number of steps, at least 1, for a mean rest edge length [m]."""
+        """Number of steps, at least 1, for a garment of `mean_edge_length` [m] at rest."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,9 @@ class ConstantDistance:
 
     Args:
         distance: D = K_base x L_base [m]; 15 steps at 15 mm in the paper.
+
+    Raises:
+        InputError: a distance that is not above 0 and finite.
     """
 
     distance: float = 0.225
@@ -39,7 +42,14 @@ class ConstantDistance:
 
 @dataclass(frozen=True)
 class FixedSteps:
-    """The same number whatever the resolution: propagation without control."""
+    """The same number of steps at every resolution: propagation without control.
+
+    Args:
+        count: number of steps.
+
+    Raises:
+        InputError: less than 1 step.
+    """
 
     count: int = 15
 
@@ -52,11 +62,11 @@ class FixedSteps:
 
 
 class RandomSteps:
-    """Training: a number drawn anew each time, from 1 up to the K of the finest mesh supported (ref. 7).
+    """Random number of steps for training, drawn anew each time up to the K of the finest mesh (reference 7).
 
     Args:
         most: largest number drawn.
-        generator: draws.
+        generator: source of random numbers.
         least: smallest number drawn.
 
     Raises:

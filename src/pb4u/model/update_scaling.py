@@ -1,4 +1,4 @@
-"""By which factor predicted accelerations are scaled (paper, "Resolution-Aware Update Scaling")."""
+"""Factors on predicted accelerations (paper, "Resolution-Aware Update Scaling")."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ class UpdateScaling(Protocol):
     """A rule for the factors on the predicted accelerations."""
 
     def factors(self, garments: GarmentGraph) -> Tensor | None:
-        """Dimensionless factors (vertices, 1), or None for 1."""
+        """Factors (vertices, 1), dimensionless, on the accelerations, or None for 1.
+
+        Args:
+            garments: static graph of the pack.
+        """
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class PerVertexScaling:
 
 @dataclass(frozen=True)
 class MeanScaling:
-    """The released form: one factor a garment, its mean rest edge length / L_ref (ref. 7: L_ref = 1 cm).
+    """The released form: one factor a garment, its mean rest edge length / L_ref (reference 7: L_ref = 1 cm).
 
     Args:
         reference_length: L_ref [m].

@@ -21,18 +21,18 @@ from pb4u.scene.packed import PackedGarments
 
 ACCELERATION = Feature("acceleration", 3, "m/step^2", True, 3e-3, "x(t+1) - 2 x(t) + x(t-1), in displacement units")
 MOST_PROPAGATION_STEPS = 500
-"""Far above the 31 that the rule gives at 38,000 triangles; beyond lies a slip of the keyboard."""
+"""Limit against mistyped numbers, far above the 31 that the rule gives at 38,000 triangles."""
 
 
 class FurtherLoss(Protocol):
-    """What a method minimises in training besides the incremental potential, for the garments of one pack."""
+    """Loss that a method minimises in training besides the incremental potential, for the garments of one pack."""
 
     @property
     def name(self) -> str:
-        """Under which it is logged."""
+        """Name under which the loss is logged."""
 
     def energies(self, before: Tensor, after: Tensor, progress: float) -> Tensor:
-        """(garments,) losses of a step [J], differentiable with respect to `after`.
+        """Losses (garments,) [J] of a step, differentiable with respect to `after`.
 
         Args:
             before: (vertices, 3) positions before the step [m].
@@ -43,14 +43,14 @@ class FurtherLoss(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Derived:
-    """What a method derives once from the garments of a pack, beyond their meshes; nothing by default.
+    """Data that a method derives once from the garments of a pack, beyond their meshes; none by default.
 
     Args:
-        edges: undirected edges (edges, 2) int64 between vertices of one garment, by kind, such as "coarse"; they carry
-            the columns of mesh edges and share their normaliser.
+        edges: undirected edges (edges, 2) int64 vertex indices within one garment, by kind, such as "coarse"; they
+            carry the columns of mesh edges and share their normaliser.
         finder: finds edges anew at every step; they carry the layout's `found_edge` columns.
         rest: tensors handed on in `Graph.rest`, by name.
-        losses: what training minimises besides the incremental potential.
+        losses: losses that training minimises besides the incremental potential.
     """
 
     edges: Mapping[str, Tensor] = field(default_factory=dict)
@@ -61,16 +61,19 @@ class Derived:
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkConfiguration(ABC):
-    """What every network's configuration says; that of a method adds its own.
+    """Configuration shared by all networks; each method adds its own fields.
 
     Args:
-        width: of all latents and hidden layers.
+        width: number of columns of all latents and hidden layers.
         layout: the columns read.
-        world_edges: which body vertices a garment vertex sees.
+        world_edges: rule for the body vertices that a garment vertex has edges to.
         passes: evaluations of the network in one time step, each adding to the accelerations of the one before; 1 in
             the paper. Above 1 the layout should name "descent" and "advance".
         carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
             flight, is taken; none in the paper. With any the layout should name the same two.
+
+    Raises:
+        InputError: less than 1 pass, or a share that is not above 0 and up to 1.
     """
 
     width: int = 128
@@ -94,7 +97,7 @@ class GraphNetwork(nn.Module, ABC):
     """A network on normalised features; a baseline differs from ours in this and in nothing else.
 
     Args:
-        configuration: what it reads, and how often it is evaluated in a step.
+        configuration: the columns read, the world edges and the number of passes in a step.
     """
 
     def __init__(self, configuration: NetworkConfiguration) -> None:
@@ -106,7 +109,7 @@ class GraphNetwork(nn.Module, ABC):
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
-        """Normalised accelerations (garment vertices, 3).
+        """Normalised accelerations (garment vertices, 3), dimensionless.
 
         Args:
             graph: with normalised features.
@@ -114,27 +117,35 @@ class GraphNetwork(nn.Module, ABC):
         """
 
     def propagation_steps(self, mean_edge_length: float) -> int:
-        """Propagation steps of a garment of this mean rest edge length [m]; 0 for a method without them."""
+        """Number of propagation steps of a garment; 0 for a method without them.
+
+        Args:
+            mean_edge_length: mean rest edge length [m].
+        """
         return 0
 
     def update_scale(self, garments: GarmentGraph) -> Tensor | None:
-        """Dimensionless factors (vertices, 1) on the accelerations, or None for 1."""
+        """Factors (vertices, 1), dimensionless, on the accelerations, or None for 1.
+
+        Args:
+            garments: static graph of the pack.
+        """
         return None
 
     def derive(self, garments: PackedGarments) -> Derived:
-        """What the method needs of a pack beyond its meshes; called once a pack."""
+        """Data that the method needs of a pack beyond its meshes; called once a pack."""
         return Derived()
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedGarments:
-    """What a model derives once from garments and reuses every step.
+    """Data that a model derives once from garments and reuses every step.
 
     Args:
         builder: makes the graph of a step.
         steps: propagation steps of each garment.
         scale: (vertices, 1) dimensionless factors on the accelerations, or None for 1.
-        losses: what the method minimises in training besides the incremental potential.
+        losses: losses that the method minimises in training besides the incremental potential.
     """
 
     builder: GraphBuilder
@@ -144,11 +155,11 @@ class PreparedGarments:
 
     @property
     def graph(self) -> Callable[..., Graph]:
-        """Makes the graph of a step; see `GraphBuilder.build`."""
+        """Function that makes the graph of a step; see `GraphBuilder.build`."""
         return self.builder.build
 
     def with_steps(self, steps: int | Sequence[int]) -> PreparedGarments:
-        """The same garments taking other numbers of propagation steps; no change for a method without such steps.
+        """Copy with other numbers of propagation steps; unchanged for a method without such steps.
 
         Args:
             steps: one number for all garments, or one for each.
@@ -173,7 +184,10 @@ class AccelerationModel(nn.Module):
     """A network between its normalisers: acceleration x dt^2 from a graph of raw features.
 
     Called as `model(prepared.graph(state, collider, dt, origin), prepared)`. On an accelerator cast the network alone,
-    `model.network.to(torch.bfloat16)`: normalisers and what comes out stay in full precision.
+    `model.network.to(torch.bfloat16)`: normalisers and accelerations stay in full precision.
+
+    Args:
+        network: maps normalised features to normalised accelerations.
     """
 
     def __init__(self, network: GraphNetwork) -> None:
@@ -193,7 +207,7 @@ class AccelerationModel(nn.Module):
         propagation_steps: int | None = None,
         dtype: torch.dtype = torch.float32,
     ) -> PreparedGarments:
-        """Everything that is the same at every step of `garments`.
+        """Data of `garments` that are the same at every step.
 
         Args:
             garments: on the device to compute on.
@@ -215,7 +229,7 @@ class AccelerationModel(nn.Module):
         """Acceleration x dt^2 (garment vertices, 3) [m per step^2].
 
         Args:
-            graph: with features as they are.
+            graph: with raw features.
             prepared: the garments.
         """
         output = self.network(self.normalised(graph), prepared.steps).to(prepared.builder.dtype)
@@ -223,7 +237,7 @@ class AccelerationModel(nn.Module):
         return acceleration if prepared.scale is None else prepared.scale * acceleration
 
     def normalised(self, graph: Graph) -> Graph:
-        """The graph with centred and scaled features, in the precision of the network's weights."""
+        """Graph with centred and scaled features, in the precision of the network's weights."""
         dtype = next(self.network.parameters()).dtype
         nodes = {name: self.node_normaliser(node_set.features).to(dtype) for name, node_set in graph.nodes.items()}
         edges = {name: self._edge_normaliser(s)(s.features).to(dtype) for name, s in graph.edges.items()}
@@ -231,10 +245,10 @@ class AccelerationModel(nn.Module):
 
     @torch.no_grad()
     def gather_statistics(self, graph: Graph, acceleration: Tensor) -> None:
-        """Warm-up: add a step to the statistics; every world of the graph weighs the same.
+        """Add a step to the statistics during warm-up; every world of the graph weighs the same.
 
         Args:
-            graph: with features as they are.
+            graph: with raw features.
             acceleration: (garment vertices, 3) accelerations of skinning [m per step^2].
 
         Raises:
@@ -250,7 +264,7 @@ class AccelerationModel(nn.Module):
         self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].world, most)
 
     def normalisers(self) -> tuple[Normaliser, ...]:
-        """All there are, in a fixed order: to add their sums over devices."""
+        """Normalisers of the model in a fixed order, so that their sums can be added over devices."""
         return (
             self.node_normaliser,
             self.mesh_edge_normaliser,
@@ -260,7 +274,7 @@ class AccelerationModel(nn.Module):
         )
 
     def freeze_statistics(self) -> None:
-        """End of warm-up."""
+        """End warm-up: the normalisers keep their statistics from here on."""
         for normaliser in self.normalisers():
             normaliser.freeze()
 

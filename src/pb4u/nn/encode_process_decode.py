@@ -17,7 +17,7 @@ TYPE_WIDTH = 9
 LEVEL_WIDTH = 4
 """Width of the embedding of a vertex's coarsest level, as in HOOD's code."""
 LEVEL = "level"
-"""Name in `Graph.rest` of how many coarse levels each garment vertex has edges on, (vertices,) int64."""
+"""Name in `Graph.rest` of the number of coarse levels that each garment vertex has edges on, (vertices,) int64."""
 
 
 class EncodeProcessDecode(GraphNetwork):
@@ -53,7 +53,7 @@ class EncodeProcessDecode(GraphNetwork):
         )
 
     def encode(self, graph: Graph) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Node and edge latents (rows, width) by set name."""
+        """Node and edge latents (rows, width), dimensionless, by set name."""
         nodes = {}
         for name, node_set in graph.nodes.items():
             inputs = [node_set.features, self.node_type(node_set.types).to(node_set.features)]
@@ -66,13 +66,13 @@ class EncodeProcessDecode(GraphNetwork):
     def decode_after(
         self, blocks: nn.ModuleList, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph
     ) -> Tensor:
-        """Normalised accelerations (garment vertices, 3) after blocks in a row.
+        """Normalised accelerations (garment vertices, 3), dimensionless, after blocks in a row.
 
         Args:
             blocks: any number of `InteractionBlock`.
-            nodes: latents (nodes, width) by set name.
-            edges: latents (edges, width) by set name; overwritten while gradients are off.
-            graph: what joins what.
+            nodes: latents (nodes, width) [1] by set name.
+            edges: latents (edges, width) [1] by set name; overwritten while gradients are off.
+            graph: the ends of the edges.
         """
         for index, block in enumerate(blocks):
             last = index == len(blocks) - 1

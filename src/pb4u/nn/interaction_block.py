@@ -1,4 +1,4 @@
-"""One MeshGraphNet block over named node sets and kinds of edges (Pfaff et al. 2021; ref. 1.1)."""
+"""One MeshGraphNet block over named node sets and kinds of edges (Pfaff et al. 2021; reference 1.1)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from pb4u.nn.segment import gather, joined, segment_sum
 class InteractionBlock(nn.Module):
     """Edges e' = f_e([v_i, v_j, e_ij]), nodes v_i + f_v([v_i, sum of e' a kind]), then e_ij + e'.
 
-    What is summed is the edge output before its residual. All node sets share f_v; all edge sets of a kind share f_e.
+    The sum is over edge outputs before their residual. All node sets share f_v; all edge sets of a kind share f_e.
 
     Args:
-        width: of all latents and hidden layers.
-        kinds: of the edges that messages pass over; others are left out.
+        width: number of columns of all latents and hidden layers.
+        kinds: kinds of edges that messages pass over; others are left out.
     """
 
     def __init__(self, width: int, kinds: Sequence[str]) -> None:
@@ -36,15 +36,15 @@ class InteractionBlock(nn.Module):
         receivers: Sequence[str] | None = None,
         masks: Mapping[str, Tensor] | None = None,
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """New node latents, and those of the edges passed over, (rows, width) by set name.
+        """New node latents, and those of the edges passed over, (rows, width), dimensionless, by set name.
 
         Args:
-            nodes: latents (nodes, width) by set name.
-            edges: latents (edges, width) by set name; overwritten while gradients are off.
-            graph: what joins what.
+            nodes: latents (nodes, width) [1] by set name.
+            edges: latents (edges, width) [1] by set name; overwritten while gradients are off.
+            graph: the ends of the edges.
             receivers: node sets still wanted, all by default; where given, edge latents are left as they are, since
                 nothing reads them again.
-            masks: (edges, 1) factors on the messages by set name, 1 where a set is not named.
+            masks: (edges, 1) dimensionless factors on the messages by set name, 1 where a set is not named.
         """
         hidden = {
             name: self.node_mlp.project(0, values, bias=True)

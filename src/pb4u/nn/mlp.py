@@ -1,4 +1,4 @@
-"""Multi-layer perceptrons: two hidden layers, ReLU, a linear output, and an optional LayerNorm (ref. 1.1)."""
+"""Multi-layer perceptrons: two hidden layers, ReLU, a linear output, and an optional LayerNorm (reference 1.1)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from torch import Tensor, nn
 
 
 class MLP(nn.Module):
-    """inputs -> width -> width -> outputs.
+    """Perceptron inputs -> width -> width -> outputs; all values are dimensionless.
 
     Args:
-        inputs: columns.
-        width: of both hidden layers.
-        outputs: columns.
+        inputs: number of columns that enter.
+        width: number of columns of both hidden layers.
+        outputs: number of columns that leave.
         norm: whether a LayerNorm ends it.
     """
 
@@ -26,19 +26,22 @@ class MLP(nn.Module):
         self.norm: nn.Module = nn.LayerNorm(outputs) if norm else nn.Identity()
 
     def forward(self, values: Tensor) -> Tensor:
-        """(..., outputs) of `values` (..., inputs)."""
+        """Output (..., outputs) [1] for `values` (..., inputs) [1]."""
         return self.after_first(self.first(values))
 
     def after_first(self, hidden: Tensor) -> Tensor:
-        """The output, given the first layer's sum (..., width), which may be overwritten."""
+        """Output (..., outputs) [1], given the first layer's sum `hidden` (..., width) [1], which is overwritten."""
         return self.after_second(self.up_to_last(hidden))
 
     def up_to_last(self, hidden: Tensor) -> Tensor:
-        """What enters the last layer, given the first layer's sum (..., width), which may be overwritten."""
+        """Input (..., width) [1] of the last layer, given the first layer's sum `hidden` (..., width) [1].
+
+        `hidden` is overwritten.
+        """
         return self.second(hidden.relu_()).relu_()
 
     def after_second(self, hidden: Tensor) -> Tensor:
-        """The output, given what enters the last layer (..., width)."""
+        """Output (..., outputs) [1], given the second layer's result `hidden` (..., width) [1] after its ReLU."""
         return self.norm(self.last(hidden))
 
 
@@ -49,9 +52,9 @@ class SplitMLP(MLP):
     wide as all parts together is built.
 
     Args:
-        parts: columns of each part.
-        width: of both hidden layers.
-        outputs: columns.
+        parts: number of columns of each part.
+        width: number of columns of both hidden layers.
+        outputs: number of columns that leave.
         norm: whether a LayerNorm ends it.
     """
 
@@ -60,11 +63,11 @@ class SplitMLP(MLP):
         self.parts = tuple(parts)
 
     def project(self, part: int, values: Tensor, bias: bool = False) -> Tensor:
-        """The first layer's share (..., width) of one part.
+        """Share (..., width) [1] of one part in the first layer's sum.
 
         Args:
-            part: which one.
-            values: (..., columns of that part).
+            part: number of the part.
+            values: (..., columns of that part) [1].
             bias: whether to add the layer's bias, which exactly one part of a sum does.
         """
         start = sum(self.parts[:part])
@@ -72,11 +75,13 @@ class SplitMLP(MLP):
         return F.linear(values, weight, self.first.bias if bias else None)
 
     def last_of_sums(self, sums: Tensor, degrees: Tensor) -> Tensor:
-        """Sum of outputs over edges, where the MLP ends linear: the sum of W x + b is W (sum of x) + degree b.
+        """Sums (nodes, outputs) [1] of outputs over edges, for an MLP without LayerNorm.
+
+        The sum of W x + b is W (sum of x) + degree b.
 
         Args:
-            sums: (nodes, width) of what enters the last layer.
-            degrees: (nodes, 1) number of edges summed.
+            sums: (nodes, width) [1] sums of the last layer's inputs.
+            degrees: (nodes, 1) [1] number of edges summed.
         """
         return F.linear(sums, self.last.weight) + degrees * self.last.bias
 
@@ -85,5 +90,10 @@ RECEIVER, SENDER, EDGE = 0, 1, 2
 
 
 def edge_mlp(width: int, norm: bool) -> SplitMLP:
-    """An MLP of [receiver, sender, edge], each `width` wide."""
+    """MLP of [receiver, sender, edge], each `width` wide.
+
+    Args:
+        width: number of columns of each part, of the hidden layers and of the output.
+        norm: whether a LayerNorm ends it.
+    """
     return SplitMLP((width, width, width), width, width, norm)

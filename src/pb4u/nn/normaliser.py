@@ -14,7 +14,7 @@ SMALLEST_SPREAD = 1e-2
 
 
 class Normaliser(nn.Module):
-    """Centres and scales columns by statistics gathered during warm-up, then frozen (ref. 1.3).
+    """Centres and scales columns by statistics gathered during warm-up, then frozen (reference 1.3).
 
     `sums` holds everything gathered, [garments, sum of means, sum of mean squares] in float64: add it over devices to
     reduce, then call `refresh`. Columns that are not normalised pass through unchanged. Before anything is gathered the
@@ -46,14 +46,15 @@ class Normaliser(nn.Module):
 
     @property
     def width(self) -> int:
+        """Number of columns."""
         return self.mean.shape[0]
 
     def forward(self, values: Tensor) -> Tensor:
-        """`values` (rows, width) centred and scaled."""
+        """Normalised values (rows, width), dimensionless, of `values` (rows, width), each column in its unit."""
         return (values - self.mean) / self.spread
 
     def restore(self, values: Tensor) -> Tensor:
-        """The inverse of calling the normaliser."""
+        """Values (rows, width), each column in its unit, of normalised `values` (rows, width) [1]."""
         return values * self.spread + self.mean
 
     @torch.no_grad()
@@ -61,9 +62,9 @@ class Normaliser(nn.Module):
         """Add one step to the statistics: each world its mean and mean square once, however many rows it has.
 
         Args:
-            values: (rows, width).
-            world: (rows,) int64 of each row.
-            most: more than any world's number; numbers without a row add nothing.
+            values: (rows, width), each column in its unit.
+            world: (rows,) int64 world of each row.
+            most: number above that of any world; worlds without a row add nothing.
 
         Raises:
             RuntimeError: the statistics are frozen.
@@ -92,5 +93,5 @@ class Normaliser(nn.Module):
         self.spread.copy_(torch.where(self.normalised, spread, 1.0))
 
     def freeze(self) -> None:
-        """Gather no more."""
+        """End the gathering of statistics."""
         self.frozen.fill_(True)

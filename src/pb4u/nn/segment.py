@@ -45,19 +45,29 @@ class _SegmentSum(torch.autograd.Function):
 
 
 def gather(nodes: Tensor, ends: Incidence) -> Tensor:
-    """Values (edges, width) of the node at each edge's end, from `nodes` (nodes, width)."""
+    """Values (edges, width) of the node at each edge's end, in the unit of `nodes`.
+
+    Args:
+        nodes: (nodes, width) values of any unit.
+        ends: node at that end of each edge.
+    """
     if not torch.is_grad_enabled():
         return nodes.index_select(0, ends.index)
     return _Gather.apply(nodes, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
 
 
 def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:
-    """Sums (nodes, width) of `edges` (edges, width) over the edges that end at each node; zero where none does."""
+    """Sums (nodes, width) over the edges that end at each node, in the unit of `edges`; zero where none does.
+
+    Args:
+        edges: (edges, width) values of any unit.
+        ends: node at that end of each edge.
+    """
     if not torch.is_grad_enabled():
         return _bag_sums(edges, ends.order, ends.offsets)
     return _SegmentSum.apply(edges, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
 
 
 def joined(parts: list[Tensor]) -> Tensor:
-    """Row-wise concatenation; a single part as it is."""
+    """Concatenation (rows, width) of `parts` (rows, width) of one unit; a single part as it is."""
     return parts[0] if len(parts) == 1 else torch.cat(parts)

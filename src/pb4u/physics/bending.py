@@ -43,7 +43,13 @@ class Bending(EnergyTerm):
         return step.garments.hinges
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        """Gauss-Newton: stiffness times the outer product of the derivative of l (theta - theta0)."""
+        """Gauss-Newton matrices (3, 3, pairs, hinges) [J/m^2]: k times the outer product of d(l (theta - theta0))/dx.
+
+        Args:
+            step: the time step.
+            contacts: not read.
+            x: (vertices, 3) [m] next positions.
+        """
         garments = step.garments
         _, derivative = self._bend_and_derivative(garments, x)
         root = _stiffness(garments).sqrt()
@@ -80,7 +86,12 @@ class Bending(EnergyTerm):
 
 
 def dihedral_angles(x: Tensor, hinges: Tensor) -> Tensor:
-    """(hinges,) angles [rad] between the faces at each hinge of `x` (vertices, 3); 0 where flat."""
+    """Angles (hinges,) [rad] between the two faces at each hinge; 0 where flat.
+
+    Args:
+        x: (vertices, 3) [m] positions.
+        hinges: (hinges, 4) int64 vertices: edge v0 v1, opposite v2, opposite v3.
+    """
     return _length_and_angle(x, hinges)[1]
 
 

@@ -1,4 +1,4 @@
-"""Where the energies push a garment: one step of Jacobi descent."""
+"""One step of Jacobi descent of the incremental potential."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pb4u.scene.packed import PackedGarments
 
 
 class JacobiDescent:
-    """Every vertex on its own down the gradient, divided by its inertia and its membrane stiffness at rest.
+    """Moves every vertex on its own down the gradient, divided by its inertia and its membrane stiffness at rest.
 
     Args:
         garments: static quantities.
@@ -23,13 +23,18 @@ class JacobiDescent:
         self._compliance = torch.where(moves, 1.0 / stiffness.clamp_min(1e-30), 0.0)[:, None]
 
     def at(self, potential: StepPotential, x: Tensor) -> Tensor:
-        """(vertices, 3) [m] to move from `x` (vertices, 3) [m]; zero for what does not move."""
+        """Displacements (vertices, 3) [m] of one descent step; zero for vertices that do not move.
+
+        Args:
+            potential: the potential that is descended.
+            x: (vertices, 3) [m] positions at which its gradient is taken.
+        """
         _, gradient = potential.energies_and_gradient(x)
         return -gradient * self._compliance
 
 
 def membrane_stiffness(garments: PackedGarments) -> Tensor:
-    """(vertices,) [N/m] mean in-plane stiffness against moving one vertex of the garments at rest alone.
+    """Mean in-plane stiffness (vertices,) [N/m] against moving one vertex of the garments at rest alone.
 
     Half the trace of the second derivative of the stretch energy at F = 1: a face adds A h (3 mu + lambda) / 2 times
     the squared gradient of the corner's shape function.

@@ -16,35 +16,64 @@ from pb4u.scene.packed import PackedGarments
 class EnergyTerm(ABC):
     """One term of the potential. Implementations are stateless and follow the dtype and device of `x`.
 
-    Every method takes the `step` and the `contacts` of the step, and all but `elements` the next positions `x`
-    (vertices, 3) [m].
+    Attributes:
+        name: by which results and tables refer to it.
     """
 
     name: str
 
     @abstractmethod
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        """(garments,) energies [J] at `x`; differentiable."""
+        """Energies (garments,) [J] at `x`; differentiable by autograd.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+        """
 
     @abstractmethod
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        """The energies and the gradient (vertices, 3) [N] of their sum, by hand, without autograd."""
+        """Energies (garments,) [J] and the gradient (vertices, 3) [N] of their sum, by hand, without autograd.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+        """
 
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor | None:
-        """(elements, corners) int64 vertices that the term couples; None where its second derivative is zero."""
+        """Vertex indices (elements, corners) int64 that the term couples; None where its second derivative is zero.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+        """
         return None
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor | None:
-        """The second derivative or a good approximation, positive semi-definite; None where it is zero.
+        """Second derivative (3, 3, pairs, elements) [J/m^2] or a positive semi-definite approximation; None where zero.
 
-        One symmetric matrix for each of the `elements`: (3, 3, pairs, elements) [J/m^2], one for each of the
-        `corner_pairs`; those of (j, i) are those of (i, j) with their axes exchanged. Elements come last, which is
-        fastest.
+        One symmetric matrix for each of the `elements`, as a 3x3 block for each of the `corner_pairs`; those of (j, i)
+        are those of (i, j) with their axes exchanged. Elements come last, which is fastest.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
         """
         return None
 
     def buckling(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor | None:
-        """What `curvature` leaves out for being negative, in the same form; None where that is nothing."""
+        """Negative part of the second derivative, which `curvature` leaves out; None where there is none.
+
+        In the same form: (3, 3, pairs, elements) [J/m^2].
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+        """
         return None
 
 
@@ -52,7 +81,7 @@ class NullTerm(EnergyTerm):
     """A term switched off: zero everywhere, under the name of the one that it stands for.
 
     Args:
-        name: of the term.
+        name: name of the term that it stands for.
     """
 
     def __init__(self, name: str) -> None:
@@ -79,10 +108,10 @@ class MeasuredTerm(EnergyTerm):
 
 
 def sum_by_garment(values: Tensor, garment: Tensor, garment_count: int) -> Tensor:
-    """(garments,) sums over the rows that belong to each garment.
+    """Sums (garments,) of `values` over the rows that belong to each garment, in their unit.
 
     Args:
-        values: (rows,).
+        values: (rows,) of any unit.
         garment: (rows,) int64 to which each belongs.
         garment_count: number of garments.
     """
@@ -97,31 +126,46 @@ def corner_pairs(corners: int) -> list[tuple[int, int]]:
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
-    """Row-wise inner product (...,) of (..., 3) vectors."""
+    """Inner products (...,) of vectors row by row, in the product of their units.
+
+    Args:
+        a: (..., 3) vectors.
+        b: (..., 3) vectors.
+    """
     # Four times faster than a sum over so short an axis.
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
 def columns(x: Tensor, index: Tensor) -> Tensor:
-    """(3, n) the rows of `x` (vertices, 3) at `index` (n,), laid out axis by axis."""
+    """Rows of `x` at `index`, laid out axis by axis: (3, n) [m].
+
+    Args:
+        x: (vertices, 3) [m].
+        index: (n,) int64 vertices.
+    """
     return x.T.contiguous().gather(1, index.expand(3, -1))
 
 
 def outer(a: Tensor, b: Tensor) -> Tensor:
-    """Outer products (3, 3, n) of (3, n) vectors."""
+    """Outer products (3, 3, n) of vectors column by column, in the product of their units.
+
+    Args:
+        a: (3, n) vectors.
+        b: (3, n) vectors.
+    """
     return a[:, None] * b[None]
 
 
 def vertex_elements(garments: PackedGarments) -> Tensor:
-    """(vertices, 1) every vertex as an element of its own: of terms that couple none to another."""
+    """Indices (vertices, 1) int64 of every vertex as an element of its own, for terms that couple no two vertices."""
     return torch.arange(garments.vertex_count, device=garments.device)[:, None]
 
 
 def sum_by_vertex(values: Tensor, index: Tensor, vertex_count: int) -> Tensor:
-    """(vertices, 3) sums over the columns that belong to each vertex.
+    """Sums (vertices, 3) of `values` over the columns that belong to each vertex, in their unit.
 
     Args:
-        values: (3, columns).
+        values: (3, columns) of any unit.
         index: (columns,) int64 vertex of each.
         vertex_count: number of vertices.
     """

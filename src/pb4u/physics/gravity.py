@@ -1,4 +1,4 @@
-"""Weight."""
+"""Gravity: the potential energy of height."""
 
 from __future__ import annotations
 

@@ -31,27 +31,35 @@ class Energies:
     """Energies of each garment of a pack [J].
 
     Args:
-        terms: name of the term -> (garments,).
+        terms: (garments,) energies [J] by name of the term.
     """
 
     terms: Mapping[str, Tensor]
 
     @property
     def per_garment(self) -> Tensor:
-        """(garments,) sums of all terms."""
+        """Sum of all terms, (garments,) [J]."""
         return torch.stack(list(self.terms.values())).sum(0)
 
     def per_world(self, garments: PackedGarments) -> Tensor:
-        """(worlds,) sums of all terms over what can touch."""
+        """Sums (worlds,) [J] of all terms over the garments of each world.
+
+        Args:
+            garments: the pack that the energies are of.
+        """
         return garments.by_world(self.per_garment)
 
     @property
     def total(self) -> Tensor:
-        """Sum over terms and garments, a scalar."""
+        """Sum over terms and garments, a scalar [J]."""
         return self.per_garment.sum()
 
     def floats(self, garment: int | None = None) -> dict[str, float]:
-        """Every term and their `total` [J], of one garment, or of all together."""
+        """Energies [J] by name of the term, with their `total`, of one garment or of all together.
+
+        Args:
+            garment: index of the garment; None for the sums over all.
+        """
         values = {name: float(value.sum() if garment is None else value[garment]) for name, value in self.terms.items()}
         return {**values, "total": sum(values.values())}
 
@@ -89,7 +97,7 @@ class IncrementalPotential:
         return tuple(term.name for term in self.terms)
 
     def term(self, name: str) -> EnergyTerm:
-        """The term called so; KeyError where there is none."""
+        """The term called `name`; KeyError where there is none."""
         return {term.name: term for term in self.terms}[name]
 
     def with_term(self, new: EnergyTerm) -> IncrementalPotential:
@@ -98,7 +106,7 @@ class IncrementalPotential:
         return replace(self, terms=tuple(new if term.name == new.name else term for term in self.terms))
 
     def of(self, step: TimeStep) -> StepPotential:
-        """The potential of `step`, with the contacts at its start found."""
+        """The potential of `step`, with the contacts at its start looked up."""
         exact = self.search is nearest_planes
         return StepPotential(self, step, step.contacts if exact else step.contacts_by(self.search))
 
@@ -107,13 +115,14 @@ class IncrementalPotential:
 class StepPotential:
     """The potential of one time step as a function of the next positions `x` (vertices, 3) [m].
 
-    Unless contacts were fixed by `with_contact_at`, every evaluation finds the nearest surface at its own `x`, so its
-    value and gradient are exact. With fixed contacts an evaluation makes no query and sees the body's tangent planes.
+    Unless contacts were fixed by `with_contact_at`, every evaluation looks up the nearest surface at its own `x`, so
+    its value and gradient are exact. With fixed contacts an evaluation makes no query and sees the body's tangent
+    planes.
 
     Args:
-        potential: the energies.
-        step: what they may know.
-        contacts: of the step, as far as they are found.
+        potential: the energy terms, and the search for the body's surface.
+        step: garments, bodies and state at frame t that the terms are evaluated for.
+        contacts: contacts at frame t, and those at frame t+1 where they are fixed.
     """
 
     potential: IncrementalPotential
@@ -121,7 +130,11 @@ class StepPotential:
     contacts: ContactSet
 
     def contact_at(self, x: Tensor) -> ContactPlanes | None:
-        """The planes of the bodies at t+1 nearest to `x` (vertices, 3) [m]; None without a body."""
+        """Planes of the bodies at t+1 nearest to each vertex; None without a body.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
         bodies = self.step.bodies
         return None if bodies is None else self.potential.search(bodies.following, self.step.garments, x.detach())
 
@@ -139,12 +152,16 @@ class StepPotential:
         return replace(self, contacts=replace(self.contacts, next=contact, opposite=opposite))
 
     def energies(self, x: Tensor) -> Energies:
-        """Energies at `x`; differentiable by autograd."""
+        """Energies at `x` (vertices, 3) [m]; differentiable by autograd."""
         contacts = self._contacts_at(x)
         return Energies({term.name: term.energies(self.step, contacts, x) for term in self.potential.terms})
 
     def energies_and_gradient(self, x: Tensor) -> tuple[Energies, Tensor]:
-        """Energies and the gradient (vertices, 3) [N] of their total, without autograd."""
+        """Energies and the gradient (vertices, 3) [N] of their total, without autograd.
+
+        Args:
+            x: (vertices, 3) [m] next positions.
+        """
         contacts = self._contacts_at(x)
         energies, gradient = {}, torch.zeros_like(x)
         for term in self.potential.terms:
@@ -158,13 +175,25 @@ class StepPotential:
         return {name: part for name, part in parts.items() if part is not None}
 
     def curvature(self, x: Tensor) -> dict[str, Tensor]:
-        """Positive semi-definite second derivatives by term, as in `EnergyTerm.curvature`."""
+        """Positive semi-definite second derivatives by term, each (3, 3, pairs, elements) [J/m^2].
+
+        As in `EnergyTerm.curvature`; terms without any are left out.
+
+        Args:
+            x: (vertices, 3) [m] next positions.
+        """
         contacts = self._contacts_at(x)
         blocks = {term.name: term.curvature(self.step, contacts, x) for term in self.potential.terms}
         return {name: block for name, block in blocks.items() if block is not None}
 
     def buckling(self, x: Tensor) -> dict[str, Tensor]:
-        """What `curvature` leaves out of the second derivatives for being negative."""
+        """Negative parts of the second derivatives by term, each (3, 3, pairs, elements) [J/m^2].
+
+        As in `EnergyTerm.buckling`; terms without any are left out.
+
+        Args:
+            x: (vertices, 3) [m] next positions.
+        """
         contacts = self._contacts_at(x)
         blocks = {term.name: term.buckling(self.step, contacts, x) for term in self.potential.terms}
         return {name: block for name, block in blocks.items() if block is not None}

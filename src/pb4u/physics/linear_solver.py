@@ -26,12 +26,12 @@ _SMOOTHING_STEPS = 2
 
 @dataclass(frozen=True, eq=False)
 class LinearSolution:
-    """Where conjugate gradients stopped.
+    """Result of conjugate gradients.
 
     Args:
-        solution: (n,) the approximate solution.
+        solution: (n,) the approximate solution [m].
         iterations: products with the matrix made.
-        negative: (n,) a direction along which the matrix is not positive, or None.
+        negative: (n,) [m] a direction along which the matrix is not positive, or None.
     """
 
     solution: np.ndarray
@@ -51,9 +51,9 @@ def conjugate_gradient(
     Source: Nocedal and Wright, Numerical Optimization, algorithm 7.1.
 
     Args:
-        matrix: (n, n), anything that multiplies vectors (n,).
-        right: (n,).
-        precondition: approximate solution (n,) for a residual (n,).
+        matrix: (n, n) [N/m], anything that multiplies vectors (n,).
+        right: (n,) [N].
+        precondition: gives an approximate solution (n,) [m] for a residual (n,) [N].
         tolerance: relative, in the norm of the preconditioner.
         max_iterations: products after which it stops.
     """
@@ -115,8 +115,8 @@ class TwoLevelPreconditioner:
 
     Args:
         basis: patch motions.
-        matrix: stiffness, rows and columns as (vertex, axis).
-        diagonal: (vertices, 3, 3) its diagonal blocks.
+        matrix: (3 vertices, 3 vertices) [N/m] stiffness, rows and columns as (vertex, axis).
+        diagonal: (vertices, 3, 3) [N/m] its diagonal blocks.
     """
 
     def __init__(self, basis: PatchBasis, matrix: Any, diagonal: np.ndarray) -> None:
@@ -125,12 +125,12 @@ class TwoLevelPreconditioner:
         self.refresh_diagonal(diagonal)
 
     def refresh_patches(self, matrix: Any) -> None:
-        """Take the coarse part from `matrix`."""
+        """Recompute the coarse part from the stiffness `matrix` (3 vertices, 3 vertices) [N/m]."""
         coarse = (self._basis.restriction @ (matrix.tocsr() @ self._basis.prolongation)).toarray()
         self._coarse_inverse = _inverse(0.5 * (coarse + coarse.T))
 
     def refresh_diagonal(self, diagonal: np.ndarray) -> None:
-        """Take the fine part from the positive definite 3x3 blocks of `diagonal`."""
+        """Recompute the fine part from the positive definite blocks `diagonal` (vertices, 3, 3) [N/m]."""
         from scipy.sparse import bsr_matrix
 
         count = len(diagonal)
@@ -138,7 +138,7 @@ class TwoLevelPreconditioner:
         self._fine = bsr_matrix((inverse, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count))
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
-        """Approximate solution (3 vertices,) for `residual` (3 vertices,)."""
+        """Approximate solution (3 vertices,) [m] for `residual` (3 vertices,) [N]."""
         coarse = self._coarse_inverse @ (self._basis.restriction @ residual)
         return self._fine @ residual + self._basis.prolongation @ coarse
 

@@ -34,16 +34,17 @@ _SUFFICIENT_DECREASE = 1e-4
 """Share of the decrease that the slope promises with which a line search is content (Nocedal and Wright, 3.1)."""
 
 _HALVINGS = 20
-"""Of a step in a line search; a millionth of a Newton step that still does not descend is rounding."""
+"""Most halvings of the step length in a line search: where not even a millionth of a Newton step lowers the energy, the
+difference is rounding."""
 
 _LARGEST_MOVE = 0.2
 """How far [m] one Newton step may move a vertex: further, the tangent planes of the body mean nothing."""
 
 _BUCKLING_MOVE = 1e-4
-"""First move [m] along a direction of negative curvature; doubled while the energy falls."""
+"""Length [m] of the first move along a direction of negative curvature; doubled while the energy falls."""
 
 _BUCKLING_DOUBLINGS = 9
-"""Up to 2.6 cm, the depth of a fold."""
+"""Most doublings of that move: 2.6 cm, the depth of a fold."""
 
 LARGEST_MOTION = 0.15
 """How far the body under the cloth may move in one implicit step [m]: less than a limb is thick."""
@@ -51,19 +52,18 @@ LARGEST_MOTION = 0.15
 _NEAR = 0.05
 """Distance [m] from the body within which its motion concerns the cloth."""
 
-
-# Share of the compressive curvature and extra mass, from safest to exact: an iteration starts one level above the last
-# and falls back while the curvature is negative. The extra mass holds back what is about to buckle.
-_LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
+# Share of the compressive curvature and extra mass, from most damped to exact: an iteration starts one damping level
+# above the last and falls back while the curvature is negative. The extra mass holds back vertices about to buckle.
+_DAMPING_LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the solver stopped.
+    """Result of a minimisation.
 
     Args:
-        positions: (vertices, 3) [m].
-        energies: at `positions`.
+        positions: (vertices, 3) [m] at which the solver stopped.
+        energies: at `positions` [J].
         residual: rms over the free vertices of a world of the unbalanced acceleration, in units of standard gravity;
             of the world where it is largest.
         iterations: Newton iterations made.
@@ -83,7 +83,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class Iteration:
-    """One iteration, for whoever watches.
+    """Progress of a minimisation before one of its iterations.
 
     Args:
         number: counted from 0.
@@ -97,13 +97,13 @@ class Iteration:
 
 
 class Solver:
-    """Minimises step potentials; keeps what depends on the garments alone from one step to the next.
+    """Minimises step potentials; keeps data that depend on the garments alone from one step to the next.
 
     Computes in float64 on the CPU.
 
     Args:
         tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
-        max_iterations: Newton iterations after which it stops anyway.
+        max_iterations: Newton iterations after which it stops in any case.
         forcing: relative tolerance of the linear solves.
     """
 
@@ -121,11 +121,11 @@ class Solver:
         iterations: int | None = None,
         watch: Callable[[Iteration], None] | None = None,
     ) -> Solution:
-        """Minimise `potential` from `start` (vertices, 3) float64 [m], where pinned vertices stay.
+        """Minimise `potential` from `start`; pinned vertices stay where they are.
 
         Args:
-            potential: of the step.
-            start: any prediction, pinned vertices where they will be.
+            potential: potential of the step.
+            start: (vertices, 3) float64 [m] any prediction, pinned vertices where they will be.
             iterations: Newton iterations after which it stops; `max_iterations` by default.
             watch: called before every iteration, and at the end.
 
@@ -150,7 +150,7 @@ class Solver:
         start = lifted_off_the_body(potential, start)
         contact = TrackedContact(potential, start)
         preconditioner = _StepPreconditioner(self._basis)
-        x, inner, iteration, level = start, 0, 0, -1
+        x, inner, iteration, damping_level = start, 0, 0, -1
         while True:
             frozen = contact.potential_at(x)
             energies, gradient = frozen.energies_and_gradient(x)
@@ -163,8 +163,8 @@ class Solver:
             if residual <= self.tolerance or iteration >= limit:
                 solved = residual <= self.tolerance
                 return Solution(x, energies, residual, iteration, inner, solved, frozen.contacts.next)
-            highest = min(level + 1, len(_LEVELS) - 1)
-            newton, level = self._direction(frozen, x, gradient, highest, preconditioner)
+            highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
+            newton, damping_level = self._direction(frozen, x, gradient, highest, preconditioner)
             inner += newton.iterations
             moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
@@ -189,7 +189,7 @@ class Solver:
             self._garments = garments
 
     def _residual(self, garments: PackedGarments, gradient: Tensor) -> float:
-        """Of the world that is farthest from its balance."""
+        """Residual as in `Solution`, of the world where it is largest."""
         free = self._pattern.free
         if not bool(free.any()):
             return 0.0
@@ -199,34 +199,40 @@ class Solver:
         return max(float(world.mean().sqrt()) for world in worlds if len(world)) / STANDARD_GRAVITY
 
     def _direction(
-        self, frozen: StepPotential, x: Tensor, gradient: Tensor, level: int, preconditioner: _StepPreconditioner
+        self,
+        frozen: StepPotential,
+        x: Tensor,
+        gradient: Tensor,
+        damping_level: int,
+        preconditioner: _StepPreconditioner,
     ) -> tuple[LinearSolution, int]:
-        """The Newton direction, a direction of negative curvature where there is one, and the level that worked."""
+        """Newton direction, a direction of negative curvature where there is one, and the damping level taken."""
         right = -gradient.reshape(-1).numpy()
         positive = self._pattern.assemble(frozen.curvature(x))
         preconditioner.update(self._pattern, positive)
-        missing = self._pattern.assemble(frozen.buckling(x)) if level else positive
+        missing = self._pattern.assemble(frozen.buckling(x)) if damping_level else positive
         negative, spent = None, 0
         own = self._pattern.own_entries
         mass = (frozen.step.garments.vertex_masses / frozen.step.dt**2).numpy()[:, None, None] * np.eye(3)
         while True:
-            compression, extra_mass = _LEVELS[level]
+            compression, extra_mass = _DAMPING_LEVELS[damping_level]
             entries = positive + compression * missing
             entries[own] += extra_mass * mass
             solved = conjugate_gradient(self._pattern.product(entries), right, preconditioner, self.forcing, 300)
             spent += solved.iterations
-            if solved.negative is None or level == 0:
+            if solved.negative is None or damping_level == 0:
                 preconditioner.last_iterations = solved.iterations
-                return LinearSolution(solved.solution, spent, negative), level
+                return LinearSolution(solved.solution, spent, negative), damping_level
             negative = solved.negative
-            level -= 1
+            damping_level -= 1
 
     def _line_search(
         self, frozen: StepPotential, x: Tensor, gradient: Tensor, energies: Tensor, solved: LinearSolution
     ) -> Tensor | None:
-        """Where the energy has fallen enough along the direction, then along the buckling one; None if nowhere.
+        """Positions at which the energy is low enough along the direction, then along the buckling one; or None.
 
-        Decided world by world. `energies` (worlds,) [J] are those at `x` (vertices, 3) [m].
+        Each world decides by its own energy: the `energies` (worlds,) [J] are those at `x` (vertices, 3) [m]. None
+        where no world accepts a step.
         """
         garments = frozen.step.garments
         world = garments.vertex_world
@@ -244,21 +250,22 @@ class Solver:
         for _ in range(_HALVINGS):
             candidate = x + each_vertex(length) * direction
             reached = energies_at(candidate)
-            fallen = reached <= energies + _SUFFICIENT_DECREASE * length * slope
-            if bool(fallen.all()):
+            accepted = reached <= energies + _SUFFICIENT_DECREASE * length * slope
+            if bool(accepted.all()):
                 break
-            length = torch.where(fallen, length, 0.5 * length)
+            length = torch.where(accepted, length, 0.5 * length)
         else:
-            if not bool(fallen.any()):
+            if not bool(accepted.any()):
                 return None
-            candidate = torch.where(each_vertex(fallen), candidate, x)
+            candidate = torch.where(each_vertex(accepted), candidate, x)
             reached = energies_at(candidate)
         if solved.negative is None:
             return candidate
         buckling = torch.from_numpy(solved.negative.reshape(-1, 3))
         buckling = buckling * each_vertex(_factors(buckling, _BUCKLING_MOVE, garments))
         buckling = buckling * each_vertex(torch.where(_sums(gradient * buckling, garments) > 0, -1.0, 1.0))
-        result, size, falling = candidate, 1.0, torch.ones_like(fallen)
+        # Along the buckling direction there is no slope to compare with, so moves are kept while the energy falls.
+        result, size, falling = candidate, 1.0, torch.ones_like(accepted)
         for _ in range(_BUCKLING_DOUBLINGS):
             further = torch.where(each_vertex(falling), candidate + size * buckling, result)
             lower = energies_at(further)
@@ -271,9 +278,9 @@ class Solver:
 
 
 def _factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:
-    """(worlds,) on the `moves` (vertices, 3) of each world that make the largest of them `size` [m].
+    """Factors (worlds,) that scale the `moves` (vertices, 3) [m] of each world so that the longest is `size` [m].
 
-    A world next to still beside the others keeps still: its moves are rounding.
+    0 for a world whose longest move is below 1e-12 of the longest of all worlds: that is rounding.
     """
     counts = torch.tensor(garments.world_offsets).diff()
     largest = torch.segment_reduce(moves.norm(dim=1), "max", lengths=counts)
@@ -296,7 +303,7 @@ class _StepPreconditioner:
         self.last_iterations = 0
 
     def update(self, pattern: StiffnessPattern, entries: np.ndarray) -> None:
-        """Follow a new stiffness matrix."""
+        """Recompute what has aged from the `entries` (entries, 3, 3) [N/m] of a new stiffness matrix."""
         diagonal = pattern.diagonal(entries)
         self._age += 1
         if self._current is None:
@@ -313,7 +320,7 @@ class _StepPreconditioner:
 
 
 def substep_count(step: TimeStep) -> int:
-    """Implicit steps that `step` should be cut into so that no part of the body near the cloth jumps over it."""
+    """Number of implicit steps that `step` is divided into so that no part of the body near the cloth passes it."""
     planes, bodies = step.contacts.now, step.bodies
     if planes is None or bodies is None:
         return 1
@@ -327,13 +334,13 @@ def substep_count(step: TimeStep) -> int:
 def implicit_steps(
     potential: IncrementalPotential, solver: Solver, step: TimeStep, iterations: int | None = None
 ) -> tuple[State, Solution]:
-    """The state at the end of `step` from free flight, and the solution of its last implicit step.
+    """The state at the end of `step`, started from free flight, and the solution of its last implicit step.
 
     A body that moves far in the step is moved along straight lines in several implicit steps.
 
     Args:
         potential: the energies.
-        solver: their minimiser.
+        solver: minimises them.
         step: garments in float64 on the CPU.
         iterations: at most this many in each implicit step; None goes to the solver's tolerance.
 

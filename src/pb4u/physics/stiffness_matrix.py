@@ -25,7 +25,7 @@ class StiffnessPattern:
 
     Attributes:
         free: (vertices,) bool, whether a vertex moves.
-        own_entries: (vertices,) which entry is the diagonal block of each vertex.
+        own_entries: (vertices,) int64 index of the entry that is the diagonal block of each vertex.
     """
 
     def __init__(self, garments: PackedGarments, elements: Mapping[str, Tensor]) -> None:
@@ -60,7 +60,11 @@ class StiffnessPattern:
         return same and all(torch.equal(part, elements[name]) for name, part in self._elements.items())
 
     def assemble(self, blocks: Mapping[str, Tensor]) -> np.ndarray:
-        """(entries, 3, 3) sum of the terms' element `blocks`; those of a vertex that does not move are zero."""
+        """Entries (entries, 3, 3) [N/m] of the matrix; those of a vertex that does not move are zero.
+
+        Args:
+            blocks: second derivatives of each term by name, (3, 3, pairs, elements) [J/m^2].
+        """
         sums = torch.zeros(9 * self._coupled_count, dtype=torch.float64)
         for name, values in blocks.items():
             sums.scatter_add_(0, self._slots[name], values.reshape(-1))
@@ -74,20 +78,24 @@ class StiffnessPattern:
         return torch.where(turned, axes.T[:, :, None], axes[:, :, None]) * self._coupled_count + pair
 
     def matrix(self, entries: np.ndarray) -> Any:
-        """Assembled `entries` as a scipy BSR matrix (3 vertices, 3 vertices)."""
+        """Scipy BSR matrix (3 vertices, 3 vertices) of assembled `entries` (entries, 3, 3) [N/m]."""
         from scipy.sparse import bsr_matrix
 
         size = 3 * self.vertex_count
         return bsr_matrix((entries, self._indices.numpy(), self._indptr.numpy()), shape=(size, size))
 
     def product(self, entries: np.ndarray) -> Any:
-        """Assembled `entries` as what multiplies vectors (3 vertices,) fastest."""
+        """Matrix of assembled `entries` (entries, 3, 3) [N/m] that multiplies vectors (3 vertices,) fastest."""
         if torch.backends.mkl.is_available():  # type: ignore[no-untyped-call]
             return _MklProduct(self._indptr, self._indices, entries)
         return self.matrix(entries)
 
     def diagonal(self, entries: np.ndarray) -> np.ndarray:
-        """(vertices, 3, 3) diagonal blocks of assembled `entries`; the identity where a vertex does not move."""
+        """Diagonal blocks (vertices, 3, 3) [N/m] of the matrix; the identity where a vertex does not move.
+
+        Args:
+            entries: (entries, 3, 3) [N/m] assembled.
+        """
         blocks = entries[self.own_entries]
         blocks[~self.free.numpy()] = np.eye(3)
         return blocks

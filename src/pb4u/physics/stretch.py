@@ -40,7 +40,15 @@ class Stretch(EnergyTerm):
         return step.garments.faces
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        """Exact where the stress is tensile; compressive stress is left to `buckling`."""
+        """Second derivatives (3, 3, pairs, faces) [J/m^2]; exact where the stress is tensile.
+
+        Compressive stress is left to `buckling`.
+
+        Args:
+            step: the time step.
+            contacts: not read.
+            x: (vertices, 3) [m] next positions.
+        """
         garments = step.garments
         f1, f2 = _deformation(garments, x)
         t11, t22, t12 = _tensile_part(*_stress(garments, *_green_strain(f1, f2)))
@@ -55,7 +63,13 @@ class Stretch(EnergyTerm):
         return _by_corners(garments, h11, h12, h22)
 
     def buckling(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        """The curvature of compressive stress."""
+        """Second derivatives (3, 3, pairs, faces) [J/m^2] of the compressive stress, which are negative.
+
+        Args:
+            step: the time step.
+            contacts: not read.
+            x: (vertices, 3) [m] next positions.
+        """
         garments = step.garments
         stress = _stress(garments, *_green_strain(*_deformation(garments, x)))
         identity = _identity(x)

@@ -1,4 +1,4 @@
-"""One time step as data: all that is known before it, and the state that accelerations lead to."""
+"""One time step as data: everything known before it, and the state that accelerations lead to."""
 
 from __future__ import annotations
 
@@ -15,7 +15,12 @@ from pb4u.scene.state import State
 
 
 class DivergedError(Pb4uError):
-    """A state is no longer finite; frames before `frame` are still good."""
+    """A state is no longer finite; frames before `frame` are still good.
+
+    Args:
+        frame: index of the frame in its scene, lead-in included.
+        reason: values that are not finite, as part of a sentence.
+    """
 
     def __init__(self, frame: int, reason: str) -> None:
         super().__init__(f"The simulation diverged at frame {frame}: {reason}; the frames before it are kept.")
@@ -24,7 +29,7 @@ class DivergedError(Pb4uError):
 
 @dataclass(frozen=True, eq=False)
 class TimeStep:
-    """All that is known before the step from frame t to t+1.
+    """Everything known before the step from frame t to t+1.
 
     Args:
         garments: static quantities.
@@ -63,22 +68,23 @@ class TimeStep:
 
     @property
     def ground_height(self) -> float | None:
+        """Height of the ground plane [m], or None."""
         return None if self.collider is None else self.collider.ground_height
 
     @cached_property
     def contacts(self) -> ContactSet:
-        """The contacts at the start of the step with the exact surface of the bodies, found once."""
+        """Contacts at the start of the step with the exact surface of the bodies, looked up when first asked for."""
         return self.contacts_by(nearest_planes)
 
     def contacts_by(self, search: PlaneSearch) -> ContactSet:
-        """The contacts at the start of the step, those with the bodies as `search` finds them."""
+        """Contacts at the start of the step that `search` finds with the bodies; none without a body."""
         return ContactSet.at_start(self.garments, self.bodies, self.state.positions, search)
 
     @cached_property
     def height_origin(self) -> Tensor:
-        """(garments, 3) [m] the middle of the bodies of each garment's world at t+1, where its height energy is zero.
+        """Points (garments, 3) [m] at whose height each garment's gravity energy is zero, so that heights stay small.
 
-        So that heights stay small; the world's origin without a body.
+        The mean vertex of the bodies of the garment's world at t+1; the origin without a body.
         """
         x, garments = self.state.positions, self.garments
         origins = x.new_zeros((garments.world_count, 3))
@@ -89,13 +95,23 @@ class TimeStep:
         return origins[garments.garment_world]
 
     def with_pins(self, positions: Tensor) -> Tensor:
-        """`positions` (vertices, 3) [m] with the pinned vertices where they will be."""
+        """Positions (vertices, 3) [m] with the pinned vertices where they will be after the step.
+
+        Args:
+            positions: (vertices, 3) [m].
+        """
         if self.pin_positions is None:
             return positions
         return torch.where(self.garments.pinned[:, None], self.pin_positions, positions)
 
     def part(self, k: int, count: int, state: State) -> TimeStep:
-        """The k-th of `count` equal parts of the step, from the `state` that the one before led to."""
+        """The k-th of `count` equal parts of the step.
+
+        Args:
+            k: number of the part, from 0.
+            count: number of parts.
+            state: state at the end of the part before.
+        """
         pins = self.pin_positions
         return replace(
             self,
@@ -106,20 +122,24 @@ class TimeStep:
         )
 
     def reached(self, positions: Tensor) -> State:
-        """The state at the end of the step at `positions` (vertices, 3) [m], moving at the speed that led there."""
+        """State at the end of the step; its velocities are the displacements over the step's length.
+
+        Args:
+            positions: (vertices, 3) [m] at the end of the step.
+        """
         before = self.state
         return State(positions, (positions - before.positions) / self.dt, before.frame + 1)
 
 
 def integrate(step: TimeStep, acceleration: Tensor) -> State:
-    """Next state by semi-implicit Euler: v' = v + a / dt, x' = x + dt v'; differentiable.
+    """State after semi-implicit Euler: v' = v + a / dt, x' = x + dt v'; differentiable.
 
     Pinned vertices take their places and the velocity that brings them there. Source: the integrator of MeshGraphNets
     and its descendants, in SI units outside the network.
 
     Args:
-        step: that is taken.
-        acceleration: (vertices, 3) times dt^2 [m per step^2].
+        step: the time step that is taken.
+        acceleration: (vertices, 3) acceleration times dt^2 [m per step^2].
     """
     state, pins = step.state, step.pin_positions
     displacement = step.dt * state.velocities + acceleration

@@ -22,10 +22,10 @@ Configuration = TypeVar("Configuration", bound=NetworkConfiguration)
 
 
 def with_start_shares(configuration: Configuration) -> Configuration:
-    """`configuration` with each step started where the potential is least along the body's motion (decision 17).
+    """Copy of `configuration` whose steps start where the potential is least along the body's motion (decision 17).
 
-    Tried are free flight and quarters of the way on which the body takes the garment with it; the network sees what
-    descends the potential there, and how far there is from free flight.
+    Free flight and quarters of the displacement that the body alone would give the garment are tried; the network reads
+    the direction of descent of the potential at the start, and the acceleration from free flight to it.
     """
     layout = replace(configuration.layout, extra=(DESCENT, ADVANCE))
     return replace(configuration, layout=layout, carried_shares=(0.25, 0.5, 0.75, 1.0))
@@ -130,7 +130,7 @@ NETWORKS: dict[str, NetworkConfiguration] = {name: configuration for name, (conf
 
 
 def network_preset(name: str) -> NetworkConfiguration:
-    """The configuration called `name`. Raises InputError listing the names."""
+    """Network configuration called `name`. Raises InputError listing the names."""
     if name not in NETWORKS:
         raise unknown_name("network preset", name, NETWORKS)
     return NETWORKS[name]

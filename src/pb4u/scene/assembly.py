@@ -104,10 +104,10 @@ def make_scene(
 
 
 def assemble(specification: SceneSpecification) -> Scene:
-    """The scene of a specification, everything in it loaded.
+    """Scene of a specification, everything in it loaded.
 
     Args:
-        specification: what the scene is made of.
+        specification: names, paths or loaded objects that the scene is made of.
 
     Raises:
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.

@@ -1,4 +1,4 @@
-"""The mesh as its author made it, beside the simulated one: polygons, UVs, and how it rides on the simulation."""
+"""The mesh as its author made it, beside the simulated one: polygons, UVs, and its places on the simulated faces."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Polygons:
     """Faces of any number of corners, laid end to end.
 
     Args:
-        sizes: (polygons,) int64 corners of each, 3 or more.
+        sizes: (polygons,) int64 number of corners of each, 3 or more.
         corners: (sum of sizes,) int64 vertex at each corner.
         uv_corners: (sum of sizes,) int64 UV point at each corner, or None.
     """
@@ -27,7 +27,12 @@ class Polygons:
 
     @classmethod
     def of(cls, polygons: Sequence[np.ndarray], polygon_uvs: Sequence[np.ndarray] | None = None) -> Polygons | None:
-        """Those of a mesh; None where all are triangles, which need no other account than the faces."""
+        """Polygons of a mesh; None where all are triangles, which the faces describe already.
+
+        Args:
+            polygons: (corners,) int64 vertex indices of each polygon.
+            polygon_uvs: (corners,) int64 UV point indices of each, or None.
+        """
         sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
         if not (sizes > 3).any():
             return None
@@ -35,19 +40,32 @@ class Polygons:
 
     @classmethod
     def of_triangles(cls, faces: np.ndarray, uv_faces: np.ndarray | None) -> Polygons:
-        """Triangles (faces, 3), and their UV corners, as polygons."""
+        """Triangles as polygons.
+
+        Args:
+            faces: (faces, 3) int64 vertex indices.
+            uv_faces: (faces, 3) int64 UV point indices, or None.
+        """
         uv_corners = None if uv_faces is None else uv_faces.reshape(-1)
         return cls(np.full(len(faces), 3, dtype=np.int64), faces.reshape(-1), uv_corners)
 
     def each(self, of_corners: np.ndarray) -> Iterator[list[int]]:
-        """Rows of one integer per corner, polygon by polygon."""
+        """Values of the corners of one polygon after another.
+
+        Args:
+            of_corners: (sum of sizes,) int64 value of each corner, such as `corners`.
+        """
         values, start = of_corners.tolist(), 0
         for size in self.sizes.tolist():
             yield values[start : start + size]
             start += size
 
     def members(self, prefix: str = "") -> dict[str, np.ndarray]:
-        """As arrays of a trajectory file."""
+        """Arrays of a trajectory file, each (polygons,) or (sum of sizes,) int64, by name.
+
+        Args:
+            prefix: put before each name.
+        """
         members = {f"{prefix}polygon_sizes": self.sizes, f"{prefix}polygon_corners": self.corners}
         if self.uv_corners is not None:
             members[f"{prefix}polygon_uv_corners"] = self.uv_corners
@@ -55,7 +73,12 @@ class Polygons:
 
     @classmethod
     def from_members(cls, members: dict[str, np.ndarray], prefix: str = "") -> Polygons | None:
-        """From the arrays of a trajectory file; None where it has no such arrays."""
+        """Polygons of a trajectory file; None where it has none.
+
+        Args:
+            members: arrays of the file by name; sizes and corners (n,) int64 as `members` wrote them.
+            prefix: before the name of each.
+        """
         sizes, corners = members.get(f"{prefix}polygon_sizes"), members.get(f"{prefix}polygon_corners")
         if sizes is None or corners is None:
             return None
@@ -63,12 +86,12 @@ class Polygons:
 
     @staticmethod
     def joined(parts: Sequence[Polygons], vertices: Sequence[int], uvs: Sequence[int]) -> Polygons:
-        """Those of meshes one after the other.
+        """Polygons of several meshes joined into one.
 
         Args:
-            parts: of each mesh.
-            vertices: first vertex of each where they are joined.
-            uvs: first UV point of each, likewise.
+            parts: polygons of each mesh.
+            vertices: index of the first vertex of each mesh in the joined one.
+            uvs: index of the first UV point of each, likewise.
         """
         known = [part.uv_corners for part in parts if part.uv_corners is not None]
         return Polygons(
@@ -80,14 +103,14 @@ class Polygons:
 
 @dataclass(frozen=True, eq=False)
 class SourceTrack:
-    """How the author's own mesh rides on the simulated one.
+    """Attachment of the author's own mesh to the simulated one: each vertex at a place on a simulated face.
 
     Args:
         faces: (source faces, 3) int64 triangulated source.
         triangle: (source vertices,) int64 simulated face under each source vertex.
-        barycentric: (source vertices, 3) float64.
-        uvs: (uv points, 2) float64 or None.
-        uv_faces: (source faces, 3) int64 or None.
+        barycentric: (source vertices, 3) float64 barycentric coordinates in that face.
+        uvs: (uv points, 2) float64 UV coordinates, or None.
+        uv_faces: (source faces, 3) int64 UV points of each face, or None.
         polygons: the faces before they were cut into triangles; None where all were triangles.
     """
 
@@ -100,7 +123,7 @@ class SourceTrack:
 
     @staticmethod
     def of(garment: Garment) -> SourceTrack:
-        """That of a garment; the simulated mesh itself where it is the author's."""
+        """Track of a garment; onto itself where the simulated mesh is the author's."""
         if garment.source is None:
             first = np.unique(garment.faces.reshape(-1), return_index=True)[1]
             return SourceTrack(garment.faces, first // 3, np.eye(3)[first % 3], garment.uvs, garment.uv_faces)
@@ -113,7 +136,7 @@ class SourceTrack:
 
     @staticmethod
     def joined(garments: Sequence[Garment]) -> SourceTrack | None:
-        """That of garments one after the other; None where every mesh is simulated as its author made it."""
+        """Track of several garments joined into one; None where every mesh is simulated as its author made it."""
         if all(garment.source is None for garment in garments):
             return None
         tracks = [SourceTrack.of(garment) for garment in garments]
@@ -135,19 +158,28 @@ class SourceTrack:
 
 
 def offsets(parts: Sequence[Sized]) -> list[int]:
-    """First row of each part where they are joined, and the total."""
+    """Index of the first row of each part when the parts are concatenated, and the total."""
     return [0, *np.cumsum([len(part) for part in parts]).tolist()]
 
 
 def joined_indices(parts: Sequence[np.ndarray], starts: Sequence[int]) -> np.ndarray:
-    """Index arrays one after the other, each counted from its start."""
+    """Concatenated index arrays (sum of rows, ...), `starts[k]` added to the indices of part k.
+
+    Args:
+        parts: (rows, ...) int64 indices of each part.
+        starts: numbers to add; may be longer than `parts`.
+    """
     return np.concatenate([part + start for part, start in zip(parts, starts, strict=False)])
 
 
 def joined_uvs(
     parts: Sequence[tuple[np.ndarray | None, np.ndarray | None]],
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """UV points and UV faces of meshes one after the other; None unless all have them."""
+    """UV coordinates (uv points, 2) and UV faces (faces, 3) int64 of meshes joined into one; None unless all have them.
+
+    Args:
+        parts: UV coordinates (uv points, 2) and UV faces (faces, 3) int64 indices of each mesh, or None.
+    """
     known = [(uvs, faces) for uvs, faces in parts if uvs is not None and faces is not None]
     if len(known) < len(parts):
         return None, None

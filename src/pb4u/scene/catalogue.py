@@ -51,7 +51,7 @@ class SceneName:
         split: train, validation or test.
         garment: built-in garment.
         motion: built-in motion or CMU trial.
-        seed: of a built-in motion; None for a recording.
+        seed: seed of a built-in motion; None for a recording.
     """
 
     split: str
@@ -64,11 +64,20 @@ class SceneName:
 
     @property
     def needs_recording(self) -> bool:
+        """Whether the motion is a CMU recording instead of a built-in motion."""
         return self.seed is None
 
 
 def scene_names(split: str | None = None, recordings: bool = True) -> tuple[SceneName, ...]:
-    """Every scene of a split (all splits by default), with or without those that need recordings."""
+    """Names of the scenes of the catalogue.
+
+    Args:
+        split: "train", "validation" or "test"; all of them by default.
+        recordings: whether scenes that need recordings are listed too.
+
+    Raises:
+        InputError: an unknown split.
+    """
     names = []
     for each in RECORDINGS if split is None else (split,):
         if each not in RECORDINGS:
@@ -88,10 +97,10 @@ def catalogue_scene(
     body: str = "woman",
     recordings: str | Path | None = None,
 ) -> Scene:
-    """The scene called `name`.
+    """Scene of the catalogue called `name`, loaded.
 
     Args:
-        name: as printed by `scene_names`, such as "test/dress/07_02" or "test/tshirt/walk-2000".
+        name: entry as `scene_names` prints it, such as "test/dress/07_02" or "test/tshirt/walk-2000".
         triangles: resolution; the garment's base level by default.
         frames: frames to write; 60 of a built-in motion and the whole of a recording by default.
         body: built-in body.

@@ -14,7 +14,7 @@ _SMALLEST_MAPPED = 4096
 
 
 def map_archive(path: Path) -> dict[str, np.ndarray]:
-    """Every member of an .npz as an array mapped from the file; small and compressed members are read.
+    """Arrays of an .npz by name, of any shape and unit, mapped from the file; small and compressed ones are read.
 
     Raises OSError, BadZipFile, ValueError, or what else the readers of zipfile and numpy raise, when the file cannot be
     read whole.

@@ -2,7 +2,7 @@
 
 A *world* is what can touch: some garments and some bodies. Rows know their garment (a piece of clothing with its
 material) and their world; worlds of different size, resolution and material batch together without touching.
-`PackedGarments` and `PackedColliders` never change; a `ColliderPose` is where the bodies are at one instant.
+`PackedGarments` and `PackedColliders` never change; a `ColliderPose` holds the positions of the bodies at one instant.
 """
 
 from __future__ import annotations
@@ -76,16 +76,17 @@ class PackedGarments:
 
     @property
     def world_count(self) -> int:
+        """Number of worlds."""
         return self.worlds[-1] + 1 if self.worlds else 0
 
     @cached_property
     def garment_world(self) -> Tensor:
-        """(garments,) int64 world of each garment."""
+        """World of each garment, (garments,) int64 index."""
         return torch.tensor(self.worlds, dtype=torch.int64, device=self.device)
 
     @cached_property
     def vertex_world(self) -> Tensor:
-        """(vertices,) int64 world of each vertex."""
+        """World of each vertex, (vertices,) int64 index."""
         return self.garment_world[self.vertex_garment]
 
     @cached_property
@@ -95,31 +96,39 @@ class PackedGarments:
         return (*firsts, self.vertex_count)
 
     def by_world(self, values: Tensor) -> Tensor:
-        """(worlds,) sums of `values` (garments,) over the garments of each world."""
+        """Sums (worlds,) of `values` over the garments of each world, in their unit.
+
+        Args:
+            values: (garments,) of any unit, such as [J].
+        """
         if self.world_count == self.garment_count:
             return values
         return values.new_zeros(self.world_count).index_add(0, self.garment_world, values)
 
     @property
     def garment_count(self) -> int:
+        """Number of garments."""
         return len(self.garments)
 
     @property
     def vertex_count(self) -> int:
+        """Number of vertices of all garments."""
         return self.vertex_offsets[-1]
 
     @property
     def dtype(self) -> torch.dtype:
+        """Data type of the floating arrays."""
         return self.rest_positions.dtype
 
     @property
     def device(self) -> torch.device:
+        """Device of the arrays."""
         return self.rest_positions.device
 
 
 @dataclass(frozen=True, eq=False)
 class PackedColliders:
-    """What never changes of the bodies of a pack, concatenated.
+    """Static quantities of the bodies of a pack, concatenated.
 
     Args:
         faces: (faces, 3) int64 into the packed vertices.
@@ -138,35 +147,35 @@ class PackedColliders:
 
     @cached_property
     def whole_surfaces(self) -> tuple[TriangleSurface | None, ...]:
-        """The surfaces with the regions left out of contact."""
+        """Searchable surface of each world's bodies, regions left out of contact included."""
         return _surfaces(self.faces, None, self.vertex_world, len(self.surfaces))
 
     @cached_property
     def world_vertices(self) -> tuple[slice, ...]:
-        """The packed vertices of each world."""
+        """Rows of the packed vertices of each world."""
         counts = torch.bincount(self.vertex_world, minlength=len(self.surfaces)).tolist()
         stops = np.cumsum(counts).tolist()
         return tuple(slice(stop - count, stop) for count, stop in zip(counts, stops, strict=True))
 
     @cached_property
     def world_faces(self) -> tuple[Tensor, ...]:
-        """The packed faces of each world, int64."""
+        """Indices (faces,) int64 of the packed faces of each world."""
         face_world = self.vertex_world[self.faces[:, 0]] if len(self.faces) else self.vertex_world[:0]
         return tuple(torch.nonzero(face_world == world)[:, 0] for world in range(len(self.surfaces)))
 
     @cached_property
     def touchable(self) -> tuple[Tensor, ...]:
-        """The packed vertices of each world that may be touched, int64."""
+        """Indices (vertices,) int64 of the packed vertices of each world that may be touched."""
         return tuple(
             torch.nonzero((self.vertex_world == world) & self.contact)[:, 0] for world in range(len(self.surfaces))
         )
 
     def pose(self, positions: Tensor) -> ColliderPose:
-        """The bodies with their vertices at `positions` (vertices, 3) [m]."""
+        """Pose of the bodies with their vertices at `positions` (vertices, 3) [m]."""
         return ColliderPose(self, positions)
 
     def to(self, device: torch.device) -> PackedColliders:
-        """The same on a device."""
+        """Copy with its arrays on `device`."""
         return replace(
             self,
             faces=self.faces.to(device),
@@ -179,7 +188,7 @@ class ColliderPose:
     """The bodies of a pack at one instant; their search trees are built when first asked for, and kept with it.
 
     Args:
-        colliders: what never changes of them.
+        colliders: static quantities of the bodies.
         positions: (vertices, 3) [m].
     """
 
@@ -188,12 +197,12 @@ class ColliderPose:
 
     @cached_property
     def surfaces(self) -> tuple[PosedSurface | None, ...]:
-        """Each world's surface, regions left out of contact cut away."""
+        """Surface of each world's bodies, regions left out of contact cut away; None for a world without any."""
         return self._posed(self.colliders.surfaces)
 
     @cached_property
     def whole_surfaces(self) -> tuple[PosedSurface | None, ...]:
-        """Each world's surface with the regions left out of contact."""
+        """Surface of each world's bodies, regions left out of contact included; None for a world without any."""
         return self._posed(self.colliders.whole_surfaces)
 
     def _posed(self, surfaces: tuple[TriangleSurface | None, ...]) -> tuple[PosedSurface | None, ...]:
@@ -206,12 +215,12 @@ class ColliderPose:
 
 @dataclass(frozen=True, eq=False)
 class ColliderFrame:
-    """Where the bodies of a pack are around one step.
+    """Poses of the bodies of a pack around one step.
 
     Args:
-        previous: at frame t-1.
-        now: at frame t.
-        following: at frame t+1.
+        previous: pose at frame t-1.
+        now: pose at frame t.
+        following: pose at frame t+1.
     """
 
     previous: ColliderPose
@@ -220,10 +229,12 @@ class ColliderFrame:
 
     @property
     def colliders(self) -> PackedColliders:
+        """Static quantities of the bodies."""
         return self.now.colliders
 
     @property
     def ground_height(self) -> float | None:
+        """Height of the ground plane [m], or None."""
         return self.colliders.ground_height
 
     @property
@@ -233,11 +244,16 @@ class ColliderFrame:
 
     @cached_property
     def motion(self) -> Tensor:
-        """(vertices, 3) [m] how far the bodies move over the step."""
+        """Displacements (vertices, 3) [m] of the bodies over the step."""
         return self.following.positions - self.now.positions
 
     def between(self, start: float, end: float) -> ColliderFrame:
-        """The part of the step from the fraction `start` to `end`, the bodies moving along straight lines."""
+        """Poses around a part of the step, the bodies moving along straight lines.
+
+        Args:
+            start: fraction of the step at which the part begins.
+            end: fraction at which it ends.
+        """
         now = torch.lerp(self.now.positions, self.following.positions, start)
         following = torch.lerp(self.now.positions, self.following.positions, end)
         return ColliderFrame(*(self.colliders.pose(p) for p in (2.0 * now - following, now, following)))
@@ -253,8 +269,8 @@ def pack_colliders(
     """Concatenate bodies.
 
     Args:
-        faces: of each body, (faces, 3) int64, on one device.
-        contact: of each body, (vertices,) bool.
+        faces: (faces, 3) int64 vertex indices of each body, on one device.
+        contact: (vertices,) bool flags of each body, False where contact is not answered.
         worlds: world of each body, ascending.
         ground_height: height of the ground plane [m], or None.
         surfaces: the searchable surface of each world's bodies, where they are already made.
@@ -287,7 +303,11 @@ def _surfaces(
 
 
 def inverse_rest_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(faces, 2, 2) [1/m] inverse of [x1 x2; 0 y2], the rest triangle's edges from corner 0 in its own plane.
+    """Inverses (faces, 2, 2) [1/m] of [x1 x2; 0 y2], the rest triangle's edges from corner 0 in its own plane.
+
+    Args:
+        vertices: (vertices, 3) [m] at rest.
+        faces: (faces, 3) int64 vertex indices.
 
     Raises InputError naming the degenerate triangles.
     """
@@ -321,8 +341,8 @@ def pack(
 
     Args:
         garments: to pack, those of a world one after the other.
-        dtype: of floating arrays.
-        device: where the arrays live.
+        dtype: data type of floating arrays.
+        device: device of the arrays.
         worlds: world of each garment, ascending from 0; each alone in its own by default.
 
     Raises InputError when a rest triangle is degenerate.

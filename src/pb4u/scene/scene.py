@@ -20,7 +20,12 @@ UP = (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class DressedGarment:
-    """A garment and how the body carries it."""
+    """A garment and its placement on the body.
+
+    Args:
+        garment: rest shape, material and pins.
+        placement: positions of the garment on the body at any frame.
+    """
 
     garment: Garment
     placement: Placement
@@ -34,11 +39,11 @@ class Scene:
     simulated but not written.
 
     Args:
-        garments: the garments worn, length 1 today.
-        colliders: the moving surfaces, length 1 today; each covers all frames.
+        garments: the garments worn, inner first.
+        colliders: the moving bodies; each covers all frames.
         frames: number of frames to write.
         lead_in: number of frames before the first written one.
-        fps: frames per second; one time step lasts 1 / fps.
+        fps: frames per second [1/s]; one time step lasts 1 / fps.
         gravity: (3,) [m/s^2].
         ground_height: height of the ground plane [m]; None for no ground.
         seed: seed of everything random in the simulation.
@@ -59,6 +64,7 @@ class Scene:
 
     @property
     def total_frames(self) -> int:
+        """Number of frames simulated, lead-in included."""
         return self.lead_in + self.frames
 
     @property

@@ -1,4 +1,7 @@
-"""What a scene is made of, before anything of it is loaded: every default, and every check that needs no file."""
+"""Description of a scene before anything of it is loaded, with the defaults and checks that need no file.
+
+Defaults of frames, motion and triangle counts depend on what is loaded: see `assembly` and `garment.library`.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,7 @@ class GarmentSpecification:
 
     @property
     def name(self) -> str:
-        """What the garment is called."""
+        """Name of the garment; the stem of a file."""
         return Path(self.garment).stem if isinstance(self.garment, str | Path) else self.garment.name
 
 
@@ -66,8 +69,7 @@ class SceneSpecification:
         body_shape: shape parameters of the body by name, see `pb4u assets`; a loaded body has its shape.
         motion: built-in name, recording or Motion; None is the default, or the body's own where it is a sequence.
         frames: frames to write; None is the whole recording, or two seconds of a motion without end.
-        lead_in: frames simulated before the first written one, from the rest pose into the motion (reference
-            1.9).
+        lead_in: frames simulated before the first written one, from the rest pose into the motion (reference 1.9).
         keep_lead_in: write those frames as well, before the `frames` asked for.
         crop: (first, stop) frames of a recording, counted at its own rate.
         fps: frames per second [1/s].
@@ -130,11 +132,11 @@ class SceneSpecification:
 
     @property
     def written_frames(self) -> int | None:
-        """Frames that are written, a kept lead-in included; None where the motion decides."""
+        """Number of frames that are written, a kept lead-in included; None where the motion decides."""
         return self.frames if self.frames is None or not self.keep_lead_in else self.frames + self.lead_in
 
     def at_rate(self, fps: float) -> SceneSpecification:
-        """The same stretch of time at another frame rate.
+        """Specification of the same stretch of time at another frame rate.
 
         Args:
             fps: frames per second [1/s].
@@ -149,9 +151,12 @@ def require_name(what: str, value: object, optional: bool = False) -> None:
     """Refuse what is neither text, a path nor an object of the package.
 
     Args:
-        what: what the value stands for, for the sentence.
+        what: name of the value in the refusal.
         value: as given.
-        optional: whether None will do.
+        optional: whether None is accepted.
+
+    Raises:
+        InputError: the value is a number, a collection or empty text.
     """
     plain = isinstance(value, Real | Mapping | list | tuple | set) or (value is None and not optional)
     if plain or value == "":
@@ -159,19 +164,44 @@ def require_name(what: str, value: object, optional: bool = False) -> None:
 
 
 def require_whole(what: str, value: object, optional: bool = False) -> None:
-    """Refuse what is no whole number; arguments as for `require_name`."""
+    """Refuse what is no whole number.
+
+    Args:
+        what: name of the value in the refusal.
+        value: as given.
+        optional: whether None is accepted.
+
+    Raises:
+        InputError: the value is no whole number.
+    """
     if not (value is None and optional) and (isinstance(value, bool) or not isinstance(value, Integral)):
         raise InputError(f"The {what} must be a whole number, not {value!r}.")
 
 
 def require_number(what: str, value: object) -> None:
-    """Refuse what is no number; arguments as for `require_name`."""
+    """Refuse what is no number.
+
+    Args:
+        what: name of the value in the refusal.
+        value: as given.
+
+    Raises:
+        InputError: the value is no number.
+    """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise InputError(f"The {what} must be a number, not {value!r}.")
 
 
 def require_switch(what: str, value: object) -> None:
-    """Refuse what is neither true nor false; arguments as for `require_name`."""
+    """Refuse what is neither true nor false.
+
+    Args:
+        what: name of the value in the refusal.
+        value: as given.
+
+    Raises:
+        InputError: the value is neither True nor False.
+    """
     if not isinstance(value, bool):
         raise InputError(f"The value of {what} must be true or false, not {value!r}.")
 

@@ -1,4 +1,4 @@
-"""All that evolves during a simulation."""
+"""State of a simulation: everything that evolves from frame to frame."""
 
 from __future__ import annotations
 

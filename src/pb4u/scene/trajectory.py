@@ -31,7 +31,7 @@ _STREAMED = ("positions", "velocities", "body_positions")
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryHeader:
-    """All of a trajectory that does not change from frame to frame.
+    """Static part of a trajectory: everything that does not change from frame to frame.
 
     Args:
         faces: (faces, 3) int64.
@@ -40,10 +40,10 @@ class TrajectoryHeader:
         vertex_garment: (vertices,) int32 garment of each vertex.
         body_faces: (body faces, 3) int64.
         body_contact: (body vertices,) bool.
-        fps: frames per second.
+        fps: frames per second [1/s].
         metadata: names, counts, garments with their materials and rows, and versions, as JSON.
-        uvs: (uv points, 2) float64 or None.
-        uv_faces: (faces, 3) int64 or None.
+        uvs: (uv points, 2) float64 UV coordinates, or None.
+        uv_faces: (faces, 3) int64 UV points of each face, or None.
         source: the author's mesh where it differs from the simulated one.
         polygons: the faces before they were cut into triangles, where this mesh is the author's own; or None.
     """
@@ -63,7 +63,12 @@ class TrajectoryHeader:
 
     @staticmethod
     def of(scene: Scene, metadata: dict[str, Any]) -> TrajectoryHeader:
-        """Of what is simulated of `scene`, garments and bodies one after the other; `metadata` is added to its own."""
+        """Header of what is simulated of a scene, its garments and its bodies each joined into one mesh.
+
+        Args:
+            scene: garments and bodies.
+            metadata: entries added to those of the garments.
+        """
         garments, bodies = [worn.garment for worn in scene.garments], scene.colliders
         vertices, triangles = offsets([g.vertices for g in garments]), offsets([g.faces for g in garments])
         uvs, uv_faces = joined_uvs([(g.uvs, g.uv_faces) for g in garments])
@@ -93,7 +98,7 @@ class TrajectoryHeader:
 
     @property
     def garments(self) -> list[dict[str, Any]]:
-        """What `metadata` says of each garment; older files speak of one."""
+        """Entries of each garment in `metadata`; one entry for files of older versions, which have none."""
         whole = {
             "name": self.metadata.get("garment", "garment"),
             "material": self.metadata.get("material"),
@@ -105,11 +110,11 @@ class TrajectoryHeader:
 
     @property
     def outlines(self) -> Polygons:
-        """What a format that takes polygons is given: the author's own, or else the triangles."""
+        """Polygons for formats that take them: the author's own, or else the triangles."""
         return self.polygons or Polygons.of_triangles(self.faces, self.uv_faces)
 
     def with_metadata(self, **entries: Any) -> TrajectoryHeader:
-        """The same header with some metadata entries replaced."""
+        """Copy of the header with some metadata entries replaced."""
         return replace(self, metadata={**self.metadata, **entries})
 
     def _members(self) -> dict[str, np.ndarray]:
@@ -146,7 +151,13 @@ class TrajectoryHeader:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One written frame: garment positions (vertices, 3) [m] and velocities [m/s], body positions [m]."""
+    """One written frame.
+
+    Args:
+        positions: (vertices, 3) float32 [m] of the garments.
+        velocities: (vertices, 3) float32 [m/s] of the garments.
+        body_positions: (body vertices, 3) float32 [m].
+    """
 
     positions: np.ndarray
     velocities: np.ndarray
@@ -158,7 +169,7 @@ class Trajectory:
     """Garment and body over time.
 
     Args:
-        header: what does not change.
+        header: everything that does not change from frame to frame.
         positions: (frames, vertices, 3) float32 [m].
         velocities: (frames, vertices, 3) float32 [m/s].
         body_positions: (frames, body vertices, 3) float32 [m].
@@ -171,29 +182,40 @@ class Trajectory:
 
     @property
     def frame_count(self) -> int:
+        """Number of frames."""
         return len(self.positions)
 
     @property
     def faces(self) -> np.ndarray:
+        """Vertex indices (faces, 3) int64 of the garments' triangles."""
         return self.header.faces
 
     @property
     def fps(self) -> float:
+        """Frames per second [1/s]."""
         return self.header.fps
 
     @property
     def metadata(self) -> dict[str, Any]:
+        """Names, counts, garments and versions, as JSON data."""
         return self.header.metadata
 
     @property
     def frames(self) -> Iterable[Frame]:
-        """Every frame in turn."""
+        """Frames in their order."""
         for p, v, b in zip(self.positions, self.velocities, self.body_positions, strict=True):
             yield Frame(p, v, b)
 
     @classmethod
     def collect(cls, header: TrajectoryHeader, frames: Iterable[Frame]) -> Trajectory:
-        """Gather frames in memory."""
+        """Gather frames in memory.
+
+        Args:
+            header: everything that does not change from frame to frame.
+            frames: one or more, in order.
+
+        Raises InputError when there is no frame.
+        """
         rows = list(frames)
         if not rows:
             raise InputError("A trajectory needs at least one frame.")
@@ -260,8 +282,8 @@ class TrajectoryWriter:
     An error on the way leaves nothing.
 
     Args:
-        path: of the file.
-        header: all that does not change from frame to frame.
+        path: path of the file.
+        header: everything that does not change from frame to frame.
 
     Raises InputError where the folder is absent or cannot be written.
     """
@@ -311,7 +333,7 @@ class TrajectoryWriter:
             shutil.copyfileobj(raw, member, 1 << 20)
 
     def abandon(self) -> None:
-        """Leave nothing behind."""
+        """Delete what was written; no file appears."""
         for raw in self._raw.values():
             raw.close()
         shutil.rmtree(self._folder, ignore_errors=True)

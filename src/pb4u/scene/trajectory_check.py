@@ -1,4 +1,4 @@
-"""What has to hold between the members of a trajectory file before anything is made of them."""
+"""Checks of the members of a trajectory file against each other, before anything is made of them."""
 
 from __future__ import annotations
 
@@ -56,7 +56,11 @@ _KINDS = {"f": "decimal numbers", "b": "yes or no", "iu": "whole numbers", "U": 
 
 
 def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, Any]:
-    """The metadata of a trajectory whose members fit together; frames may hold NaN, nothing else may.
+    """Metadata of a trajectory file, if its members fit together; frames may hold NaN, nothing else may.
+
+    Args:
+        members: arrays of the file by name, with the shapes of `_LAYOUT`; positions in [m], indices as integers.
+        path: path of the file, for the refusal.
 
     Raises InputError naming the first member that does not fit.
     """

@@ -30,7 +30,7 @@ RESOLUTION_TOLERANCE = 0.05
 
 @dataclass(frozen=True)
 class TrainingRecord:
-    """How weights came to be.
+    """Record of the training of weights.
 
     Args:
         dt: time step that they were trained with [s].
@@ -49,13 +49,13 @@ class TrainingRecord:
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """A trained model with where it came from.
+    """A trained model and the record of its training.
 
     Args:
         name: the built-in name, or the file's stem.
         model: in evaluation mode, on the CPU, float32.
-        configuration: what the model was built from.
-        record: how it was trained.
+        configuration: network that the model was built from.
+        record: resolutions, steps and time step of its training.
         licence: SPDX name of the weights' licence.
     """
 
@@ -71,7 +71,13 @@ class Checkpoint:
         propagation_steps: int | None = None,
         dtype: torch.dtype = torch.float32,
     ) -> PreparedGarments:
-        """`AccelerationModel.prepare`, warning about resolutions and propagation steps never seen in training."""
+        """Prepare the model for garments, warning about resolutions and propagation steps never seen in training.
+
+        Args:
+            garments: on the device to compute on.
+            propagation_steps: override of the number that the resolution asks for.
+            dtype: precision of features and accelerations.
+        """
         prepared = self.model.prepare(garments, propagation_steps, dtype)
         for garment in garments.garments:
             self.warn_of_resolution(garment)
@@ -87,7 +93,7 @@ class Checkpoint:
         return prepared
 
     def warn_of_resolution(self, garment: Garment) -> None:
-        """Warn where a garment is finer or coarser than what the weights have seen, and say what to expect."""
+        """Warn where a garment is finer or coarser than those in training, and say what to expect."""
         length, (finest, coarsest) = garment.mean_edge_length, self.record.mean_edge_lengths
         if finest * (1 - RESOLUTION_TOLERANCE) <= length <= coarsest * (1 + RESOLUTION_TOLERANCE):
             return
@@ -113,6 +119,13 @@ def save_checkpoint(
 ) -> None:
     """Write weights, normalisers and everything needed to rebuild them; the file appears whole or not at all.
 
+    Args:
+        path: path of the file.
+        model: with the weights.
+        configuration: network that the model was built from.
+        record: record of its training.
+        licence: SPDX name of the weights' licence.
+
     Raises InputError where the folder cannot be written.
     """
     path = Path(path)
@@ -131,7 +144,11 @@ def save_checkpoint(
 
 
 def load_checkpoint(path: Path | str, name: str | None = None) -> Checkpoint:
-    """The model in a file that `save_checkpoint` wrote.
+    """Checkpoint in a file that `save_checkpoint` wrote.
+
+    Args:
+        path: path of the file.
+        name: name of the checkpoint; the file's stem by default.
 
     Raises InputError where the file is absent, cut, foreign, of a newer format, or at odds with its own configuration.
     """
@@ -174,7 +191,7 @@ def built_in_models() -> tuple[str, ...]:
 
 
 def from_pretrained(name_or_path: str | Path) -> Checkpoint:
-    """The checkpoint of a built-in name, or of a path.
+    """Checkpoint of a built-in name, or of a path.
 
     Raises InputError where there is neither, listing the names, and whatever `load_checkpoint` refuses.
     """
@@ -185,7 +202,7 @@ def from_pretrained(name_or_path: str | Path) -> Checkpoint:
 
 @contextmanager
 def weights_file(name_or_path: str) -> Iterator[Path]:
-    """The file of a built-in name, or of a path. Raises InputError where there is neither, listing the names."""
+    """File of a built-in name, or of a path. Raises InputError where there is neither, listing the names."""
     if name_or_path in built_in_models():
         with resources.as_file(resources.files("pb4u.simulation") / "weights" / (name_or_path + SUFFIX)) as path:
             yield path

@@ -1,4 +1,4 @@
-"""How a simulation starts: from the garments where skinning puts them to a settled state on the standing bodies."""
+"""First frame of a simulation: garments settled on the standing bodies, from where skinning puts them."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from pb4u.simulation.timeline import Timeline
 
 
 class FirstFrame(ABC):
-    """Makes the state of frame 0."""
+    """Rule that makes the state of frame 0."""
 
     @abstractmethod
     def start(self, timeline: Timeline, method: StepMethod) -> State:
-        """Positions settled on the bodies at frame 0, with the velocity that skinning has there.
+        """State settled on the bodies at frame 0, with the velocity that skinning has there.
 
         Args:
             timeline: garments and bodies.
-            method: what takes the steps that follow.
+            method: takes the steps that follow.
         """
 
 
 class OneLongStep(FirstFrame):
-    """The paper's way: the method's own step, once, with the body held and a long time step.
+    """The paper's rule: the method's own step, once, with the body held and a long time step.
 
     Before it the contact response is applied once, as the released code pushes garments out of the body.
     """
@@ -40,13 +40,13 @@ class OneLongStep(FirstFrame):
 
 @dataclass(frozen=True)
 class Settled(FirstFrame):
-    """Settled by the solver: long steps from rest, until none moves the cloth more than a little.
+    """Settling by the solver: long steps from rest, until one moves the cloth by no more than `still`.
 
     Args:
         still: rms displacement of one settling step [m] at which the garments count as settled.
         most_steps: settling steps after which they start anyway; garments fitted to the body take two to four.
-        iterations: solver iterations of each.
-        solver: that makes them; one of its own by default.
+        iterations: solver iterations of each settling step.
+        solver: makes them; one of its own by default.
     """
 
     still: float = 2e-3

@@ -1,4 +1,4 @@
-"""Simulators by name: what `--model` takes."""
+"""Simulators by name, as `--model` takes them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pb4u.simulation.simulator import Simulator
 
 _BEST = "best.safetensors"
 _TRAINING_STATE = "pb4u_training"
-"""What the header of a training's last.safetensors holds; `training`, which writes it, lies above this package."""
+"""Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
 
 
 def model_descriptions() -> dict[str, str]:
-    """Name -> one line, of every simulator that needs no file."""
+    """One line of description of every simulator that needs no file, by name."""
     from pb4u.simulation.checkpoint import built_in_models
 
     descriptions = {name: _network_line(name) for name in built_in_models()}
@@ -32,7 +32,7 @@ def _network_line(name: str) -> str:
 
 
 def default_model() -> str:
-    """The best network that is shipped: the paper-size one, else the small one; the solver where there is none."""
+    """Name of the best network that is shipped, the paper-size one before the small one; else the solver."""
     from pb4u.simulation.checkpoint import built_in_models
 
     return next((name for name in ("pb4u", "pb4u-small") if name in built_in_models()), "solver")
@@ -48,16 +48,16 @@ def load_simulator(
     device: str = "auto",
     first_frame: str = "auto",
 ) -> Simulator:
-    """The simulator called `name`.
+    """Simulator called `name`, loaded.
 
     Args:
         name: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
         contact: push the garment out of the body after each step (networks and solver).
         refine: solver iterations after each step of a network.
         propagation_steps: override of K for a network; None follows the paper's rule.
-        passes: how often a network is asked in a step; None is its own number, or 1 where the solver refines.
+        passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
-        first_frame: how frame 0 is made: "settled" by the solver, in one "long_step" of the method's own as in the
+        first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
             paper, or "auto": settled where the solver runs.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
@@ -90,7 +90,7 @@ def load_simulator(
         raise unknown_name("model", wanted, model_descriptions())
     from pb4u.simulation.checkpoint import from_pretrained
 
-    # What a further pass improves, and what one long step settles, the solver does better and more cheaply.
+    # The solver improves a state more, and settles it better, than a further pass or one long step at the same cost.
     beginning = ways.get(first_frame, Settled if refine else OneLongStep)()
     asked = 1 if passes is None and refine else passes
     return NetworkSimulator(

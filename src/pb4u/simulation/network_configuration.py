@@ -14,12 +14,12 @@ from pb4u.presets.networks import NETWORKS
 
 
 def configuration_to_json(configuration: NetworkConfiguration) -> dict[str, Any]:
-    """`configuration` as plain JSON data; each part names its type."""
+    """Plain JSON data of a network configuration; each part names its type."""
     return cast(dict[str, Any], _encode(configuration))
 
 
 def configuration_from_json(data: Any) -> NetworkConfiguration:
-    """The configuration that `configuration_to_json` wrote.
+    """Network configuration that `configuration_to_json` wrote.
 
     Args:
         data: plain JSON data.

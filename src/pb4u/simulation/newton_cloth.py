@@ -1,4 +1,4 @@
-"""A scene in the `newton` package's terms.
+"""A scene as a model of the `newton` package.
 
 Newton's membrane is a stable neo-Hookean solid (Smith et al. 2018, adapted to shells), ours a Saint Venant-Kirchhoff
 one. Newton shifts its own parameters so that the two agree to second order in the strain. Beyond that ours stiffens in
@@ -31,7 +31,7 @@ FRICTION = 0.5
 """Coulomb coefficient, as in our friction energy."""
 
 EDGES_PER_SUBSTEP = 0.6
-"""Mean edges that a stretch wave may cross in a sub-step.
+"""Number of mean edge lengths that a stretch wave may cross in a sub-step.
 
 A pass over the vertices moves a disturbance about one edge, and many short sub-steps of few passes come nearer to the
 converged cloth than few long ones of many. A T-shirt of 2.5K triangles walking, 5 passes: at 1.2 edges its mean
@@ -42,7 +42,7 @@ tolerance, has 0.064 and 17%. At 1.2 edges 10 passes give 0.089, and leave the w
 
 @dataclass(frozen=True)
 class NewtonOptions:
-    """How Newton's cloth solver is run.
+    """Options of Newton's cloth solver.
 
     Its self-contact stays off: ours has none, and it would let a vertex move no farther than the contact distance in a
     sub-step.
@@ -51,9 +51,9 @@ class NewtonOptions:
         substeps: equal parts that a frame is divided into; None for as many as the garment's resolution needs.
         iterations: passes over all vertices in each sub-step.
         contact_distance: distance [m] from the body at which contact begins; ours is 2 mm too.
-        contact_stiffness: of the contact springs [N/m].
-        search_distance: how much farther [m] than that a vertex may be from the body's surface, on either side, for
-            the body to be looked for.
+        contact_stiffness: stiffness of the contact springs [N/m].
+        search_distance: distance [m] beyond that, on either side of the body's surface, within which a vertex is
+            looked up.
     """
 
     substeps: int | None = None
@@ -69,9 +69,9 @@ class NewtonCloth:
     Args:
         scene: one garment, one body.
         body: (body vertices, 3) [m] at the start.
-        positions: (vertices, 3) garment [m] at the start, at rest.
+        positions: (vertices, 3) [m] of the garment at the start, at rest.
         device: Warp's name of the device: "cpu" or "cuda:0".
-        options: how to run the solver.
+        options: sub-steps, iterations and contact of the solver.
 
     Raises MissingExtraError when the package is absent.
     """
@@ -95,13 +95,14 @@ class NewtonCloth:
 
     @property
     def positions(self) -> np.ndarray:
-        """(vertices, 3) float32 [m]."""
+        """Positions (vertices, 3) float32 [m] of the garment."""
         return self._state.particle_q.numpy().copy()
 
     def advance(self, seconds: float, body: tuple[np.ndarray, np.ndarray], pins: tuple[np.ndarray, np.ndarray]) -> None:
-        """Simulate `seconds` while body and pins go straight from the first of their positions to the second.
+        """Simulate while body and pins go straight from the first of their positions to the second.
 
         Args:
+            seconds: duration [s].
             body: (body vertices, 3) [m] before and after.
             pins: (pinned vertices, 3) [m] before and after.
         """
@@ -115,7 +116,12 @@ class NewtonCloth:
             self._step(seconds / steps, body[0] + share * (body[1] - body[0]), speed)
 
     def settle(self, seconds: float, body: np.ndarray) -> None:
-        """Relax on a body that stands still, taking all speed away after every sub-step."""
+        """Relax on a body that stands still, setting velocities to zero after every sub-step.
+
+        Args:
+            seconds: duration [s].
+            body: (body vertices, 3) [m].
+        """
         still = np.zeros_like(body)
         for _ in range(self.substeps):
             self._step(seconds / self.substeps, body, still)
@@ -140,7 +146,7 @@ class NewtonCloth:
 
 
 def warp_device(name: str) -> str:
-    """Warp's name of "auto", "cpu" or "cuda". Raises InputError where "cuda" is asked for and absent."""
+    """Warp's name of the device "auto", "cpu" or "cuda". Raises InputError where "cuda" is asked for and absent."""
     _, warp = import_newton()
     with _quiet(warp):
         present = name != "cpu" and warp.get_cuda_device_count() > 0
@@ -150,7 +156,7 @@ def warp_device(name: str) -> str:
 
 
 def needed_substeps(scene: Scene) -> int:
-    """Sub-steps a frame short enough for every garment's resolution and material."""
+    """Number of sub-steps of a frame that every garment's resolution and material needs."""
     return max(
         math.ceil(wave_speed(worn.material) * scene.dt / (EDGES_PER_SUBSTEP * worn.mean_edge_length))
         for worn in (dressed.garment for dressed in scene.garments)
@@ -158,7 +164,7 @@ def needed_substeps(scene: Scene) -> int:
 
 
 def import_newton() -> tuple[Any, Any]:
-    """The modules `newton` and `warp`. Raises MissingExtraError when they are absent."""
+    """Modules `newton` and `warp`. Raises MissingExtraError when they are absent."""
     try:
         import warp
 
@@ -210,7 +216,7 @@ def _build(newton: Any, warp: Any, scene: Scene, body: np.ndarray, options: Newt
 
 
 def _add_garment(builder: Any, warp: Any, garment: Garment, options: NewtonOptions) -> None:
-    tri_ke, tri_ka = membrane_stiffness(garment.material)
+    tri_ke, tri_ka = newton_membrane(garment.material)
     particles, edges = len(builder.particle_q), len(builder.edge_indices)
     builder.add_cloth_mesh(
         pos=warp.vec3(0.0, 0.0, 0.0),
@@ -238,14 +244,14 @@ def _add_garment(builder: Any, warp: Any, garment: Garment, options: NewtonOptio
         builder.particle_flags[particles + int(vertex)] = 0
 
 
-def membrane_stiffness(material: Material) -> tuple[float, float]:
+def newton_membrane(material: Material) -> tuple[float, float]:
     """Newton's `tri_ke` and `tri_ka` [N/m]: the Lame parameters mu and lambda times the thickness."""
     return material.lame_mu * material.thickness, material.lame_lambda * material.thickness
 
 
 def wave_speed(material: Material) -> float:
     """Speed [m/s] of a stretch wave in the resting cloth, square root of (lambda + 2 mu) h / density."""
-    tri_ke, tri_ka = membrane_stiffness(material)
+    tri_ke, tri_ka = newton_membrane(material)
     return math.sqrt((tri_ka + 2.0 * tri_ke) / material.density)
 
 
@@ -254,7 +260,8 @@ def hinge_stiffness(garment: Garment, edges: np.ndarray) -> np.ndarray:
 
     Args:
         garment: at rest.
-        edges: (edges, 4) int, Newton's order: the two opposite vertices, -1 where there is none, then the edge.
+        edges: (edges, 4) int vertex indices in Newton's order: the two opposite vertices, -1 where there is none, then
+            the edge.
     """
     opposite, edge = edges[:, :2], edges[:, 2:]
     inside = (opposite >= 0).all(axis=1)

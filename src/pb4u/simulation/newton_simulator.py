@@ -25,7 +25,7 @@ class NewtonSimulator(Simulator):
 
     Args:
         device: "auto", "cpu" or "cuda".
-        options: how to run the solver.
+        options: sub-steps, iterations and contact of the solver; the defaults where None.
 
     Raises MissingExtraError when the `newton` package is absent, InputError when there is no such device.
     """

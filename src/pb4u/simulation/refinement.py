@@ -1,4 +1,4 @@
-"""The solver inside a step: what `--refine N` adds to a network, and the whole method of `--model solver`."""
+"""Refinement of a step by the solver: `--refine N` for a network, and the whole method of `--model solver`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,12 @@ class Refinement(ABC):
 
     @abstractmethod
     def refine(self, step: TimeStep, predicted: State) -> State:
-        """A state of lower incremental potential; its velocity is the displacement over dt."""
+        """State of lower incremental potential; its velocity is the displacement over dt.
+
+        Args:
+            step: the time step.
+            predicted: state at its end that the method predicts.
+        """
 
 
 class NoRefinement(Refinement):
@@ -56,7 +61,7 @@ class SolverRefinement(Refinement):
 
 
 class ImplicitSteps(SolverRefinement):
-    """Minimises it from free flight, in as many implicit steps as the body's motion needs; see `implicit_steps`."""
+    """Minimises the incremental potential from free flight, by `implicit_steps`."""
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         state, solution = implicit_steps(self.potential, self.solver, step, self.iterations)

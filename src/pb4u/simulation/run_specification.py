@@ -1,4 +1,4 @@
-"""A whole run: the scene, and how it is simulated."""
+"""Description of a whole run: the scene and the simulation options."""
 
 from __future__ import annotations
 
@@ -53,18 +53,17 @@ FirstFrameChoice = Literal["auto", "settled", "long_step"]
 
 @dataclass(frozen=True)
 class RunSpecification:
-    """A scene and how it is simulated.
+    """A scene and the options of its simulation.
 
     Args:
-        scene: what is simulated.
+        scene: garments, body and motion.
         model: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
         contact: push the garment out of the body after each step (networks and solver).
         refine: solver iterations after each step of a network.
-        passes: how often a network is asked in a step; None is its own number, or once where the solver
-            refines.
+        passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         propagation_steps: override of K for a network; None follows the paper's rule.
-        device: where networks and newton compute.
-        first_frame: how frame 0 is made: "settled" by the solver, or by one "long_step" of the method itself; "auto"
+        device: "auto", "cpu" or "cuda", for networks and newton.
+        first_frame: way to make frame 0: "settled" by the solver, or by one "long_step" of the method itself; "auto"
             is settled where the solver runs.
 
     Raises:
@@ -96,7 +95,7 @@ class RunSpecification:
             raise unknown_name("first frame", str(self.first_frame), get_args(FirstFrameChoice))
 
     def simulator(self) -> Simulator:
-        """What simulates the scene.
+        """Simulator that the options name, loaded.
 
         Raises:
             InputError: an unknown model, a bad file or an impossible option.
@@ -115,10 +114,10 @@ class RunSpecification:
         )
 
     def assemble(self, simulator: Simulator) -> Scene:
-        """The scene, at the frame rate that the simulator has to run at.
+        """Scene, loaded, at the frame rate that the simulator has to run at.
 
         Args:
-            simulator: what is to simulate it.
+            simulator: simulator that will simulate it.
 
         Raises:
             InputError: something of the scene cannot be used.
@@ -159,13 +158,13 @@ class RunSpecification:
         record: RunRecord | None = None,
         progress: Progress = unheard,
     ) -> Trajectory:
-        """Simulate what was made of this description.
+        """Simulate a scene that was assembled from this description.
 
         Args:
-            simulator: as `simulator` gives it.
-            scene: as `assemble` gives it.
+            simulator: the one that `simulator` gives.
+            scene: the one that `assemble` gives.
             path: trajectory file to write; as frames come, where they need no resampling. None keeps them in memory.
-            record: where the run notes its cost and how it ended.
+            record: receives the cost of the run and how it ended.
             progress: called with (frames done, frames in all), lead-in included.
 
         Returns:

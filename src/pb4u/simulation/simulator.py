@@ -1,4 +1,4 @@
-"""What takes a Scene and gives a Trajectory: networks, the solver, bare skinning, an outside solver alike."""
+"""Simulators, which turn a Scene into a Trajectory: networks, the solver, bare skinning, an outside solver."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CHUNK = 32
 
 @dataclass
 class RunRecord:
-    """What a run cost and whether it came to its end.
+    """Cost of a run, and the frame at which it failed.
 
     Args:
         step_seconds: wall time of every simulated step, file writing and metrics left out.
@@ -43,15 +43,15 @@ class RunRecord:
 
     @property
     def ms_per_step(self) -> float:
-        """Median milliseconds a step."""
+        """Median wall time of a step [ms]."""
         return 1000.0 * statistics.median(self.step_seconds) if self.step_seconds else 0.0
 
 
 class Simulator(ABC):
-    """Anything that moves garments.
+    """A method that moves garments.
 
     Attributes:
-        name: what the user called it.
+        name: name that the user gives.
         fps: the frame rate it has to run at [1/s], or None where it takes any.
     """
 
@@ -63,20 +63,30 @@ class Simulator(ABC):
         """States of frames 0..total_frames-1, lead-in included.
 
         Ends early, with `record.failed_at` set, when the state stops being finite.
+
+        Args:
+            scene: garments and bodies.
+            record: receives the cost of the run and how it ended.
         """
 
     def propagation_steps(self, scene: Scene) -> int | None:
-        """K of the paper for this scene; None where the method has none."""
+        """Number K of propagation steps for a scene; None where the method has none."""
         return None
 
     def settings(self) -> dict[str, Any]:
-        """What else to note in a trajectory's metadata."""
+        """Further entries of a trajectory's metadata."""
         return {}
 
     def written_frames(
         self, scene: Scene, record: RunRecord | None = None, progress: Progress = unheard
     ) -> Iterator[Frame]:
-        """The frames to write, as they are simulated."""
+        """Frames to write, as they are simulated.
+
+        Args:
+            scene: garments and bodies.
+            record: receives the cost of the run and how it ended.
+            progress: called with (frames done, frames in all), lead-in included.
+        """
         record = record or RunRecord()
         states = self.rollout(scene, record)
         for frame in range(scene.total_frames):
@@ -94,13 +104,29 @@ class Simulator(ABC):
                 )
 
     def simulate(self, scene: Scene, progress: Progress = unheard) -> Trajectory:
-        """Simulate in memory."""
+        """Simulate a scene in memory.
+
+        Args:
+            scene: garments and bodies.
+            progress: called with (frames done, frames in all), lead-in included.
+
+        Raises InputError when the state stopped being finite before the first frame to write.
+        """
         return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=progress))
 
     def simulate_to(
         self, scene: Scene, path: str | Path, record: RunRecord | None = None, progress: Progress = unheard
     ) -> Trajectory:
-        """Simulate into a file as frames come, and open it. What was simulated is kept when the state fails."""
+        """Simulate into a file as frames come, and open it; frames are kept when the state stops being finite.
+
+        Args:
+            scene: garments and bodies.
+            path: trajectory file to write.
+            record: receives the cost of the run and how it ended.
+            progress: called with (frames done, frames in all), lead-in included.
+
+        Raises Pb4uError when the state stopped being finite before the first frame to write.
+        """
         record = record or RunRecord()
         with TrajectoryWriter(path, self.header(scene)) as writer:
             for frame in self.written_frames(scene, record, progress):
@@ -112,7 +138,7 @@ class Simulator(ABC):
         return Trajectory.open(path)
 
     def header(self, scene: Scene) -> TrajectoryHeader:
-        """The static part of the trajectory that this simulator makes of `scene`."""
+        """Static part of the trajectory that this simulator makes of `scene`."""
         garments = [worn.garment for worn in scene.garments]
         edges = sum(len(garment.edge_lengths) for garment in garments)
         shape = scene.labels.get("body_shape")

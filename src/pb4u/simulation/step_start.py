@@ -1,4 +1,4 @@
-"""Where a network starts a time step from: free flight, as in the paper, or part of the way that the body moves."""
+"""Start of a network's time step: free flight, as in the paper, or a share of the body's motion."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from pb4u.physics.time_step import TimeStep, integrate
 
 
 class StepStart(ABC):
-    """Says where a step starts from."""
+    """Rule for the positions that a step starts from."""
 
     @abstractmethod
     def accelerations(self, step: TimeStep) -> Tensor:
-        """(vertices, 3) [m per step^2] from free flight to the start."""
+        """Accelerations (vertices, 3) [m per step^2] from free flight to the start."""
 
 
 class FreeFlight(StepStart):
-    """The paper's, and the solver's: every vertex keeps its velocity."""
+    """The rule of the paper and of the solver: every vertex keeps its velocity."""
 
     def accelerations(self, step: TimeStep) -> Tensor:
         return torch.zeros_like(step.state.positions)
 
 
 class CarriedStart(StepStart):
-    """Lets every world start with the share of the body's motion that leaves it least potential, off the body.
+    """Starts every world with the share of the body's motion of least potential, lifted off the body.
 
-    Where a body sets off, free flight leaves all cloth behind by the same amount, and a network has to pass that on
-    across the garment; on a fine mesh that is many edges. Skinning knows that motion at any resolution.
+    When a body begins to move, free flight leaves all cloth behind by the same amount, and a network has to pass that
+    on across the garment; on a fine mesh that is many edges. Skinning gives that motion at any resolution.
 
     Args:
         shares: to choose from, besides 0, which is free flight.
@@ -60,5 +60,5 @@ class CarriedStart(StepStart):
 
 
 def start_of(network: GraphNetwork) -> StepStart:
-    """Where the steps of `network` start."""
+    """Rule for the start of the steps of `network`."""
     return CarriedStart(network.carried_shares) if network.carried_shares else FreeFlight()

@@ -29,17 +29,22 @@ from pb4u.simulation.timeline import Timeline
 
 
 class StepwiseSimulator(Simulator):
-    """Rolls a scene out by repeated steps.
+    """Simulates a scene step by step.
 
     Attributes:
-        first_frame: how frame 0 is made.
+        first_frame: makes frame 0.
     """
 
     first_frame: FirstFrame
 
     @abstractmethod
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
-        """What takes the steps of a run."""
+        """Method that takes the steps of a run.
+
+        Args:
+            timeline: garments and bodies.
+            record: receives the cost of the run.
+        """
 
     def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
         timeline = Timeline.of(scene)
@@ -64,14 +69,14 @@ def _written(scene: Scene, timeline: Timeline, state: State, method: StepMethod)
 
 
 class SolverSimulator(StepwiseSimulator):
-    """`--model solver`: the incremental potential minimised each frame, from free flight, then contact response.
+    """Solver of every frame (`--model solver`): minimises the incremental potential from free flight, then contact.
 
     The reference, and the floor that energies are measured from.
 
     Args:
         iterations: a fixed number of solver iterations an implicit step; None goes to the tolerance.
-        contact: what answers vertices left inside the body.
-        first_frame: how frame 0 is made.
+        contact: pushes out vertices left inside the body; none by default.
+        first_frame: makes frame 0; settled by default.
     """
 
     name = "solver"
@@ -96,16 +101,17 @@ class SolverSimulator(StepwiseSimulator):
 class NetworkSimulator(StepwiseSimulator):
     """A trained network, with the solver and contact response in the loop where asked for.
 
-    The solver mends what the warnings of a checkpoint tell to expect; with it there are none.
+    The solver corrects the faults that a checkpoint warns of at resolutions not trained on; with it there are no
+    warnings.
 
     Args:
-        checkpoint: the trained model; it stays as and where it is.
+        checkpoint: the trained model; it is never changed or moved, but copied to another device.
         propagation_steps: override of K; None follows the paper's rule.
         refine: solver iterations after each step; 0 for none.
-        contact: what answers vertices left inside the body.
-        device: where the network computes.
-        passes: how often the network is asked in a step; None is its own number.
-        first_frame: how frame 0 is made.
+        contact: pushes out vertices left inside the body; none by default.
+        device: device that the network computes on.
+        passes: evaluations of the network in a step; None is its own number.
+        first_frame: makes frame 0; by default one long step of the method's own.
 
     Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next.
     """
@@ -146,7 +152,7 @@ class NetworkSimulator(StepwiseSimulator):
         }
 
     def propagation_steps(self, scene: Scene) -> int | None:
-        """K of the finest garment, which takes the most steps."""
+        """Number K of propagation steps of the finest garment, which takes the most."""
         network = self.checkpoint.model.network
         ruled = max(network.propagation_steps(worn.garment.mean_edge_length) for worn in scene.garments)
         if not ruled:

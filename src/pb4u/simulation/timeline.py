@@ -62,8 +62,8 @@ class Timeline:
     Args:
         garments: static quantities.
         colliders: static quantities of the bodies.
-        body: body vertices of every frame.
-        skinned: garment vertices of every frame where the bodies alone would carry them.
+        body: (body vertices, 3) [m] of every frame.
+        skinned: (vertices, 3) [m] of the garments at every frame where skinning alone puts them.
         dt: time between frames [s].
         gravity: (3,) [m/s^2].
     """
@@ -83,12 +83,12 @@ class Timeline:
 
     @staticmethod
     def of(scene: Scene, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Timeline:
-        """The frames of a scene, one world.
+        """Timeline of a scene, all in one world.
 
         Args:
             scene: garments and bodies.
-            dtype: of positions and static quantities.
-            device: where they live.
+            dtype: data type of positions and static quantities.
+            device: device of the arrays.
         """
         garments = pack([worn.garment for worn in scene.garments], dtype, device, [0] * len(scene.garments))
         bodies = scene.colliders
@@ -109,27 +109,27 @@ class Timeline:
         return Timeline(garments, colliders, body, skinned, scene.dt, gravity)
 
     def skinned(self, frame: int) -> Tensor:
-        """(vertices, 3) [m] of the garments where the bodies alone would carry them."""
+        """Garment vertices (vertices, 3) [m] at a frame where skinning alone puts them."""
         return self._skinned[min(max(frame, 0), len(self._skinned) - 1)]
 
     def skinned_velocity(self, frame: int) -> Tensor:
-        """(vertices, 3) [m/s] of the garments as the bodies alone would carry them; 0 at the first frame."""
+        """Velocities (vertices, 3) [m/s] of the garments under skinning alone; 0 at the first frame."""
         return (self.skinned(frame) - self.skinned(frame - 1)) / self.dt
 
     def skinned_acceleration(self, frame: int) -> Tensor:
-        """(vertices, 3) [m per step^2] that would keep the garments where the bodies alone carry them."""
+        """Accelerations (vertices, 3) [m per step^2] of the garments under skinning alone."""
         return self.skinned(frame + 1) - 2.0 * self.skinned(frame) + self.skinned(frame - 1)
 
     def skinned_state(self, frame: int) -> State:
-        """The garments where the bodies alone would carry them, at the speed the bodies alone would give them."""
+        """State of the garments under skinning alone: positions [m] and velocities [m/s] at a frame."""
         return State(self.skinned(frame), self.skinned_velocity(frame), frame)
 
     def body(self, frame: int) -> Tensor:
-        """(body vertices, 3) [m]."""
+        """Body vertices (vertices, 3) [m] at a frame."""
         return self.pose(frame).positions
 
     def pose(self, frame: int) -> ColliderPose:
-        """The bodies at a frame; the poses last asked for are kept, with their search trees."""
+        """Pose of the bodies at a frame; the poses last asked for are kept, with their search trees."""
         frame = min(max(frame, 0), len(self._body) - 1)
         pose = self._poses.pop(frame, None) or self.colliders.pose(self._body[frame])
         while len(self._poses) >= _POSES:
@@ -138,7 +138,7 @@ class Timeline:
         return pose
 
     def step_from(self, state: State) -> TimeStep:
-        """What is known before the step from the state's frame to the next."""
+        """Time step from the state's frame to the next."""
         t = state.frame
         collider = ColliderFrame(self.pose(t - 1), self.pose(t), self.pose(t + 1))
         after = self.skinned(t + 1)
@@ -146,7 +146,7 @@ class Timeline:
         return TimeStep(self.garments, state, collider, self.dt, self.gravity, after, motion)
 
     def settling_from(self, state: State) -> TimeStep:
-        """A long step from rest on the bodies standing still at the state's frame."""
+        """Long time step from rest on the bodies standing still at the state's frame."""
         still, pins = self.pose(state.frame), self.skinned(state.frame)
         return TimeStep(
             self.garments,

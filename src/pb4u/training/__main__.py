@@ -12,7 +12,7 @@ from pb4u.training.session import Request, train
 
 
 def main() -> int:
-    """Entry point; the options of `pb4u train` that need no asset but the pack."""
+    """Run a training with the options of `pb4u train` that need no asset but the pack; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m pb4u.training", description="Train a network from a pack.")
     parser.add_argument("--pack", type=Path, help="file that `pb4u assets pack` wrote")
     parser.add_argument("--preset", help=f"training: {', '.join(TRAININGS)}")

@@ -1,4 +1,4 @@
-"""How long a training lasts, where it is, and whether it is coming apart."""
+"""Length and progress of a training, and the test whether its energies explode."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _FAST, _SLOW = 0.95, 0.998
 
 @dataclass(frozen=True)
 class ExplosionGuard:
-    """Compares the energies of the last twenty steps or so with those of the last five hundred, on a logarithm.
+    """Compares the energies of about the last twenty steps with those of the last five hundred, by their logarithms.
 
-    Single wild samples do not count, a loss that stays high does.
+    Single outliers do not count, a loss that stays high does.
 
     Args:
-        factor: ratio at which a training counts as exploded.
-        patience: steps before it is judged at all.
-        fast: average of the logarithm over the last steps.
-        slow: the same over many more.
-        seen: steps watched.
+        factor: ratio above which a training counts as exploded.
+        patience: steps before which it never does.
+        fast: average of the logarithm of the energy over about twenty steps.
+        slow: the same over about five hundred.
+        seen: number of steps watched.
     """
 
     factor: float = 30.0
@@ -34,9 +34,9 @@ class ExplosionGuard:
     seen: int = 0
 
     def after(self, energy: float) -> ExplosionGuard:
-        """The guard after a step of `energy` [J], above 0."""
+        """Guard after a further step of `energy` [J], above 0."""
         value = math.log(max(energy, 1e-12)) if math.isfinite(energy) else 60.0
-        # Young averages are plain means, so that they do not lean to where they began.
+        # At first the averages are plain means, so that the initial value has no weight.
         fast, slow = min(_FAST, self.seen / (self.seen + 1.0)), min(_SLOW, self.seen / (self.seen + 1.0))
         return ExplosionGuard(
             self.factor,
@@ -48,26 +48,29 @@ class ExplosionGuard:
 
     @property
     def ratio(self) -> float:
-        """How many times higher the energies are than they were."""
+        """Ratio of the energies of late to those before, dimensionless."""
         return math.exp(min(self.fast - self.slow, 100.0))
 
     @property
     def exploded(self) -> bool:
+        """Whether the ratio is above `factor`, after `patience` steps."""
         return self.seen >= self.patience and self.ratio > self.factor
 
     @property
     def calm(self) -> bool:
-        """Whether this is a state worth going back to."""
+        """Whether the energies are low enough for a snapshot: the ratio is below the root of `factor`."""
         return self.seen < self.patience or self.ratio < self.factor**0.5
 
 
 @dataclass(frozen=True)
 class Budget:
-    """When a training ends: after so many optimiser steps or minutes, whichever comes first.
+    """Limit of a training in optimiser steps or minutes, whichever comes first.
 
     Args:
-        steps: optimiser steps, or None.
-        minutes: of wall time, or None.
+        steps: number of optimiser steps, or None.
+        minutes: wall time [min], or None.
+
+    Raises InputError where both are None or one is not above 0.
     """
 
     steps: int | None = None
@@ -80,25 +83,30 @@ class Budget:
             raise InputError("The steps or minutes of a training must be above 0.")
 
     def spent(self, steps: int, seconds: float) -> float:
-        """Fraction that is used up."""
+        """Fraction of the budget that is used up.
+
+        Args:
+            steps: optimiser steps taken.
+            seconds: wall time spent [s].
+        """
         by_steps = steps / self.steps if self.steps else 0.0
         return max(by_steps, seconds / (60.0 * self.minutes) if self.minutes else 0.0)
 
 
 @dataclass
 class Counters:
-    """Where a training is, besides its weights. Every random draw follows from the number of the window.
+    """Progress of a training, besides its weights. Every random draw follows from the number of the window.
 
     Args:
         step: optimiser steps taken.
         window: windows drawn, those of the statistics included.
-        seconds: of wall time spent.
-        rate_factor: of the learning rate, lowered by each rollback.
-        rollbacks: so far.
+        seconds: wall time spent [s].
+        rate_factor: factor on the learning rate, lowered by each rollback.
+        rollbacks: number of rollbacks.
         best: score of the best weights.
-        flat: validations since then.
+        flat: validations since the best one.
         validated: step of the last validation.
-        guard: what the energies of late were.
+        guard: averages of the energies of late.
     """
 
     step: int = 0
@@ -112,12 +120,12 @@ class Counters:
     guard: ExplosionGuard = field(default_factory=ExplosionGuard)
 
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON data."""
+        """Plain JSON data of the counters."""
         return asdict(self)
 
     @staticmethod
     def from_json(record: dict[str, Any]) -> Counters:
-        """What `to_json` gave. Raises InputError where it is something else."""
+        """Counters from the data that `to_json` gave. Raises InputError where it is something else."""
         try:
             given = dict(record)
             guard, best = ExplosionGuard(**given.pop("guard")), given.pop("best")

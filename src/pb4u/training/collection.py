@@ -17,7 +17,7 @@ from pb4u.motion.library import load_motion, motion_names
 from pb4u.motion.motion import Motion
 from pb4u.scene.catalogue import RECORDINGS, SEEDS
 from pb4u.training.configuration import DataSelection
-from pb4u.training.packed_data import Clip, Outfit, TrainingData, rounded_poses
+from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
 
 Progress = Callable[[int, int], None]
 
@@ -25,12 +25,12 @@ Progress = Callable[[int, int], None]
 def collect(
     selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress | None = None
 ) -> TrainingData:
-    """The data that `selection` describes.
+    """Training data that `selection` describes.
 
     Args:
         selection: garments, bodies and motions.
         recordings: folder of CMU files, SUBJECT/TRIAL.amc; those of the training and validation splits are taken.
-        seed: of body shapes and of the choice of clips.
+        seed: seed of body shapes and of the choice of clips.
         progress: called with (parts made, parts in all).
 
     Raises InputError for an unknown name, or a folder without any of the recordings.
@@ -59,7 +59,7 @@ def collect(
 
 
 def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBody]:
-    """So many shapes, taking the bodies in turn; the first of each is its default."""
+    """Bodies of as many shapes as are asked for, taken in turn; the first of each is its default."""
     unknown = sorted(set(selection.bodies) - set(body_names()))
     if unknown:
         raise InputError(f"Training is on built-in bodies, {', '.join(body_names())}; {unknown[0]!r} is none.")
@@ -78,7 +78,9 @@ def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBo
     return bodies
 
 
-def _built_in_clips(selection: DataSelection, body: ShapedBody, index: int, rng: np.random.Generator) -> list[Clip]:
+def _built_in_clips(
+    selection: DataSelection, body: ShapedBody, index: int, rng: np.random.Generator
+) -> list[PosedClip]:
     unknown = sorted(set(selection.motions) - set(motion_names()))
     if unknown:
         raise InputError(f"There is no built-in motion {unknown[0]!r}; there are {', '.join(motion_names())}.")
@@ -92,7 +94,7 @@ def _built_in_clips(selection: DataSelection, body: ShapedBody, index: int, rng:
             seed = int(rng.choice(list(SEEDS[split])))
             start = int(rng.integers(0, 60)) if split == "train" else 0
             poses = load_motion(name, seed=seed).poses(body, selection.fps, selection.clip_frames, start)
-            clips.append(Clip(f"{name}-{seed}", split, index, rounded_poses(poses)))
+            clips.append(PosedClip(f"{name}-{seed}", split, index, rounded_poses(poses)))
     return clips
 
 
@@ -116,6 +118,6 @@ def _trials(folder: Path) -> dict[str, list[Motion]]:
     return found
 
 
-def _clip(motion: Motion, name: str, split: str, body: ShapedBody, index: int, fps: float) -> Clip:
+def _clip(motion: Motion, name: str, split: str, body: ShapedBody, index: int, fps: float) -> PosedClip:
     frames = motion.available_frames(fps) or 1
-    return Clip(name, split, index, rounded_poses(motion.poses(body, fps, frames)))
+    return PosedClip(name, split, index, rounded_poses(motion.poses(body, fps, frames)))

@@ -1,4 +1,4 @@
-"""Everything that decides a training, as one typed record; as JSON, and with single fields replaced by name."""
+"""Configuration of a training as one typed record; as JSON, and with single fields replaced by name."""
 
 from __future__ import annotations
 
@@ -20,17 +20,19 @@ AFTER_SETTLING = ("skinned", "slowed", "zero", "carried")
 
 @dataclass(frozen=True)
 class DataSelection:
-    """What there is to train on.
+    """Selection of the garments, bodies and motions to train on.
 
     Args:
         garments: names of built-in garments.
         triangles: triangle counts of each.
         bodies: names of built-in bodies.
-        shapes: body shapes, the first of each body its default and the others drawn.
+        shapes: number of body shapes, the first of each body its default and the others drawn.
         motions: names of built-in motions; none for recordings alone.
         clips: clips for each body shape, drawn from the built-in motions and their seeds, besides the recordings.
         clip_frames: length of a built-in clip [frames].
-        fps: frames per second.
+        fps: frames per second [1/s].
+
+    Raises InputError for an empty selection or a number out of range.
     """
 
     garments: tuple[str, ...] = ("tshirt", "tanktop", "longsleeve", "dress")
@@ -60,6 +62,8 @@ class MaterialSampling:
         lame_mu: lowest and highest [Pa].
         lame_lambda: lowest and highest [Pa].
         bending: lowest and highest [J].
+
+    Raises InputError for a range that does not rise from above 0.
     """
 
     density: tuple[float, float] = (0.0434, 0.7)
@@ -74,31 +78,33 @@ class MaterialSampling:
 
 @dataclass(frozen=True)
 class TrainingConfiguration:
-    """A complete training.
+    """Configuration of a complete training.
 
     Args:
-        network: what is trained.
-        data: what it is trained on.
-        curriculum: what changes on the way.
-        material: what cloths.
+        network: network that is trained.
+        data: garments, bodies and motions that it is trained on.
+        curriculum: values that change over the budget.
+        material: ranges that cloth materials are drawn from.
         batch: windows trained on together, over all devices.
         interleaved: windows stepped through in turn, so that neighbouring optimiser steps see different garments and
             motions; 1 goes through a window before it begins the next, as the family does.
-        seed: of the weights and of every sample.
+        seed: seed of the weights and of every sample.
         noise: standard deviation added to the positions, and to those a frame before, of a window's start [m].
         clearance: distance to the body that start positions are pushed out to [m].
         most_propagation_steps: K is drawn from 1 to this at every step; 0 leaves it to the resolution.
         after_settling: velocity after the settling step: "skinned"; "slowed", half to all of that, so that bodies that
             set off are seen; "zero"; or "carried" as the family's code has it.
         statistics_windows: windows whose statistics normalise the features.
-        gradient_norm: longest gradient.
-        ema_decay: of the averaged weights, which are what a training is for.
+        gradient_norm: largest norm of the gradient; longer ones are scaled down to it.
+        ema_decay: decay of the averaged weights a step; the averaged weights are the result of a training.
         log_every: optimiser steps between lines.
-        checkpoint_every: optimiser steps between checkpoints, which wait for the windows on the way to end.
+        checkpoint_every: optimiser steps between checkpoints, which are made once the windows begun have ended.
         validate_every: optimiser steps between validations, likewise.
         validation_clips: clips rolled out by a validation.
         validation_frames: frames of each.
         patience: validations without improvement after which the training stops; 0 never stops it.
+
+    Raises InputError for a value out of range.
     """
 
     network: NetworkConfiguration = field(default_factory=Pb4uConfiguration)
@@ -143,14 +149,14 @@ _PARTS: dict[str, type] = {"data": DataSelection, "curriculum": Curriculum, "mat
 
 
 def training_to_json(configuration: TrainingConfiguration) -> dict[str, Any]:
-    """`configuration` as plain JSON data."""
+    """Plain JSON data of a training's configuration."""
     record = {entry.name: getattr(configuration, entry.name) for entry in fields(configuration)}
     record["network"] = configuration_to_json(configuration.network)
     return record | {name: asdict(record[name]) for name in _PARTS}
 
 
 def training_from_json(record: Any) -> TrainingConfiguration:
-    """The configuration that `training_to_json` wrote. Raises InputError where it is none."""
+    """Configuration that `training_to_json` wrote. Raises InputError where it is none."""
     try:
         given = dict(record)
         given["network"] = configuration_from_json(given["network"])
@@ -162,9 +168,11 @@ def training_from_json(record: Any) -> TrainingConfiguration:
 
 
 def with_settings(configuration: TrainingConfiguration, settings: Sequence[str]) -> TrainingConfiguration:
-    """`configuration` with fields replaced by `KEY=VALUE` texts, such as batch=2 or curriculum.learning_rate=1e-3.
+    """Copy of a configuration with fields replaced by `KEY=VALUE` texts.
 
-    network=NAME takes a network preset whole.
+    Args:
+        configuration: to be changed.
+        settings: such as batch=2 or curriculum.learning_rate=1e-3; network=NAME takes a network preset whole.
 
     Raises InputError for an unknown key, with those near it, or a value of another type.
     """

@@ -1,4 +1,4 @@
-"""What changes while a network is trained, as data in fractions of the training's budget."""
+"""Schedules of a training, as data in fractions of its budget."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ Stages = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class Curriculum:
-    """How long windows are, how hard collisions count and how fast weights move; the budget's end is 1.
+    """Schedules of window length, collision weight and learning rate over the budget, from 0 to 1.
 
     The defaults are the family's schedule (reference 1.8, 2.5) for 450,000 steps.
 
     Args:
         window_steps: steps of a window from each fraction on.
         collision_weight: weight [J/m^3] at each fraction, linear in between.
-        learning_rate: at the start.
-        halvings: how often the rate halves over the budget, in equal stages.
+        learning_rate: learning rate at the start.
+        halvings: number of times that the rate halves over the budget, in equal stages.
         rate_floor: fraction of the rate that is added throughout.
         settling_share: share of windows that begin with a settling step while windows are one step long; later all do.
+
+    Raises InputError for stages that do not rise from 0, or a value out of range.
     """
 
     window_steps: Stages = ((0.0, 1), (0.011, 2), (0.033, 3), (0.067, 4), (0.111, 5))
@@ -48,18 +50,18 @@ class Curriculum:
             raise InputError(f"curriculum.settling_share must lie between 0 and 1, not {self.settling_share}.")
 
     def window_length(self, progress: float) -> int:
-        """Steps of a window at a fraction of the budget."""
+        """Number of steps of a window at a fraction `progress` of the budget."""
         return int(_stage(self.window_steps, progress)[1])
 
     def collision(self, progress: float) -> float:
-        """Weight of the collision term [J/m^3] at a fraction of the budget."""
+        """Weight of the collision term [J/m^3] at a fraction `progress` of the budget."""
         for (start, before), (stop, after) in pairwise(self.collision_weight):
             if start <= progress < stop:
                 return before + (after - before) * (progress - start) / (stop - start)
         return self.collision_weight[-1][1] if progress >= self.collision_weight[-1][0] else self.collision_weight[0][1]
 
     def rate(self, progress: float) -> float:
-        """Learning rate at a fraction of the budget."""
+        """Learning rate at a fraction `progress` of the budget."""
         stage = int(self.halvings * min(max(progress, 0.0), 1.0))
         return self.learning_rate * (0.5**stage + self.rate_floor)
 

@@ -21,9 +21,9 @@ class Workers:
     """The processes of a training.
 
     Args:
-        rank: of this one, from 0.
-        count: of all.
-        device: that this one computes on.
+        rank: number of this process, from 0.
+        count: number of processes.
+        device: device that this process computes on.
     """
 
     rank: int
@@ -32,35 +32,35 @@ class Workers:
 
     @property
     def leads(self) -> bool:
-        """Whether this process writes files and speaks."""
+        """Whether this process is the one that writes files and reports."""
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
-        """This process's samples of a batch. Raises InputError where it cannot be divided."""
+        """Samples of a `batch` that fall to this process. Raises InputError where it cannot be divided."""
         if batch % self.count:
             raise InputError(f"A batch of {batch} cannot be shared by {self.count} processes; set batch to a multiple.")
         size = batch // self.count
         return slice(self.rank * size, (self.rank + 1) * size)
 
     def distributed(self, model: nn.Module) -> nn.Module:
-        """`model` with gradients averaged over processes; parameters a batch leaves unused count as zero."""
+        """Wrapper of `model` that averages gradients over processes; unused parameters count as zero."""
         if self.count == 1:
             return model
         return DistributedDataParallel(model, broadcast_buffers=False, find_unused_parameters=True)
 
     def mean(self, values: Tensor) -> Tensor:
-        """`values` averaged over processes."""
+        """Mean (...) of `values` (...) over processes, in their unit."""
         return self.sum(values) / self.count
 
     def sum(self, values: Tensor) -> Tensor:
-        """`values` added over processes."""
+        """Sum (...) of `values` (...) over processes, in their unit."""
         if self.count > 1:
             values = values.clone()
             torch_distributed.all_reduce(values)
         return values
 
     def agreed(self, flag: bool) -> bool:
-        """Whether any process says so; all get the same answer."""
+        """Whether `flag` is set in any process; all processes get the same answer."""
         return bool(self.sum(torch.tensor(float(flag), device=self.device)) > 0)
 
     def reduce_statistics(self, model: AccelerationModel) -> None:
@@ -72,7 +72,7 @@ class Workers:
 
 @contextmanager
 def workers(device: str = "auto") -> Iterator[Workers]:
-    """The processes that `torchrun` started, or this one alone.
+    """Processes that `torchrun` started, or this one alone.
 
     Args:
         device: "auto", "cpu" or "cuda".

@@ -1,4 +1,4 @@
-"""How a training tells how it goes, and its picture."""
+"""Reports of a training: progress, metrics and the plot of them."""
 
 from __future__ import annotations
 
@@ -21,18 +21,36 @@ class Reporter:
     """Prints sentences to standard error, and nothing else: for pipes and files."""
 
     def progressed(self, step: int, progress: float, seconds: float, means: Mapping[str, float]) -> None:
-        """So many steps were taken; `means` are those of the terms since the last report."""
+        """Report the progress of the training.
+
+        Args:
+            step: optimiser steps taken.
+            progress: fraction of the budget spent.
+            seconds: wall time spent [s].
+            means: mean of each term since the last report [J], with their "total" and "median".
+        """
 
     def validated(self, step: int, score: Score, best: bool) -> None:
-        """A validation was made."""
+        """Report a validation.
+
+        Args:
+            step: optimiser steps taken.
+            score: result of the validation.
+            best: whether it is the best so far.
+        """
 
     def said(self, sentence: str) -> None:
-        """Something happened that a person should know."""
+        """Print a sentence on an incident."""
         print(f"pb4u: {sentence}", file=sys.stderr)
 
 
 class BarReporter(Reporter):
-    """A bar with the time left and the six terms, on a terminal."""
+    """Shows a bar with the time left and the six terms on a terminal.
+
+    Args:
+        bar: a `rich` progress bar.
+        task: its task.
+    """
 
     def __init__(self, bar: Any, task: Any) -> None:
         self.bar, self.task = bar, task
@@ -51,11 +69,11 @@ class BarReporter(Reporter):
 
 
 class Journal:
-    """What a training notes of itself: means of its losses every so many steps, validations and incidents.
+    """Log of a training: means of its losses every so many steps, validations and incidents.
 
     Args:
-        reporter: told of everything.
-        folder: that keeps the lines, or None.
+        reporter: shows every entry.
+        folder: keeps the entries as lines, or None.
         leads: whether this process writes them.
     """
 
@@ -65,7 +83,12 @@ class Journal:
         self._totals: list[float] = []
 
     def add(self, values: Mapping[str, float], total: float) -> None:
-        """Count the losses of one step; `total` is the comparable one [J]."""
+        """Add the losses of one step to the means.
+
+        Args:
+            values: each loss [J] by name.
+            total: comparable total [J], for the median.
+        """
         self._totals.append(total)
         for name, value in {**values, "count": 1.0}.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
@@ -80,27 +103,33 @@ class Journal:
         Args:
             step: optimiser steps taken.
             progress: fraction of the budget spent.
-            seconds: of wall time spent.
+            seconds: wall time spent [s].
             window: length of the windows [steps].
         """
         count = self._sums.pop("count", 0.0)
         if not count:
             return
         means = {name: value / count for name, value in self._sums.items()}
-        # Few deep penetrations outweigh everything else in a mean, and its weight of collisions rises.
+        # Few deep penetrations outweigh everything else in a mean, and the weight of collisions rises over the budget.
         means["median"] = statistics.median(self._totals)
         self.forget()
         self.note({"step": step, "seconds": round(seconds, 2), "window": window, **means})
         self.reporter.progressed(step, progress, seconds, means)
 
     def note_score(self, step: int, score: Score, best: bool) -> None:
-        """Note a validation."""
+        """Note a validation.
+
+        Args:
+            step: optimiser steps taken.
+            score: result of the validation.
+            best: whether it is the best so far.
+        """
         finite = {name: value if math.isfinite(value) else None for name, value in asdict(score).items()}
         self.note({"step": step, "validation": finite, "best": best})
         self.reporter.validated(step, score, best)
 
     def note(self, record: dict[str, Any]) -> None:
-        """Add a line; a full disk costs the line alone."""
+        """Add a line to the metrics; on a full disk the line is lost and the training goes on."""
         if self.leads and self.folder:
             try:
                 self.folder.append_metrics(record)
@@ -108,13 +137,13 @@ class Journal:
                 self.say(f"{error} The training goes on.")
 
     def say(self, sentence: str) -> None:
-        """Tell what a person should know."""
+        """Report a sentence on an incident."""
         self.reporter.said(sentence)
 
 
 @contextmanager
 def collecting() -> Iterator[Progress]:
-    """A bar for the making of training data, where standard error is a terminal."""
+    """Progress bar for the making of training data, where standard error is a terminal."""
     if not sys.stderr.isatty():
         yield unheard
         return
@@ -128,7 +157,7 @@ def collecting() -> Iterator[Progress]:
 
 @contextmanager
 def reporter() -> Iterator[Reporter]:
-    """A bar where standard error is a terminal and rich is installed; sentences alone elsewhere."""
+    """Reporter with a bar where standard error is a terminal and rich is installed; with sentences alone elsewhere."""
     if not sys.stderr.isatty():
         yield Reporter()
         return
@@ -144,7 +173,12 @@ def reporter() -> Iterator[Reporter]:
 
 
 def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
-    """Draw a run's metrics to a PNG; False where there is nothing to draw or nothing to draw with."""
+    """Draw a run's metrics to a PNG; returns False without metrics or without matplotlib.
+
+    Args:
+        lines: metrics as `RunFolder.metrics` reads them.
+        path: path of the picture.
+    """
     steps = [line for line in lines if "total" in line]
     if not steps:
         return False
@@ -158,7 +192,7 @@ def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
     upper, lower = figure.subplots(2, 1, sharex=True)
     x = [line["step"] for line in steps]
     for name in IncrementalPotential().names:
-        # The potential of weight has no floor, and would be the only one below zero.
+        # Gravity energy has no lower bound and may be negative, which a logarithmic axis cannot show.
         if name != "gravity":
             upper.plot(x, [max(line[name], 1e-9) for line in steps], label=name, linewidth=1)
     upper.set_yscale("log")

@@ -1,4 +1,4 @@
-"""All that a training learns, and how it is changed, kept and brought back: weights, averages, Adam's moments."""
+"""Weights in training, with their moving averages and Adam's moments: updated, saved and restored."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pb4u.training.distribution import Workers
 
 
 class MovingAverage:
-    """Weights averaged over the last steps, calmer than those of any one; faster while the training is young.
+    """Moving average of weights, which varies less than the weights of one step; shorter in the first steps.
 
     Args:
-        module: whose parameters are averaged.
+        module: module whose parameters are averaged.
         decay: share of the average that a step keeps.
     """
 
@@ -28,14 +28,19 @@ class MovingAverage:
 
     @torch.no_grad()
     def update(self, module: nn.Module, step: int) -> None:
-        """Take in the parameters after optimiser step number `step`, counted from 1."""
+        """Add the parameters after an optimiser step to the average.
+
+        Args:
+            module: with the parameters.
+            step: number of the step, from 1.
+        """
         decay = min(self.decay, (1.0 + step) / (10.0 + step))
         for name, parameter in module.named_parameters():
             self.values[name].lerp_(parameter, 1.0 - decay)
 
     @torch.no_grad()
     def swap(self, module: nn.Module) -> None:
-        """Exchange the module's parameters with the averaged ones; called twice, nothing has changed."""
+        """Exchange the parameters of `module` with the averaged ones; a second call undoes the first."""
         for name, parameter in module.named_parameters():
             own = parameter.detach().clone()
             parameter.copy_(self.values[name])
@@ -51,7 +56,7 @@ class Learner:
 
     Attributes:
         model: the network between its normalisers.
-        network: what to call in its place, so that gradients are shared.
+        network: called in its place, so that gradients are averaged over processes.
     """
 
     def __init__(self, configuration: TrainingConfiguration, workers: Workers) -> None:
@@ -63,13 +68,18 @@ class Learner:
         self.longest = configuration.gradient_norm
 
     def gradient(self, loss: Tensor) -> float:
-        """Find the gradient of `loss` [J] and clip its norm; returns the norm before, the same in every process."""
+        """Compute the gradient of `loss`, a scalar [J], and clip its norm; returns the norm before clipping."""
         self.optimiser.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         return float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.longest))
 
     def step(self, rate: float, number: int) -> None:
-        """Take optimiser step `number`, counted from 1, at a learning rate."""
+        """Take an optimiser step.
+
+        Args:
+            rate: learning rate.
+            number: number of the step, from 1.
+        """
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         self.optimiser.step()
@@ -77,7 +87,7 @@ class Learner:
 
     @contextmanager
     def averaged(self) -> Iterator[None]:
-        """The model with its averaged weights in the place of the latest ones."""
+        """Context in which the model has its averaged weights in the place of the latest ones."""
         self.average.swap(self.model)
         try:
             yield
@@ -85,10 +95,10 @@ class Learner:
             self.average.swap(self.model)
 
     def state(self, exact: bool = True) -> dict[str, Tensor]:
-        """Copies of weights, statistics, averaged weights and moments, by name.
+        """Copies of weights, statistics, averaged weights and moments, each (...) as in the model, by name.
 
         Unless `exact`, moments are rounded to bfloat16: it has the range of float32, and 8 bits of a mean gradient, and
-        of the root of a mean square, are safe.
+        of the root of a mean square, are precise enough.
         """
         tensors = {f"model/{name}": value.clone() for name, value in self.model.state_dict().items()}
         tensors |= {f"average/{name}": value.clone() for name, value in self.average.values.items()}
@@ -106,7 +116,13 @@ class Learner:
         return tensors
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Become what `state` gave. Raises InputError where that was of another network."""
+        """Restore the state that `state` gave.
+
+        Args:
+            tensors: (...) each as in the model, by name, in the unit of what it is a copy of.
+
+        Raises InputError where they are of another network.
+        """
         parts: dict[str, dict[str, Tensor]] = {
             part: {} for part in ("model", "average", "taken", "mean", "square", "root")
         }

@@ -1,4 +1,4 @@
-"""What training minimises: the incremental potential of the predicted step, summed over its terms."""
+"""Objective of training: the incremental potential of the predicted step, summed over its terms."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ REFERENCE_WEIGHT = 5e3
 
 
 def step_energies(step: TimeStep, positions: Tensor, collision_weight: float) -> Energies:
-    """Energies of a step, garment by garment; differentiable.
+    """Energies of a step for each garment; differentiable.
 
     Args:
-        step: that was taken.
+        step: time step that was taken.
         positions: (vertices, 3) [m] at its end.
-        collision_weight: of the collision term [J/m^3].
+        collision_weight: weight of the collision term [J/m^3].
     """
     return IncrementalPotential().with_term(Collision(weight=collision_weight)).of(step).energies(positions)
 
 
 def mean_energies(energies: Energies) -> dict[str, Tensor]:
-    """Every term and their `total`, averaged over the garments."""
+    """Mean of every term and of their `total` over the garments, scalars [J] by name."""
     terms = {name: value.mean() for name, value in energies.terms.items()}
     return {**terms, "total": energies.total / len(energies.per_garment)}
 
 
 def further_losses(prepared: PreparedGarments, step: TimeStep, positions: Tensor, progress: float) -> dict[str, Tensor]:
-    """What the network's method minimises besides the potential, each averaged over the garments; mostly nothing.
+    """Losses of the network's method besides the potential, each averaged over the garments: scalars [J] by name.
 
     Args:
         prepared: the garments.
-        step: that was taken.
+        step: time step that was taken.
         positions: (vertices, 3) [m] at its end.
         progress: fraction of the training's budget spent.
     """
@@ -44,10 +44,20 @@ def further_losses(prepared: PreparedGarments, step: TimeStep, positions: Tensor
 
 
 def comparable_total(terms: dict[str, float], collision_weight: float) -> float:
-    """A loss [J] as it would be with collisions at the reference weight."""
+    """Total loss [J] as it would be with collisions at the reference weight.
+
+    Args:
+        terms: mean energies [J] by name, with their "total".
+        collision_weight: weight of the collision term in them [J/m^3].
+    """
     return terms["total"] - terms["collision"] * (1.0 - REFERENCE_WEIGHT / collision_weight)
 
 
 def strain_energy(terms: dict[str, float], collision_weight: float) -> float:
-    """What of a loss cannot be negative [J]: all but gravity, with collisions at the reference weight."""
+    """Loss [J] without gravity, which is never negative, with collisions at the reference weight.
+
+    Args:
+        terms: mean energies [J] by name, with their "total".
+        collision_weight: weight of the collision term in them [J/m^3].
+    """
     return comparable_total(terms, collision_weight) - terms["gravity"]

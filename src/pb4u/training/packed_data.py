@@ -1,4 +1,4 @@
-"""What a training machine needs, in memory and as one file: bodies, garments, poses. Vertices are posed there."""
+"""Training data in memory and as one file: bodies, garments and poses. Vertices are posed on the training machine."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class Outfit:
 
 
 @dataclass(frozen=True, eq=False)
-class Clip:
-    """Poses of one body.
+class PosedClip:
+    """Poses of one body over a clip of motion.
 
     Args:
-        name: of the motion, with its seed.
+        name: name of the motion, with its seed.
         split: "train" or "validation".
         body: index of the body.
-        poses: as `rounded_poses` gives them, so that a pack holds them exactly.
+        poses: poses rounded by `rounded_poses`, so that a pack holds them exactly.
     """
 
     name: str
@@ -63,16 +63,16 @@ class TrainingData:
     """Everything that training samples are made of.
 
     Args:
-        bodies: at rest.
-        outfits: what they wear.
-        clips: how they move.
+        bodies: bodies at rest.
+        outfits: garments that they wear.
+        clips: poses that they take.
 
-    Raises InputError where a body wears or does nothing, or where a body's poses correct its surface.
+    Raises InputError where a body has no garment or no motion, or where a body's poses correct its surface.
     """
 
     bodies: tuple[ShapedBody, ...]
     outfits: tuple[Outfit, ...]
-    clips: tuple[Clip, ...]
+    clips: tuple[PosedClip, ...]
 
     def __post_init__(self) -> None:
         for index, body in enumerate(self.bodies):
@@ -104,7 +104,11 @@ def _fixed_point(rotations: np.ndarray) -> np.ndarray:
 
 
 def save_training_data(data: TrainingData, path: Path | str) -> None:
-    """Write `data` as a compressed .npz without pickles; it appears whole or not at all.
+    """Write training data as a compressed .npz without pickles; it appears whole or not at all.
+
+    Args:
+        data: bodies, outfits and clips.
+        path: path of the file.
 
     Raises InputError where the folder cannot be written.
     """
@@ -180,7 +184,7 @@ def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def load_training_data(path: Path | str) -> TrainingData:
-    """The data in a file that `save_training_data` wrote.
+    """Training data in a file that `save_training_data` wrote.
 
     Raises InputError where the file is absent, cut short, of a newer format or no such file.
     """
@@ -240,8 +244,10 @@ def _outfits(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Iterator[
         yield Outfit(garment, _weights(f"outfit{i}", arrays), int(record["body"]))
 
 
-def _clips(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Iterator[Clip]:
+def _clips(header: dict[str, Any], arrays: dict[str, np.ndarray]) -> Iterator[PosedClip]:
     for i, record in enumerate(header["clips"]):
         rotations = arrays[f"clip{i}.rotations"] / _STEPS
         roots = arrays[f"clip{i}.roots"].astype(np.float64)
-        yield Clip(record["name"], record["split"], int(record["body"]), PoseSequence(rotations, roots, record["fps"]))
+        yield PosedClip(
+            record["name"], record["split"], int(record["body"]), PoseSequence(rotations, roots, record["fps"])
+        )

@@ -51,7 +51,7 @@ comparison = replace(
     validation_frames=40,
     patience=0,
 )
-"""Twenty to thirty minutes on one processor core: what networks, ablations and experiments are compared by."""
+"""Twenty to thirty minutes on one processor core: the training that networks and ablations are compared by."""
 
 smoke = replace(
     small,
@@ -74,7 +74,7 @@ smoke = replace(
     validation_frames=6,
     patience=0,
 )
-"""Seconds: whether everything is in place."""
+"""Seconds: a test that a training runs at all."""
 
 TRAININGS: dict[str, TrainingConfiguration] = {
     "paper": paper,
@@ -88,7 +88,7 @@ DEFAULT_STEPS = {"paper": 450_000, "small": 60_000, "comparison": 8_000, "smoke"
 
 
 def training_preset(name: str) -> TrainingConfiguration:
-    """The training called `name`. Raises InputError listing the names."""
+    """Training configuration called `name`. Raises InputError listing the names."""
     if name not in TRAININGS:
         near = get_close_matches(name, TRAININGS, n=2)
         hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(TRAININGS)}."

@@ -1,4 +1,4 @@
-"""How a training comes back: from coming apart, from a stop, and from a kill."""
+"""Recovery of a training after its energies explode, after a stop, and after its process is killed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pb4u.training.learner import Learner
 from pb4u.training.run_folder import NotSavedError, RunFolder
 
 MOST_ROLLBACKS = 8
-"""After which the learning rate, 256 times lower, is not what is wrong."""
+"""Most rollbacks of a training: the learning rate is then 256 times lower, so the fault lies elsewhere."""
 
 
 class TrainingFailedError(Pb4uError):
@@ -24,11 +24,11 @@ class TrainingFailedError(Pb4uError):
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Where a training was.
+    """State of a training at one step.
 
     Args:
-        tensors: what `Learner.state` gave.
-        counters: what `Counters.to_json` gave.
+        tensors: (...) each as in the model, by name, as `Learner.state` gives them.
+        counters: progress, as `Counters.to_json` gives it.
     """
 
     tensors: dict[str, Tensor]
@@ -44,10 +44,10 @@ class Recovery:
     """Keeps the last good state of a training in memory, and in its folder.
 
     Args:
-        learner: what is trained.
+        learner: model in training.
         workers: this process and the others.
-        folder: where checkpoints are kept, or None.
-        journal: told what happens.
+        folder: folder of the checkpoints, or None.
+        journal: log of incidents.
     """
 
     def __init__(self, learner: Learner, workers: Workers, folder: RunFolder | None, journal: Journal) -> None:
@@ -55,15 +55,15 @@ class Recovery:
         self.saved = self.snapshot(Counters())
 
     def snapshot(self, counters: Counters) -> Snapshot:
-        """Where the training is."""
+        """Snapshot of the training as it is now, with `counters`."""
         return Snapshot(self.learner.state(), counters.to_json())
 
     def keep(self, counters: Counters) -> None:
-        """Take where the training is as its last good state."""
+        """Keep a snapshot of the training as the last good one."""
         self.saved = self.snapshot(counters)
 
     def return_to(self, then: Snapshot) -> Counters:
-        """Where the training was; what was learnt since is forgotten."""
+        """Restore weights and optimiser from `then`; returns its counters."""
         self.learner.restore(then.tensors)
         self.journal.forget()
         return Counters.from_json(then.counters)
@@ -95,12 +95,13 @@ class Recovery:
         return lower
 
     def checkpoint(self, counters: Counters, exact: bool = False, insist: bool = False) -> None:
-        """Save everything.
+        """Save everything that is needed to resume.
 
-        The training itself goes on from what was saved, rounding included, so that it and one resumed stay the same.
+        The training itself goes on from the saved values, rounding included, so that it and a resumed one stay the
+        same.
 
         Args:
-            counters: where the training is.
+            counters: progress of the training.
             exact: keep moments unrounded.
             insist: raise NotSavedError on a full disk; without it, that only costs the checkpoint.
         """
@@ -116,7 +117,14 @@ class Recovery:
         self.saved = Snapshot(tensors, counters.to_json())
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> Counters:
-        """Go on from a checkpoint. Raises InputError where it is not of this configuration."""
+        """Go on from a checkpoint; returns its counters.
+
+        Args:
+            tensors: (...) each as in the model, by name, in the units that `Learner.state` gave them.
+            counters: progress, as `Counters.to_json` gave it.
+
+        Raises InputError where it is not of this configuration.
+        """
         begun = Counters.from_json(counters)
         self.learner.restore(tensors)
         self.saved = Snapshot(tensors, begun.to_json())

@@ -30,7 +30,7 @@ LAST, BEST, FINAL, CURVE = "last.safetensors", "best.safetensors", "final.safete
 
 
 class NotSavedError(InputError):
-    """Something of a run could not be written; what was there before is still whole."""
+    """A file of a training could not be written; the one before is still whole."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class RunFolder:
 
     @staticmethod
     def require_free(path: Path | str) -> None:
-        """Raises InputError where there is something already that is no empty folder."""
+        """Refuse a path at which there is anything but an empty folder: raises InputError."""
         folder = RunFolder(Path(path))
         if (folder.path / CONFIGURATION).is_file():
             raise InputError(f"{path} already holds a training; go on with --resume {path}, or give another folder.")
@@ -54,7 +54,11 @@ class RunFolder:
 
     @staticmethod
     def create(path: Path | str, configuration: dict[str, Any]) -> RunFolder:
-        """A new folder with its configuration.
+        """Make a new folder with its configuration.
+
+        Args:
+            path: path of the folder.
+            configuration: plain JSON data.
 
         Raises InputError where something else is in it, or it cannot be made.
         """
@@ -68,26 +72,26 @@ class RunFolder:
         return folder
 
     def remove(self) -> None:
-        """Take back what `create` made."""
+        """Delete the configuration and the folder that `create` made."""
         with contextlib.suppress(OSError):
             (self.path / CONFIGURATION).unlink()
             self.path.rmdir()
 
     @staticmethod
     def open(path: Path | str) -> RunFolder:
-        """An existing folder. Raises InputError where it is none of a training."""
+        """Open an existing folder. Raises InputError where it is none of a training."""
         folder = RunFolder(Path(path))
         if not (folder.path / CONFIGURATION).is_file():
             raise InputError(f"{path} is no folder of a training: it has no {CONFIGURATION}.")
         return folder
 
     def configure(self, configuration: dict[str, Any]) -> None:
-        """Write the configuration."""
+        """Write the configuration, plain JSON data."""
         record = {"format_version": FORMAT_VERSION, **configuration}
         self._replace(CONFIGURATION, (json.dumps(record, indent=2) + "\n").encode())
 
     def configuration(self) -> dict[str, Any]:
-        """What `configure` wrote. Raises InputError where that cannot be read."""
+        """Configuration that `configure` wrote. Raises InputError where it cannot be read."""
         path = self.path / CONFIGURATION
         try:
             record = json.loads(path.read_text(encoding="utf-8"))
@@ -100,23 +104,36 @@ class RunFolder:
 
     @property
     def data(self) -> Path:
+        """Path of the training data."""
         return self.path / DATA
 
     @property
     def best(self) -> Path:
+        """Path of the best weights in validation."""
         return self.path / BEST
 
     @property
     def final(self) -> Path:
+        """Path of the weights of the end."""
         return self.path / FINAL
 
     def save_state(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
-        """Replace the last checkpoint at once. Raises NotSavedError where it cannot be written."""
+        """Replace the last checkpoint in one move.
+
+        Args:
+            tensors: (...) each as in the model, by name, in the units that `Learner.state` gives them.
+            counters: progress, as `Counters.to_json` gives it.
+
+        Raises NotSavedError where it cannot be written.
+        """
         content = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
         self._replace(LAST, save(content, {"pb4u_training": str(FORMAT_VERSION), "counters": json.dumps(counters)}))
 
     def load_state(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        """The last checkpoint; None where the training has not come so far. Raises InputError for a foreign file."""
+        """Tensors (...) by name and counters of the last checkpoint, in their unit; None where there is none yet.
+
+        Raises InputError for a file that is no checkpoint.
+        """
         path = self.path / LAST
         if not path.is_file():
             return None
@@ -129,7 +146,7 @@ class RunFolder:
             raise InputError(f"{path} is no checkpoint of a training ({error}).") from error
 
     def append_metrics(self, record: dict[str, Any]) -> None:
-        """Add a line. Raises NotSavedError where it cannot be written."""
+        """Add a line to the metrics. Raises NotSavedError where it cannot be written."""
         try:
             with open(self.path / METRICS, "a", encoding="utf-8") as out:
                 out.write(json.dumps(record) + "\n")
@@ -137,7 +154,7 @@ class RunFolder:
             raise NotSavedError(f"Cannot write {self.path / METRICS}: {error.strerror or error}.") from error
 
     def metrics(self) -> list[dict[str, Any]]:
-        """Every whole line."""
+        """Lines of the metrics, those cut short left out."""
         lines = []
         with contextlib.suppress(FileNotFoundError):
             for line in (self.path / METRICS).read_text(encoding="utf-8").splitlines():
@@ -146,12 +163,12 @@ class RunFolder:
         return lines
 
     def forget_metrics_after(self, step: int) -> None:
-        """Drop the lines of steps that will be taken again."""
+        """Delete the lines of the metrics after a `step`, which will be taken again."""
         kept = [line for line in self.metrics() if line.get("step", 0) <= step]
         self._replace(METRICS, "".join(json.dumps(line) + "\n" for line in kept).encode())
 
     def forget_leftovers(self) -> None:
-        """Delete what a killed process had begun to write."""
+        """Delete files that a killed process had begun to write."""
         for name in (CONFIGURATION, DATA, METRICS, LAST, BEST, FINAL):
             for leftover in self.path.glob(f".{name}.*"):
                 leftover.unlink(missing_ok=True)

@@ -27,17 +27,17 @@ from pb4u.training.run_folder import CURVE, RunFolder
 from pb4u.training.trainer import Trainer
 
 BUILT_IN = "built in"
-"""Where the data of a run came from, if its configuration alone makes it again."""
+"""Origin of the data of a run whose configuration alone makes them again."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a user asks for.
+    """Options of a training, as the user gives them.
 
     Args:
         preset: name of a training.
         steps: optimiser steps of its budget; the preset's own where neither these nor minutes are given.
-        minutes: wall time of its budget.
+        minutes: wall time of its budget [min].
         out: new folder to keep it in.
         resume: folder to go on with, instead.
         pack: file of training data; collected from the built-in assets without it.
@@ -58,7 +58,7 @@ class Request:
 
 
 def train(request: Request) -> dict[str, Any]:
-    """Train as asked; returns how it ended.
+    """Train as asked; returns a summary: how it ended, its steps, seconds, rollbacks and best validation.
 
     Raises InputError for what cannot be done as asked.
     """
@@ -194,7 +194,7 @@ class _Silent(Reporter):
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Turns the first interrupt or request to end into an answer; a second interrupt has its usual effect."""
+    """Function that says whether an interrupt or a request to end has come; a second interrupt has its usual effect."""
     asked: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""Garments and bodies on the training device: what is the same for every sample is made once."""
+"""Garments and bodies on the training device; data shared by the samples are made once."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Wardrobe:
 
     Args:
         data: bodies, outfits and clips.
-        device: where everything lives.
-        dtype: of floating arrays.
+        device: device of all arrays.
+        dtype: data type of floating arrays.
     """
 
     def __init__(self, data: TrainingData, device: torch.device | str, dtype: torch.dtype = torch.float32) -> None:
@@ -37,23 +37,47 @@ class Wardrobe:
         self._surface = lru_cache(maxsize=None)(self._make_surface)
 
     def packed(self, outfits: Sequence[int], materials: Sequence[Material]) -> PackedGarments:
-        """The outfits, each in its material, in one pack."""
+        """Pack of outfits, each in a material.
+
+        Args:
+            outfits: index of each outfit.
+            materials: material of each.
+        """
         return joined([_in_material(self._outfit(o), m) for o, m in zip(outfits, materials, strict=True)])
 
     def transforms(self, body: int, poses: PoseSequence) -> Tensor:
-        """(frames, bones, 3, 4) rest-to-world transforms on the device."""
+        """Rest-to-world transforms (frames, bones, 3, 4) on the device: rotations [1] and translations [m].
+
+        Args:
+            body: index of the body.
+            poses: poses of that body.
+        """
         return bone_transforms(self.data.bodies[body].skeleton, poses).to(self.device, self.dtype)
 
     def body_positions(self, body: int, transforms: Tensor) -> Tensor:
-        """(frames, vertices, 3) [m]."""
+        """Body vertices (frames, vertices, 3) [m].
+
+        Args:
+            body: index of the body.
+            transforms: (frames, bones, 3, 4) rotations [1] and translations [m] of its bones.
+        """
         return skin(*self._skin("body", body), transforms)
 
     def outfit_positions(self, outfit: int, transforms: Tensor) -> Tensor:
-        """(frames, vertices, 3) [m] where skinning alone puts the garment."""
+        """Garment vertices (frames, vertices, 3) [m] under skinning alone.
+
+        Args:
+            outfit: index of the outfit.
+            transforms: (frames, bones, 3, 4) rotations [1] and translations [m] of its body's bones.
+        """
         return skin(*self._skin("outfit", outfit), transforms)
 
     def colliders(self, bodies: Sequence[int]) -> PackedColliders:
-        """The bodies, each in a world of its own; the search structures of each are made once."""
+        """Pack of bodies, each in a world of its own; the search structures of each are made once.
+
+        Args:
+            bodies: index of each body.
+        """
         faces, contact, surfaces = zip(*(self._surface(body) for body in bodies), strict=True)
         return pack_colliders(faces, contact, range(len(bodies)), 0.0, surfaces)
 
@@ -94,7 +118,7 @@ def _in_material(packed: PackedGarments, material: Material) -> PackedGarments:
 
 
 def joined(packs: Sequence[PackedGarments]) -> PackedGarments:
-    """Packs one after the other as one, the worlds of each apart from those of the others."""
+    """Pack of several packs one after the other, the worlds of each apart from those of the others."""
     if len(packs) == 1:
         return packs[0]
     offsets, garments = [0], 0

@@ -55,7 +55,15 @@ class Collision(EnergyTerm):
         return vertex_elements(step.garments)
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        """Exact to a depth of half a millimetre; beyond it softer, so that one Newton step surfaces, not halves."""
+        """Second derivatives (3, 3, 1, vertices) [J/m^2]; exact to a depth of half a millimetre, softer beyond it.
+
+        Softer, so that one Newton step brings a deep vertex to the surface instead of half way.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+        """
         weight = self._vertex_weight(step)
         blocks = x.new_zeros((3, 3, len(x)))
         for depth, normal in self._depths(step, contacts, x):
@@ -83,6 +91,10 @@ class ReleasedCollision(MeasuredTerm):
     """The family's released collision, for tables: w max(eps - d_i, 0)^3 summed over vertices, without area or ground.
 
     d_i is the height over the plane, at t+1, of the face whose centre was nearest at t.
+
+    Args:
+        weight: w [J/m^3].
+        clearance: eps, the distance at which it begins [m].
     """
 
     weight: float = 5e3

@@ -25,9 +25,9 @@ class FaceClearance:
 
     Args:
         clearance: distance that the cloth keeps from the surface [m].
-        smallest_radius: of the body where cloth rests on it [m].
-        largest_push: how far a vertex is moved at most [m].
-        passes: how often it is looked again, since a lifted vertex lifts its neighbours' middles too.
+        smallest_radius: smallest radius of the body where cloth rests on it [m].
+        largest_push: largest displacement of a vertex in one pass [m].
+        passes: number of passes, since a lifted vertex lifts the middles of its neighbours too.
     """
 
     clearance: float = 3e-4
@@ -36,7 +36,13 @@ class FaceClearance:
     passes: int = 2
 
     def lift(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
-        """`state` with its edges and faces out of the bodies at `pose`."""
+        """State with its edges and faces lifted out of the bodies.
+
+        Args:
+            garments: static quantities.
+            state: to be lifted.
+            pose: the bodies at the state's frame.
+        """
         if not len(pose.colliders.faces):
             return state
         x = state.positions

@@ -60,7 +60,15 @@ class Friction(EnergyTerm):
         return vertex_elements(step.garments)
 
     def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        """A little stiffer than exact along the slip; positive, because the smoothed norm is convex."""
+        """Second derivatives (3, 3, 1, vertices) [J/m^2]; a little stiffer than exact along the slip.
+
+        Positive, because the smoothed norm is convex.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+        """
         limit, anchor, normal = self._sliding(step, contacts)
         slip = _slip(x, anchor, normal)
         magnitude = self._magnitude(step, slip)
@@ -112,6 +120,10 @@ class ReleasedFriction(MeasuredTerm):
 
     Sum of mu m g c |s| over vertices whose nearest face centres before and after the step both lie within
     sqrt(3e-3) m, s projected off the mean of the two normals, c^2 = 1 - cos^2(s, +Z) + 1e-4.
+
+    Args:
+        coefficient: mu.
+        squared_radius: square of the distance within which a vertex touches [m^2].
     """
 
     coefficient: float = 0.5

@@ -1,4 +1,4 @@
-"""Where a vertex meets the body: the nearest point of it, as planes that energies and contact response share."""
+"""Tangent planes of the body at the point nearest to each vertex, shared by the energies and the contact response."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
 
 @dataclass(frozen=True, eq=False)
 class ContactPlanes:
-    """The body near each vertex, linearised: the signed distance and its gradient are exact where it was found.
+    """The body near each vertex as a plane; distance and gradient are exact at the vertex position used for the lookup.
 
     Args:
         points: (vertices, 3) nearest points of the body [m].
         normals: (vertices, 3) outward unit normals.
-        distance: (vertices,) distance at which the correspondence was found [m], signed for exact planes.
+        distance: (vertices,) distance [m] of the position used for the lookup, signed for exact planes.
         touchable: (vertices,) bool, False where the vertex has no body or is nearest to a region left out of contact.
         triangle: (vertices,) int64 face of the packed colliders.
         barycentric: (vertices, 3) of the point in that face.
@@ -32,20 +32,29 @@ class ContactPlanes:
     barycentric: Tensor
 
     def signed_distance(self, x: Tensor) -> Tensor:
-        """(vertices,) height [m] of `x` (vertices, 3) over its plane."""
+        """Height (vertices,) [m] of each vertex over its plane, negative inside the body.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
         return ((x - self.points) * self.normals).sum(-1)
 
     def transported(self, pose: ColliderPose) -> Tensor:
-        """(vertices, 3) [m] where the nearest points are when the bodies take `pose`."""
+        """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`."""
         return self.interpolated(pose.positions, pose.colliders.faces)
 
     def interpolated(self, values: Tensor, faces: Tensor) -> Tensor:
-        """(vertices, 3) at the nearest points, of `values` (body vertices, 3) given on the bodies' `faces`."""
+        """Values (vertices, 3) interpolated at the nearest points, in the unit of `values`.
+
+        Args:
+            values: (body vertices, 3) of any unit.
+            faces: (body faces, 3) int64 faces of the packed colliders.
+        """
         corners = values.to(self.barycentric.dtype)[faces[self.triangle]]
         return (self.barycentric[:, :, None] * corners).sum(1)
 
     def transported_normals(self, pose: ColliderPose) -> Tensor:
-        """(vertices, 3) unit normals of the corresponding faces when the bodies take `pose`."""
+        """Dimensionless unit normals (vertices, 3) of the faces of the nearest points when the bodies take `pose`."""
         corners = pose.positions.to(self.normals.dtype)[pose.colliders.faces[self.triangle]]
         cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
@@ -53,14 +62,16 @@ class ContactPlanes:
 
 @dataclass(frozen=True, eq=False)
 class ContactSet:
-    """What touches what in one time step, as the energies see it; found once and frozen.
+    """Contacts of one time step, as the energies see them.
+
+    The solver looks up contacts at frame t once a step, and those at t+1 anew for vertices that moved.
 
     Args:
         now: for each vertex at frame t, the plane of the body that it may slide on, or None.
         next: for each vertex at frame t+1, the plane of the body that it may enter, or None.
         opposite: a second plane for vertices caught between two parts of the body, or None.
-        transported: (vertices, 3) [m] where the body under each vertex takes it over the step, or None.
-        transported_normals: (vertices, 3) the body's unit normals there, or None.
+        transported: (vertices, 3) [m] positions of the vertices if the body carried them over the step, or None.
+        transported_normals: (vertices, 3) the body's unit normals there at t+1, or None.
     """
 
     now: ContactPlanes | None = None
@@ -71,13 +82,13 @@ class ContactSet:
 
     @staticmethod
     def at_start(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor, search: PlaneSearch) -> ContactSet:
-        """What is found once, at the start of a step; every finder is called here.
+        """Contacts known at the start of a step; every finder is called here.
 
         Args:
             garments: whose vertices they are.
             bodies: around the step, or None.
             x: (vertices, 3) [m] at frame t.
-            search: finds the planes of the bodies, and where the bodies take them over the step.
+            search: finds the planes of the bodies at frame t.
         """
         if bodies is None:
             return ContactSet()
@@ -88,7 +99,7 @@ class ContactSet:
 
 
 PlaneSearch = Callable[[ColliderPose, PackedGarments, Tensor], ContactPlanes]
-"""How a vertex finds the body near it: pose of the bodies, garments, vertices (vertices, 3) [m]."""
+"""Finds the plane of each vertex; called with the pose of the bodies, the garments and positions (vertices, 3) [m]."""
 
 
 def nearest_planes(
@@ -101,11 +112,11 @@ def nearest_planes(
     """Planes through the exact nearest points of the bodies of each vertex's world.
 
     Args:
-        pose: of the bodies.
-        garments: whose vertices are looked up.
+        pose: the bodies at one instant.
+        garments: pack whose vertices are looked up.
         x: (vertices, 3) [m].
         among: (vertices,) bool, the vertices to look up; the rest keep the planes of `otherwise`.
-        otherwise: planes found before.
+        otherwise: planes looked up before.
     """
     planes = _blank(x) if otherwise is None else _copy(otherwise)
     for world, surface in enumerate(pose.surfaces):
@@ -126,8 +137,8 @@ def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor
     """Planes of the faces whose centres are nearest, with the distance to the centre: the HOOD family's convention.
 
     Args:
-        pose: of the bodies, regions left out of contact included.
-        garments: whose vertices are looked up.
+        pose: the bodies at one instant, regions left out of contact included.
+        garments: pack whose vertices are looked up.
         x: (vertices, 3) [m].
     """
     planes = _blank(x)
@@ -153,9 +164,9 @@ def clearances(pose: ColliderPose, points: Tensor, world: Tensor) -> tuple[Tenso
     Where there is no body, or only a region left out of contact, the distance is infinite.
 
     Args:
-        pose: of the bodies.
+        pose: the bodies at one instant.
         points: (points, 3) [m].
-        world: (points,) int64 in which each lies.
+        world: (points,) int64 index of the world of each.
     """
     distance, normals = points.new_full((len(points),), torch.inf), torch.zeros_like(points)
     for number, surface in enumerate(pose.surfaces):

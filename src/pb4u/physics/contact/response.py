@@ -1,4 +1,4 @@
-"""What happens to vertices that a step leaves inside a body or the ground: pushed out, without gaining speed."""
+"""Contact response: vertices that a step leaves inside a body or the ground are pushed out without gaining speed."""
 
 from __future__ import annotations
 
@@ -18,15 +18,26 @@ from pb4u.scene.state import State
 
 
 class Contact(ABC):
-    """Answers what is left inside the body at the end of a step."""
+    """Corrects vertices that are inside the body at the end of a step."""
 
     @abstractmethod
     def respond(self, step: TimeStep, state: State) -> State:
-        """`state`, at the end of `step`, with vertices pushed out; push-out depth never becomes speed."""
+        """State with vertices pushed out of the bodies; the push never becomes speed.
+
+        Args:
+            step: the time step that was taken.
+            state: at the end of it.
+        """
 
     @abstractmethod
     def present(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
-        """The state as it is written, with the bodies at `pose`; the simulation goes on from `state`."""
+        """State as it is written; the simulation goes on from `state`.
+
+        Args:
+            garments: static quantities.
+            state: at one frame.
+            pose: the bodies at that frame.
+        """
 
 
 class NoContact(Contact):
@@ -41,11 +52,11 @@ class NoContact(Contact):
 
 @dataclass(frozen=True)
 class ContactReport:
-    """What a contact response did.
+    """Statistics of one contact response.
 
     Args:
         pushed: vertices moved.
-        largest_push: [m].
+        largest_push: largest displacement by the response [m].
         left: vertices still deeper than a millimetre.
         deepest: largest remaining depth [m], 0 where none.
     """
@@ -71,8 +82,8 @@ class ContactResponse(Contact):
 
     Args:
         clearance: distance to the surface that pushed vertices end at [m].
-        largest_push: in one step [m].
-        faces: lifts what lies between the vertices of what is written; None for nothing.
+        largest_push: largest displacement of a vertex in one step [m].
+        faces: lifts edges and faces of the written states out of the body; None for no lift.
         watch: called with a report of every response.
     """
 

@@ -1,4 +1,4 @@
-"""Contacts that follow the iterations of a minimisation, and vertices that the moving body has overrun."""
+"""Contacts that follow the iterations of a minimisation, and vertices that the moving body has passed over."""
 
 from __future__ import annotations
 
@@ -26,17 +26,16 @@ _DISTINCT = 0.999
 _CAUGHT_WITHIN = 0.01
 """Distance [m] to the plane that it left within which a vertex counts as caught between two."""
 
-
 _LIFT = 2e-3
 """Height [m] over the body that a lifted vertex gets, unless it was lower before."""
 
 
 def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
-    """`x` (vertices, 3) [m], with overrun vertices lifted in every world whose energy falls by it.
+    """Positions (vertices, 3) [m] with vertices that the body passed over lifted, in every world whose energy falls.
 
     Args:
-        potential: of the step.
-        x: positions at its end, pinned vertices where they will be; these are left there.
+        potential: potential of the step.
+        x: (vertices, 3) [m] at its end, pinned vertices where they will be; these are left there.
     """
     step, planes = potential.step, potential.contacts.now
     garments, bodies = step.garments, step.bodies
@@ -63,7 +62,7 @@ class TrackedContact:
     to and fro for ever.
 
     Args:
-        potential: of the step.
+        potential: potential of the step.
         start: (vertices, 3) [m] where the iterations begin.
     """
 
@@ -75,7 +74,11 @@ class TrackedContact:
         self._iteration = 0
 
     def potential_at(self, x: Tensor) -> StepPotential:
-        """The potential with the bodies near `x` frozen."""
+        """The potential with the bodies near `x` frozen to their tangent planes.
+
+        Args:
+            x: (vertices, 3) [m] at which an iteration begins.
+        """
         planes, step = self._planes, self._potential.step
         if planes is None or step.bodies is None:
             return self._potential
@@ -91,8 +94,10 @@ class TrackedContact:
         return self._potential.with_contact(self._planes, self._opposite)
 
     def _patience(self) -> float:
-        """How far [m] a vertex moves before it is looked up again: the distance to a crease has a kink, on which
-        iterations would never end."""
+        """Displacement [m] after which a vertex is looked up again; above 0 in late iterations.
+
+        The distance to a crease has a kink, on which iterations would never end.
+        """
         late = self._iteration - _FREE_ITERATIONS
         return 0.0 if late < 0 else min(2e-5 * 1.15**late, 2e-3)
 
@@ -100,7 +105,7 @@ class TrackedContact:
 def _left_behind(
     old: ContactPlanes, new: ContactPlanes, opposite: ContactPlanes | None, x: Tensor, opposed: float
 ) -> ContactPlanes | None:
-    """For each vertex the plane that it was at before it jumped to another part of the body."""
+    """Plane of each vertex before its nearest point jumped to another part of the body; None where none jumped."""
     jumped = old.touchable & new.touchable & ((old.normals * new.normals).sum(1) < opposed)
     if opposite is None:
         if not bool(jumped.any()):
