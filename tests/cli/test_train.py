@@ -68,7 +68,7 @@ def test_of_a_training_s_folder_the_best_weights_are_the_model(
         ((), "Give --out FOLDER"),
         (("--out", "run", "--resume", "run"), "Give --out FOLDER"),
         (("--out", "run", "--preset", "smal"), "did you mean small"),
-        (("--out", "run", "--set", "batc=2"), "near 'batc' are batch"),
+        (("--out", "run", "--set", "batc=2"), "did you mean batch"),
         (("--out", "run", "--pack", "absent.npz"), "There is no training pack"),
         (("--out", "run", "--minutes", "0"), "must be above 0"),
         (("--resume", "."), "is no folder of a training"),

@@ -46,7 +46,7 @@ def test_settings_replace_fields_of_every_kind() -> None:
 @pytest.mark.parametrize(
     ("setting", "sentence"),
     [
-        ("bath=2", "near 'bath' are batch"),
+        ("bath=2", "did you mean batch"),
         ("curriculum.learning_rat=1", "learning_rate"),
         ("curriculum=1", "set one of curriculum.window_steps"),
         ("batch.size=1", "batch has no parts"),

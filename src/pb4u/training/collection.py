@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +14,14 @@ from pb4u.garment.library import build_garment
 from pb4u.garment.weight_cache import garment_weights
 from pb4u.motion.library import load_motion, motion_names
 from pb4u.motion.motion import Motion
+from pb4u.progress import Progress, unheard
 from pb4u.scene.catalogue import RECORDINGS, SEEDS
 from pb4u.training.configuration import DataSelection
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
 
-Progress = Callable[[int, int], None]
-
 
 def collect(
-    selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress | None = None
+    selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress = unheard
 ) -> TrainingData:
     """Training data that `selection` describes.
 
@@ -47,14 +45,12 @@ def collect(
                 garment = build_garment(name, body, triangles)
                 outfits.append(Outfit(garment, garment_weights(garment, body), index))
                 done += 1
-                if progress:
-                    progress(done, total)
+                progress(done, total)
         clips += _built_in_clips(selection, body, index, rng)
         for split, motions in trials.items():
             clips += [_clip(motion, motion.name, split, body, index, selection.fps) for motion in motions]
         done += 1
-        if progress:
-            progress(done, total)
+        progress(done, total)
     return TrainingData(tuple(bodies), tuple(outfits), tuple(clips))
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import ast
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
-from difflib import get_close_matches
 from typing import Any
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, unknown_name
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.nn.acceleration_model import NetworkConfiguration
 from pb4u.presets.networks import network_preset
@@ -191,8 +190,7 @@ def _replaced(record: Any, key: str, path: list[str], text: str) -> Any:
     name, rest = path[0], path[1:]
     names = [entry.name for entry in fields(record)]
     if name not in names:
-        near = get_close_matches(name, names, n=3) or names
-        raise InputError(f"There is no setting {key}; near {name!r} are {', '.join(near)}.")
+        raise unknown_name("setting", key, [key.removesuffix(name) + known for known in names])
     value = getattr(record, name)
     if is_dataclass(value):
         if not rest:

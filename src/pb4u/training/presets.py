@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from difflib import get_close_matches
 
-from pb4u.errors import InputError
+from pb4u.errors import unknown_name
 from pb4u.presets.networks import pb4u_paper, pb4u_small, pb4u_small_carried, pb4u_small_two_passes
 from pb4u.training.configuration import DataSelection, TrainingConfiguration
 from pb4u.training.curriculum import Curriculum
@@ -90,7 +89,5 @@ DEFAULT_STEPS = {"paper": 450_000, "small": 60_000, "comparison": 8_000, "smoke"
 def training_preset(name: str) -> TrainingConfiguration:
     """Training configuration called `name`. Raises InputError listing the names."""
     if name not in TRAININGS:
-        near = get_close_matches(name, TRAININGS, n=2)
-        hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(TRAININGS)}."
-        raise InputError(f"There is no training preset {name!r}; {hint}")
+        raise unknown_name("training preset", name, TRAININGS)
     return TRAININGS[name]
