@@ -1,4 +1,4 @@
-"""What every energy of the incremental potential is: a function of the next positions, its gradient and curvature."""
+"""Energy terms of the incremental potential: functions of the next positions with gradient and curvature."""
 
 from __future__ import annotations
 
@@ -129,8 +129,8 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
     """Inner products (...,) of vectors row by row, in the product of their units.
 
     Args:
-        a: (..., 3) vectors.
-        b: (..., 3) vectors.
+        a: (..., 3) vectors of any unit.
+        b: (..., 3) vectors of any unit.
     """
     # Four times faster than a sum over so short an axis.
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
@@ -150,8 +150,8 @@ def outer(a: Tensor, b: Tensor) -> Tensor:
     """Outer products (3, 3, n) of vectors column by column, in the product of their units.
 
     Args:
-        a: (3, n) vectors.
-        b: (3, n) vectors.
+        a: (3, n) vectors of any unit.
+        b: (3, n) vectors of any unit.
     """
     return a[:, None] * b[None]
 

@@ -14,7 +14,7 @@ _SMALLEST_MAPPED = 4096
 
 
 def map_archive(path: Path) -> dict[str, np.ndarray]:
-    """Arrays of an .npz by name, of any shape and unit, mapped from the file; small and compressed ones are read.
+    """Arrays (...) of any unit of an .npz file by name, mapped from the file; small and compressed ones are read.
 
     Raises OSError, BadZipFile, ValueError, or what else the readers of zipfile and numpy raise, when the file cannot be
     read whole.

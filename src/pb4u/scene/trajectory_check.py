@@ -59,7 +59,7 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
     """Metadata of a trajectory file, if its members fit together; frames may hold NaN, nothing else may.
 
     Args:
-        members: arrays of the file by name, with the shapes of `_LAYOUT`; positions in [m], indices as integers.
+        members: arrays (...) of the file by name; `_LAYOUT` has the shape of each, lengths are in [m].
         path: path of the file, for the refusal.
 
     Raises InputError naming the first member that does not fit.

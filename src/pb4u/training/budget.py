@@ -58,7 +58,7 @@ class ExplosionGuard:
 
     @property
     def calm(self) -> bool:
-        """Whether the energies are low enough for a snapshot: the ratio is below the root of `factor`."""
+        """Whether the energies allow a snapshot: the ratio is below the root of `factor`, or not judged yet."""
         return self.seen < self.patience or self.ratio < self.factor**0.5
 
 

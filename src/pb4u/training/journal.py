@@ -94,7 +94,7 @@ class Journal:
             self._sums[name] = self._sums.get(name, 0.0) + value
 
     def forget(self) -> None:
-        """Drop the steps that are not noted yet."""
+        """Delete the losses of steps that are not noted yet."""
         self._sums, self._totals = {}, []
 
     def note_means(self, step: int, progress: float, seconds: float, window: int) -> None:

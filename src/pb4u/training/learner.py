@@ -95,10 +95,11 @@ class Learner:
             self.average.swap(self.model)
 
     def state(self, exact: bool = True) -> dict[str, Tensor]:
-        """Copies of weights, statistics, averaged weights and moments, each (...) as in the model, by name.
+        """Copies of weights, statistics, averaged weights and moments, each (...) and its unit as in the model.
 
-        Unless `exact`, moments are rounded to bfloat16: it has the range of float32, and 8 bits of a mean gradient, and
-        of the root of a mean square, are precise enough.
+        Args:
+            exact: keep moments as they are; otherwise they are rounded to bfloat16: it has the range of float32, and 8
+                bits of a mean gradient, and of the root of a mean square, are precise enough.
         """
         tensors = {f"model/{name}": value.clone() for name, value in self.model.state_dict().items()}
         tensors |= {f"average/{name}": value.clone() for name, value in self.average.values.items()}

@@ -19,7 +19,7 @@ MOST_ROLLBACKS = 8
 
 
 class TrainingFailedError(Pb4uError):
-    """A training that cannot be saved by lowering its rate."""
+    """A training whose energies explode again and again, however low its learning rate."""
 
 
 @dataclass(frozen=True)
