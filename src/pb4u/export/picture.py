@@ -12,7 +12,7 @@ import torch
 
 from pb4u.errors import MissingExtraError, Pb4uError
 from pb4u.export.finite_frames import held_frames
-from pb4u.export.shading import CLOTH, SKIN
+from pb4u.export.shading import CLOTH, SKIN, face_colours
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.progress import Progress, unheard
 from pb4u.scene.trajectory import Trajectory
@@ -63,25 +63,30 @@ class StillRenderer:
         self._trajectory = trajectory
         self._view = view
         self._plotter = pyvista.Plotter(off_screen=True, window_size=[view.width, view.height], lighting="none")
-        self._cloth = self._add(trajectory.positions[0], trajectory.faces, view.cloth, specular=0.06)
+        cloth = face_colours(trajectory.faces, trajectory.header.vertex_garment, view.cloth)
+        self._cloth = self._add(trajectory.positions[0], trajectory.faces, cloth, specular=0.06)
         self._held = frozenset(held_frames(trajectory))
         self._body = None
         if view.show_body:
-            self._body = self._add(trajectory.body_positions[0], trajectory.header.body_faces, SKIN, specular=0.12)
+            faces = trajectory.header.body_faces
+            self._body = self._add(trajectory.body_positions[0], faces, np.tile(SKIN, (len(faces), 1)), specular=0.12)
         self._light()
         self._add_ground()
         self._frame_size = self._extent()
 
-    def _add(self, points: np.ndarray, faces: np.ndarray, colour: Sequence[float], specular: float) -> pyvista.PolyData:
+    def _add(self, points: np.ndarray, faces: np.ndarray, colours: np.ndarray, specular: float) -> pyvista.PolyData:
+        """A surface in the picture; `colours` are (faces, 3) sRGB [0 to 1]."""
         import pyvista
 
         cells = np.column_stack([np.full(len(faces), 3), faces]).ravel()
         mesh = pyvista.PolyData(np.array(points, dtype=np.float32), cells)
+        mesh.cell_data["colours"] = (255 * colours).round().astype(np.uint8)
         mesh.point_data["Normals"] = np.zeros_like(mesh.points)
         mesh.point_data.active_normals_name = "Normals"
         self._plotter.add_mesh(
-            mesh, color=colour, ambient=0.16, diffuse=0.9, specular=specular, specular_power=12, interpolation="Phong"
-        )
+            mesh, scalars="colours", rgb=True, ambient=0.16, diffuse=0.9,
+            specular=specular, specular_power=12, interpolation="Phong",
+        )  # fmt: skip
         return mesh
 
     def _light(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -9,6 +11,21 @@ from pb4u.geometry.triangle_mesh import vertex_normals
 
 CLOTH = (0.16, 0.36, 0.62)
 SKIN = (0.93, 0.87, 0.83)
+_FURTHER_CLOTHS = ((0.74, 0.31, 0.24), (0.87, 0.68, 0.33), (0.32, 0.53, 0.40), (0.47, 0.37, 0.58))
+"""Colours of the second garment and those after it, in turn, so that layers can be told apart."""
+
+
+def face_colours(faces: np.ndarray, vertex_garment: np.ndarray, first: Sequence[float] = CLOTH) -> np.ndarray:
+    """Colours (faces, 3) float64 sRGB [0 to 1] of garments, one colour each.
+
+    Args:
+        faces: (faces, 3) int.
+        vertex_garment: (vertices,) int garment of each vertex.
+        first: colour of the first garment.
+    """
+    palette = np.array([first, *_FURTHER_CLOTHS])
+    garment = vertex_garment[faces[:, 0]]
+    return palette[np.where(garment == 0, 0, 1 + (garment - 1) % len(_FURTHER_CLOTHS))]
 
 
 def unit_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
