@@ -43,7 +43,8 @@ class VertexSequence(AnimatedBody):
         vertices: (stored frames, vertices, 3) [m], any float type; may be a memory map.
         faces: (faces, 3) int64.
         stored_fps: frames per second of `vertices`.
-        contact: (vertices,) bool, all True when not given.
+        contact: (vertices,) bool, False where contact is not answered and penetration not counted; all True when not
+            given.
         fps: frames per second to play at, `stored_fps` when not given.
         held_start: frames for which the first one is held before the motion begins.
 

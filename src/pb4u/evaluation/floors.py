@@ -32,7 +32,7 @@ def stored_floor(scene: str, level: str, frames: int) -> dict[str, float] | None
 
 
 def ratio(energies: Mapping[str, float], reached: Mapping[str, float]) -> float:
-    """Ratio of a mean energy to that of the floor, in the terms that the floor has, gravity left out.
+    """Ratio of summed mean energies to those of the floor, over the terms that the floor has, gravity left out.
 
     A height has no zero, and sagging lowers it.
 

@@ -26,7 +26,7 @@ class _Joint:
 
 
 def read_bvh(path: Path) -> Recording:
-    """A recording in its own unit of length.
+    """Recording in a BVH file, in its own unit of length, turned to face forward on vertical legs.
 
     Args:
         path: the .bvh.

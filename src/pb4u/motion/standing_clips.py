@@ -83,6 +83,7 @@ class ArmRaises(StandingClip):
     """Arms are lifted to the sides and overhead, to the front, and swept across the chest."""
 
     PERIOD = 8.8
+    """Length of one repetition [s]."""
     _KNOTS = (0.0, 0.09, 0.18, 0.28, 0.36, 0.46, 0.54, 0.64, 0.74, 0.84, 0.93)
 
     def __call__(self, time: np.ndarray) -> Performance:
@@ -120,6 +121,7 @@ class TrunkTwist(StandingClip):
     """The trunk turns from side to side, arms swinging out with it."""
 
     PERIOD = 2.9
+    """Length of one repetition [s]."""
     HALF_WIDTH = 0.20
     TOES_OUT = 4.0
 
@@ -151,6 +153,7 @@ class Squat(StandingClip):
     """Knees bend until the thighs are near level, arms reaching forward for balance, and up again."""
 
     PERIOD = 3.4
+    """Length of one repetition [s]."""
     HALF_WIDTH = 0.22
     TOES_OUT = 12.0
 
@@ -173,6 +176,7 @@ class Jump(StandingClip):
     """A jump on the spot: crouch and swing the arms back, take off, land softly, stand up."""
 
     PERIOD = 2.5
+    """Length of one repetition [s]."""
     FLIGHT = 0.44
     HALF_WIDTH = 0.16
     TOES_OUT = 3.0

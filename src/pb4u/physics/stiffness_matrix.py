@@ -21,7 +21,7 @@ class StiffnessPattern:
 
     Args:
         garments: static quantities on the CPU.
-        elements: of the terms that have any, by name, as in `EnergyTerm.elements`.
+        elements: of the terms that have any, name -> vertex indices (elements, corners) int64.
 
     Attributes:
         free: (vertices,) bool, whether a vertex moves.
@@ -55,7 +55,7 @@ class StiffnessPattern:
         self._held = torch.nonzero(~(self.free[rows] & self.free[columns]))[:, 0]
 
     def couples(self, elements: Mapping[str, Tensor]) -> bool:
-        """Whether the pattern is that of `elements`."""
+        """Whether this is the pattern of `elements`, name of a term -> vertex indices (elements, corners) int64."""
         same = self._elements.keys() == elements.keys()
         return same and all(torch.equal(part, elements[name]) for name, part in self._elements.items())
 

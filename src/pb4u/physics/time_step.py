@@ -19,7 +19,7 @@ class DivergedError(Pb4uError):
 
     Args:
         frame: index of the frame in its scene, lead-in included.
-        reason: values that are not finite, as part of a sentence.
+        reason: which values are not finite, as part of a sentence.
     """
 
     def __init__(self, frame: int, reason: str) -> None:

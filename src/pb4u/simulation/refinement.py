@@ -61,7 +61,10 @@ class SolverRefinement(Refinement):
 
 
 class ImplicitSteps(SolverRefinement):
-    """Minimises the incremental potential from free flight, by `implicit_steps`."""
+    """Minimises the incremental potential from free flight, whatever was predicted.
+
+    Where the body moves far, the step is cut into several; see `implicit_steps`.
+    """
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         state, solution = implicit_steps(self.potential, self.solver, step, self.iterations)

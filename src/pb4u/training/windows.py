@@ -127,7 +127,7 @@ class Window:
     length: int
 
     def start(self, noise: float, clearance: float) -> State:
-        """The skinned garments of frame 1, with noise on where they are and were, pushed out of the bodies.
+        """Skinned garments of frame 1, with noise on where they are and were, pushed out of the bodies by at most 2 cm.
 
         Args:
             noise: standard deviation of the positions, pins left out, and of those one frame before, independently [m].
@@ -188,7 +188,14 @@ class WindowLoader:
         self.data = wardrobe.data
 
     def load(self, samples: Sequence[Sample], length: int) -> Window:
-        """The samples with `length` + 2 frames from the one before their start; the ends of clips are held."""
+        """Window of the samples, each in a world of its own, from the frame before its start.
+
+        It holds `length` + 2 frames; beyond either end of a clip its first or last frame stands.
+
+        Args:
+            samples: what is packed, of clips of one frame rate.
+            length: steps of the window.
+        """
         bodies, skins, wardrobe = [], [], self.wardrobe
         for sample in samples:
             clip = self.data.clips[sample.clip]
