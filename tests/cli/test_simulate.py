@@ -46,7 +46,10 @@ def test_writes_trajectory_objs_and_report_by_the_contract(pb4u: Callable, tmp_p
     names = {"stretch", "bending", "collision", "gravity", "friction", "inertia", "total"}
     assert names <= set(report["metrics_paper"]) == set(ENERGIES)
     assert set(report["metrics"]) == {*ENERGIES, *GEOMETRY}
-    assert set(GEOMETRY) == {"strain_p95", "strain_max", "penetration_percent", "penetration_depth_max"}
+    assert set(GEOMETRY) == {
+        "strain_p95", "strain_max", "penetration_percent", "penetration_depth_max", "self_intersections",
+        "body_intersections",
+    }  # fmt: skip
     assert all(len(entry["per_frame"]) == 3 for entry in report["metrics"].values())
     assert report["diverged"] is False
 

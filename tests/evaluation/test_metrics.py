@@ -67,6 +67,23 @@ def test_depth_inside_the_body_is_exact() -> None:
     assert measured["penetration_depth_max"]["max"] == pytest.approx(0.05, abs=1.5e-3)
 
 
+def test_crossings_are_counted_frame_by_frame() -> None:
+    folded = REST.copy()
+    # The right half is laid back over the left one and dips through it along its middle.
+    right = folded[:, 0] > 1e-9
+    folded[right, 0] *= -0.9
+    folded[right, 1] += 0.02 - 0.2 * np.abs(folded[right, 0])
+    above = np.array([0.0, 5.0, 0.0])
+    metrics = measure(trajectory_of(np.stack([REST + above, folded + above, REST])))["metrics"]
+    flat, through, in_the_ball = metrics["self_intersections"]["per_frame"]
+    assert (flat, in_the_ball) == (0, 0)
+    assert through > 5
+    assert metrics["self_intersections"]["max"] == through
+    outside, still_outside, inside = metrics["body_intersections"]["per_frame"]
+    assert (outside, still_outside) == (0, 0)
+    assert inside > 20
+
+
 def test_inertia_is_that_of_a_change_of_velocity() -> None:
     positions = np.stack([REST + [0, 5.0, 0], REST + [0.01, 5.0, 0]])
     metrics = measure(trajectory_of(positions))["metrics"]

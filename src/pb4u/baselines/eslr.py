@@ -195,7 +195,13 @@ class _Attention(nn.Module):
         self.output = nn.Linear(width, width)
 
     def forward(self, queries: Tensor, tokens: Tensor, distances: Tensor) -> Tensor:
-        """Latents (queries, width), given latents and the distances (queries, tokens) in units of the scale."""
+        """Latents (queries, width) mixed from those of the tokens.
+
+        Args:
+            queries: (queries, width) latents.
+            tokens: (tokens, width) latents.
+            distances: (queries, tokens) in units of the scale.
+        """
         q, k, v = (self._split(values) for values in (self.query(queries), self.key(tokens), self.value(tokens)))
         bias = self.bias(distances[..., None]).permute(2, 0, 1).contiguous()
         mixed = F.scaled_dot_product_attention(q[None], k[None], v[None], attn_mask=bias[None])[0]

@@ -15,6 +15,7 @@ from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
+from pb4u.geometry.proximity.crossings import crossings, self_crossings
 from pb4u.geometry.topology import Topology
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
@@ -28,7 +29,9 @@ ENERGIES = (*(term.name for term in IncrementalPotential().terms), "total")
 """The terms of the potential [J] by their own names, and their sum."""
 
 STRAINS = ("strain_p95", "strain_max")
-GEOMETRY = (*STRAINS, "penetration_percent", "penetration_depth_max")
+GEOMETRY = (
+    *STRAINS, "penetration_percent", "penetration_depth_max", "self_intersections", "body_intersections"
+)  # fmt: skip
 
 PENETRATION_TOLERANCE = 1e-3
 """Depth [m] beyond which a vertex counts as inside the body: less is within the accuracy of a body's triangles."""
@@ -217,7 +220,8 @@ class FrameMetrics(NamedTuple):
 
     Args:
         metrics: energies [J] summed over garments, strains over all faces, and penetration where the body has an
-            inside: percent of the vertices, and the greatest depth [m].
+            inside: percent of the vertices, and the greatest depth [m]; pairs of triangles that cross, of cloth with
+            cloth and of cloth with the body.
         paper: the energies [J] by the released convention.
         garments: energies [J] and strains of each garment.
     """
@@ -257,6 +261,7 @@ class Ruler:
         closed = Topology(faces, len(contact)).is_closed
         touchable = closed and bool(contact[faces].all(axis=1).any())
         self.surface = TriangleSurface(faces, len(contact), contact) if touchable else None
+        self._touched = faces[contact[faces].all(axis=1)]
 
     def frame(self, t: int) -> FrameMetrics:
         """Metrics of frame t."""
@@ -273,6 +278,11 @@ class Ruler:
             distance = self.surface.at(self._body(t)).nearest(x).signed_distance
             metrics["penetration_percent"] = 100.0 * float((distance < -PENETRATION_TOLERANCE).double().mean())
             metrics["penetration_depth_max"] = max(0.0, -float(distance.min()))
+        cloth = self.garments.faces.numpy()
+        metrics["self_intersections"] = float(len(self_crossings(x.numpy(), cloth)))
+        if len(self._touched):
+            body = self._body(t).numpy()
+            metrics["body_intersections"] = float(len(crossings(x.numpy(), cloth, body, self._touched)))
         garments = [energies | each for energies, each in zip(ours, each_strains, strict=True)]
         return FrameMetrics(metrics, _summed(paper), garments)
 

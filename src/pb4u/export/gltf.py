@@ -110,7 +110,16 @@ class _Document:
         colour: tuple[float, float, float],
         progress: Progress,
     ) -> None:
-        """A node with a mesh, its targets and their weights over time."""
+        """Add a node with a mesh, its morph targets and their weights over time.
+
+        Args:
+            name: of the node.
+            positions: (frames, vertices, 3) [m].
+            faces: (faces, 3) int64.
+            uv: UV points (uv points, 2) and UV faces (faces, 3), or None for each.
+            colour: sRGB [0 to 1].
+            progress: called with (passes done, passes in all).
+        """
         basis = fit_shapes(positions, faces, _TOLERANCE, _MOST_TARGETS, progress)
         if basis.error > _TOLERANCE:
             warnings.warn(

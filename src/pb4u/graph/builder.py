@@ -35,7 +35,7 @@ class EdgeFinder(Protocol):
         """
 
 
-class NoFoundEdges:
+class NoFoundEdges(EdgeFinder):
     """The finder of a network whose edges are all known beforehand."""
 
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:

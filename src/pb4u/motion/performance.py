@@ -44,17 +44,17 @@ class Turn:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """Angles of an arm in degrees, told from hanging with the palm to the thigh; mirrored on the right.
+    """Angles of an arm, told from hanging with the palm to the thigh; mirrored on the right.
 
     Args:
-        flexion: upper arm swung forward.
-        abduction: upper arm lifted sideways.
-        sweep: the whole arm turned about the vertical, outward.
-        twist: upper arm turned inward about itself.
-        elbow: bend of the elbow.
-        pronation: forearm turned inward about itself.
-        wrist: hand bent towards the palm.
-        shrug: shoulder lifted.
+        flexion: upper arm swung forward [deg], one number or (frames,), as all of them.
+        abduction: upper arm lifted sideways [deg].
+        sweep: the whole arm turned about the vertical, outward [deg].
+        twist: upper arm turned inward about itself [deg].
+        elbow: bend of the elbow [deg].
+        pronation: forearm turned inward about itself [deg].
+        wrist: hand bent towards the palm [deg].
+        shrug: shoulder lifted [deg].
     """
 
     flexion: Angle = 0.0

@@ -38,7 +38,12 @@ class Network(ABC):
 
     @abstractmethod
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        """(vertices, 3) [m per step^2] to add to the `accelerations` (vertices, 3) reached so far."""
+        """Accelerations (vertices, 3) [m per step^2] to add to those reached so far.
+
+        Args:
+            step: that is taken.
+            accelerations: (vertices, 3) reached so far, from free flight [m per step^2].
+        """
 
 
 class NoNetwork(Network):

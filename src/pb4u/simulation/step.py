@@ -36,7 +36,12 @@ class StepMethod:
 
 
 def take(step: TimeStep, method: StepMethod) -> State:
-    """The state at the end of `step`; nothing given is changed. Raises DivergedError where it is not finite."""
+    """State at the end of a time step; nothing given is changed. Raises DivergedError where it is not finite.
+
+    Args:
+        step: that is taken.
+        method: what takes it.
+    """
     # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
     *_, predicted = predictions(step, method)
     # A few iterations of the solver, or all of them, lower the same energies that the network was trained on.
@@ -50,6 +55,10 @@ def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:
 
     Only the latest pass is differentiable: training learns from each before the next. Ends early where a pass gave
     what is not finite, since no body can be looked up there.
+
+    Args:
+        step: that is taken.
+        method: whose start and network are asked.
     """
     # From free flight, or part of the way that the body moves: (vertices, 3) [m per step^2].
     accelerations = method.start.accelerations(step)

@@ -220,7 +220,12 @@ class Trainer:
         return True
 
     def set_off(self, course: Course, settled: State) -> State:
-        """A settled garment, still in the frame where it settled, with the velocity that it sets off with."""
+        """State of settled garments, still in the frame where they settled, with the velocity that they set off with.
+
+        Args:
+            course: window that they are of.
+            settled: after the settling step.
+        """
         timeline, frame = course.window.timeline, settled.frame - 1
         skinned = timeline.skinned_velocity(frame)
         velocities = {
@@ -322,7 +327,12 @@ class Trainer:
         return TrainingRecord(1.0 / clip.poses.fps, self.data.edge_lengths, steps, self.counters.step, details)
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
-        """Go on from a checkpoint. Raises InputError where it is not of this configuration."""
+        """Go on from a checkpoint. Raises InputError where it is not of this configuration.
+
+        Args:
+            tensors: what `Learner.state` gave, by name.
+            counters: what `Counters.to_json` gave.
+        """
         self.counters = self.recovery.resume(tensors, counters)
 
 

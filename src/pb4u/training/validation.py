@@ -41,7 +41,12 @@ class Score:
     strain: float
 
     def beats(self, other: Score | None, margin: float = 0.0) -> bool:
-        """Whether this is better: more frames survived, or else less energy, by `margin` of it."""
+        """Whether this is better: more frames survived, or else less energy.
+
+        Args:
+            other: score to beat; None is beaten by any.
+            margin: share of its energy by which the energy has to be less.
+        """
         if other is None:
             return True
         if self.survived != other.survived:
@@ -123,6 +128,12 @@ def is_lost(strain: float, drift: float, collision: float) -> bool:
 
 
 def drift_from(skinned: Tensor, garments: PackedGarments, positions: Tensor) -> float:
-    """Distance [m] of the centre of mass of `positions` from that of `skinned`, both (vertices, 3) [m]."""
+    """Distance [m] of the centre of mass of packed garments from where skinning alone would put it.
+
+    Args:
+        skinned: (vertices, 3) skinned positions [m].
+        garments: the pack, whose vertex masses weigh the mean.
+        positions: (vertices, 3) simulated positions [m].
+    """
     share = garments.vertex_masses / garments.vertex_masses.sum()
     return float((share[:, None] * (positions - skinned)).sum(0).norm())

@@ -66,7 +66,12 @@ class Sampler:
         ]
 
     def sample(self, index: int, length: int) -> Sample:
-        """Sample number `index`, with room for a window of `length` steps."""
+        """Sample that is drawn by its number.
+
+        Args:
+            index: number of the sample.
+            length: steps of the window that its clip has to have room for.
+        """
         seed = (self.configuration.seed, _SAMPLE, index)
         rng = np.random.default_rng(seed)
         outfit = int(rng.integers(len(self.data.outfits)))
@@ -77,7 +82,12 @@ class Sampler:
         return Sample(outfit, clip, start, material, float(rng.uniform(-np.pi, np.pi)), (*seed, 1))
 
     def settles(self, window: int, length: int) -> bool:
-        """Whether a window begins with the settling step; see `Curriculum.settling_share`."""
+        """Whether a window begins with the settling step: always one of several steps, else by `settling_share`.
+
+        Args:
+            window: number of the window, from 0.
+            length: steps of the window.
+        """
         if length > 1:
             return True
         draw = np.random.default_rng((self.configuration.seed, _SETTLE, window)).random()
@@ -88,7 +98,13 @@ class Sampler:
         return float(np.random.default_rng((self.configuration.seed, _SLOWING, window)).uniform(0.5, 1.0))
 
     def propagation_steps(self, index: int, step: int, ruled: int) -> int:
-        """K of sample `index` at a step of its window; `ruled` is what the resolution asks for."""
+        """Number of propagation steps K at a step of a sample's window, drawn from 1 to the configured most.
+
+        Args:
+            index: number of the sample.
+            step: number of the step in its window, from 0.
+            ruled: K that the network's own rule gives, taken where `most_propagation_steps` is 0.
+        """
         most = self.configuration.most_propagation_steps
         if most == 0:
             return ruled
@@ -97,7 +113,12 @@ class Sampler:
 
 
 def drawn_material(ranges: MaterialSampling, rng: np.random.Generator) -> Material:
-    """A material from the training ranges."""
+    """Material drawn from the training ranges.
+
+    Args:
+        ranges: lowest and highest of each constant.
+        rng: source of the draws, which it advances.
+    """
 
     def logarithmic(low: float, high: float) -> float:
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
