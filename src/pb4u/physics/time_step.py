@@ -38,7 +38,7 @@ class TimeStep:
         dt: length of the step [s].
         gravity: (3,) [m/s^2].
         pin_positions: (vertices, 3) [m] where the pinned vertices will be after the step; other rows are not read. None
-            leaves them where they are.
+            gives them no place: predictions then move them as any other.
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
 
     Raises InputError for a time step that is not positive, or shapes that do not match.

@@ -67,7 +67,7 @@ class NewtonCloth:
     """Newton's model, solver and state of a scene; bodies and pins are moved from outside.
 
     Args:
-        scene: one garment, one body.
+        scene: garments and bodies, which Newton takes as one cloth and one surface.
         body: (body vertices, 3) [m] at the start.
         positions: (vertices, 3) [m] of the garment at the start, at rest.
         device: Warp's name of the device: "cpu" or "cuda:0".
