@@ -21,6 +21,7 @@ from pb4u.physics.contact.planes import ContactPlanes
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
 from pb4u.physics.linear_solver import LinearSolution, PatchBasis, TwoLevelPreconditioner, conjugate_gradient
+from pb4u.physics.pair_stiffness import PairStiffness, SummedProduct
 from pb4u.physics.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.scene.packed import PackedGarments
@@ -147,12 +148,12 @@ class Solver:
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
-        start = lifted_off_the_body(potential, start)
+        start = potential.carried(potential.step.state.positions, lifted_off_the_body(potential, start))
         contact = TrackedContact(potential, start)
         preconditioner = _StepPreconditioner(self._basis)
         x, inner, iteration, damping_level = start, 0, 0, -1
         while True:
-            frozen = contact.potential_at(x)
+            frozen = contact.potential_at(x).with_cloth_along(x)
             energies, gradient = frozen.energies_and_gradient(x)
             gradient = torch.where(self._pattern.free[:, None], gradient, 0.0)
             residual, total = self._residual(garments, gradient), float(energies.total)
@@ -209,7 +210,8 @@ class Solver:
         """Newton direction, a direction of negative curvature where there is one, and the damping level taken."""
         right = -gradient.reshape(-1).numpy()
         positive = self._pattern.assemble(frozen.curvature(x))
-        preconditioner.update(self._pattern, positive)
+        pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free.numpy())
+        preconditioner.update(self._pattern, positive, pairs)
         missing = self._pattern.assemble(frozen.buckling(x)) if damping_level else positive
         negative, spent = None, 0
         own = self._pattern.own_entries
@@ -218,7 +220,9 @@ class Solver:
             compression, extra_mass = _DAMPING_LEVELS[damping_level]
             entries = positive + compression * missing
             entries[own] += extra_mass * mass
-            solved = conjugate_gradient(self._pattern.product(entries), right, preconditioner, self.forcing, 300)
+            matrix = self._pattern.product(entries)
+            matrix = SummedProduct(matrix, pairs) if len(pairs) else matrix
+            solved = conjugate_gradient(matrix, right, preconditioner, self.forcing, 300)
             spent += solved.iterations
             if solved.negative is None or damping_level == 0:
                 preconditioner.last_iterations = solved.iterations
@@ -245,8 +249,13 @@ class Solver:
 
         direction = torch.from_numpy(solved.solution.reshape(-1, 3))
         direction = direction * each_vertex(_factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0))
-        slope = _sums(gradient * direction, garments)
-        length = torch.ones_like(slope)
+        # Cloth that would touch on the way is turned aside, while the rest of it goes on.
+        free = frozen.carried(x, x + direction) - x
+        slope, full = _sums(gradient * free, garments), _sums(gradient * direction, garments)
+        direction = torch.where(each_vertex(slope < 0), free, direction)
+        slope = torch.where(slope < 0, slope, full)
+        frozen = frozen.with_cloth_along(x, direction)
+        length = frozen.free_shares(x, direction)
         for _ in range(_HALVINGS):
             candidate = x + each_vertex(length) * direction
             reached = energies_at(candidate)
@@ -264,9 +273,13 @@ class Solver:
         buckling = torch.from_numpy(solved.negative.reshape(-1, 3))
         buckling = buckling * each_vertex(_factors(buckling, _BUCKLING_MOVE, garments))
         buckling = buckling * each_vertex(torch.where(_sums(gradient * buckling, garments) > 0, -1.0, 1.0))
+        farthest = 2.0 ** (_BUCKLING_DOUBLINGS - 1)
+        frozen = frozen.with_cloth_along(candidate, farthest * buckling)
+        farthest = farthest * frozen.free_shares(candidate, farthest * buckling)
         # Along the buckling direction there is no slope to compare with, so moves are kept while the energy falls.
         result, size, falling = candidate, 1.0, torch.ones_like(accepted)
         for _ in range(_BUCKLING_DOUBLINGS):
+            falling = falling & (size <= farthest)
             further = torch.where(each_vertex(falling), candidate + size * buckling, result)
             lower = energies_at(further)
             falling = falling & (lower < reached)
@@ -302,16 +315,17 @@ class _StepPreconditioner:
         self._age = 0
         self.last_iterations = 0
 
-    def update(self, pattern: StiffnessPattern, entries: np.ndarray) -> None:
-        """Recompute what has aged from the `entries` (entries, 3, 3) [N/m] of a new stiffness matrix."""
+    def update(self, pattern: StiffnessPattern, entries: np.ndarray, pairs: PairStiffness) -> None:
+        """Recompute what has aged from the `entries` (entries, 3, 3) [N/m] of a new stiffness matrix and the `pairs`."""
         diagonal = pattern.diagonal(entries)
+        pairs.add_diagonal(diagonal)
         self._age += 1
         if self._current is None:
-            self._current = TwoLevelPreconditioner(self._basis, pattern.matrix(entries), diagonal)
+            self._current = TwoLevelPreconditioner(self._basis, pattern.matrix(entries), diagonal, pairs)
             return
         self._current.refresh_diagonal(diagonal)
         if self._age >= 4 and self.last_iterations > 50:
-            self._current.refresh_patches(pattern.matrix(entries))
+            self._current.refresh_patches(pattern.matrix(entries), pairs)
             self._age = 0
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:

@@ -6,11 +6,12 @@ Simulation takes all of it; training learns from its predictions and refines not
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 
 from pb4u.physics.contact.response import Contact, NoContact
+from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import Network, NoNetwork
@@ -27,12 +28,14 @@ class StepMethod:
         network: predicts accelerations.
         refinement: lowers the incremental potential from there.
         contact: answers what is left inside the body.
+        self_contact: keeps each of these from carrying cloth through cloth.
     """
 
     start: StepStart = field(default_factory=FreeFlight)
     network: Network = field(default_factory=NoNetwork)
     refinement: Refinement = field(default_factory=NoRefinement)
     contact: Contact = field(default_factory=NoContact)
+    self_contact: SelfContact = field(default_factory=NoSelfContact)
 
 
 def take(step: TimeStep, method: StepMethod) -> State:
@@ -44,10 +47,16 @@ def take(step: TimeStep, method: StepMethod) -> State:
     """
     # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
     *_, predicted = predictions(step, method)
+    predicted = require_finite(predicted)
+    # What would pass through other cloth on the way goes as far as it can.
+    carried = method.self_contact.carried(step.garments, step.state.positions, predicted.positions)
     # A few iterations of the solver, or all of them, lower the same energies that the network was trained on.
-    refined = method.refinement.refine(step, require_finite(predicted))
+    refined = method.refinement.refine(step, replace(predicted, positions=carried))
     # Vertices still inside the body are pushed out, without gaining speed.
-    return method.contact.respond(step, refined)
+    answered = method.contact.respond(step, refined)
+    return replace(
+        answered, positions=method.self_contact.carried(step.garments, refined.positions, answered.positions)
+    )
 
 
 def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:
