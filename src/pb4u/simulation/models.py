@@ -9,6 +9,11 @@ from pb4u.errors import InputError, unknown_name
 from pb4u.simulation.simulator import Simulator
 
 _BEST = "best.safetensors"
+_WITHOUT_SELF_CONTACT = {
+    "skinning": "skinning carries every vertex with the body and keeps no cloth from crossing",
+    "newton": "newton runs with its own self-contact off",
+}
+"""What simulators that cannot keep cloth from crossing say when they are asked to."""
 _TRAINING_STATE = "pb4u_training"
 """Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
 
@@ -42,6 +47,7 @@ def load_simulator(
     name: str | Path = "auto",
     *,
     contact: bool = True,
+    self_contact: bool | None = None,
     refine: int = 5,
     propagation_steps: int | None = None,
     passes: int | None = None,
@@ -53,6 +59,8 @@ def load_simulator(
     Args:
         name: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
         contact: push the garment out of the body after each step (networks and solver).
+        self_contact: cloth feels cloth, within a garment and between garments (networks and solver, which do unless
+            this is False).
         refine: solver iterations after each step of a network.
         propagation_steps: override of K for a network; None follows the paper's rule.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
@@ -76,6 +84,11 @@ def load_simulator(
     answering: Contact = ContactResponse() if contact else NoContact()
     if wanted in ("skinning", "newton") and first_frame != "auto":
         raise InputError(f"{wanted} starts in a way of its own; leave the first frame to it.")
+    if self_contact and wanted in _WITHOUT_SELF_CONTACT:
+        raise InputError(
+            f"{_WITHOUT_SELF_CONTACT[wanted]}, so --self-contact cannot be on; leave it out, or take --model solver or "
+            "a network."
+        )
     if wanted == "skinning":
         return SkinningSimulator()
     if wanted == "solver":
