@@ -71,11 +71,13 @@ def load_simulator(
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
     from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
+    from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
-    ways: dict[str, type[FirstFrame]] = {"settled": Settled, "long_step": OneLongStep}
+    potential = IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact()
+    ways: dict[str, FirstFrame] = {"settled": Settled(potential=potential), "long_step": OneLongStep()}
     if first_frame not in ("auto", *ways):
         raise unknown_name("first frame", first_frame, ("auto", *ways))
     if refine < 0:
@@ -92,7 +94,8 @@ def load_simulator(
     if wanted == "skinning":
         return SkinningSimulator()
     if wanted == "solver":
-        return SolverSimulator(contact=answering, first_frame=ways.get(first_frame, Settled)())
+        beginning = ways.get(first_frame, ways["settled"])
+        return SolverSimulator(contact=answering, first_frame=beginning, potential=potential)
     if wanted == "newton":
         from pb4u.simulation.newton_simulator import NewtonSimulator
 
@@ -104,10 +107,10 @@ def load_simulator(
     from pb4u.simulation.checkpoint import from_pretrained
 
     # The solver improves a state more, and settles it better, than a further pass or one long step at the same cost.
-    beginning = ways.get(first_frame, Settled if refine else OneLongStep)()
+    beginning = ways.get(first_frame, ways["settled" if refine else "long_step"])
     asked = 1 if passes is None and refine else passes
     return NetworkSimulator(
-        from_pretrained(wanted), propagation_steps, refine, answering, _device(device), asked, beginning
+        from_pretrained(wanted), propagation_steps, refine, answering, _device(device), asked, beginning, potential
     )
 
 
