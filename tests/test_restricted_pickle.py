@@ -188,7 +188,8 @@ def test_a_torch_archive_is_read_as_arrays(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read["weights"]["b"], shared.numpy().T)
     np.testing.assert_array_equal(read["weights"]["c"], shared.numpy()[1:, 2:])
     assert [array.dtype.name for array in read["kinds"]] == ["int64", "float64", "float16"]
-    assert read["empty"].shape == (0, 3) and read["scalar"] == 2.5
+    assert read["empty"].shape == (0, 3)
+    assert read["scalar"] == 2.5
     assert read["config"] == content["config"]
 
 

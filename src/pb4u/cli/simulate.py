@@ -149,7 +149,8 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="solver, skinning, newton, or a network by name or .safetensors file. Default: pb4u-small.",
+            help="solver, skinning, newton, or a network by name, .safetensors file or .pth of the released code. "
+            "Default: pb4u-small.",
         ),
     ] = None,
     propagation_steps: Annotated[

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pb4u.errors import InputError, unknown_name
 from pb4u.simulation.simulator import Simulator
+
+if TYPE_CHECKING:
+    from pb4u.simulation.checkpoint import Checkpoint
 
 _BEST = "best.safetensors"
 _TRAINING_STATE = "pb4u_training"
@@ -51,7 +55,8 @@ def load_simulator(
     """Simulator called `name`, loaded.
 
     Args:
-        name: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
+        name: "auto", "solver", "skinning", "newton", a shipped network, a checkpoint file, or a .pth of the released
+            code of Pb4U-GNet, HOOD or ContourCraft.
         contact: push the garment out of the body after each step (networks and solver).
         refine: solver iterations after each step of a network.
         propagation_steps: override of K for a network; None follows the paper's rule.
@@ -88,14 +93,19 @@ def load_simulator(
         _refuse_other_files_of_a_training(Path(wanted))
     if not Path(wanted).suffix and wanted not in model_descriptions():
         raise unknown_name("model", wanted, model_descriptions())
-    from pb4u.simulation.checkpoint import from_pretrained
-
     # The solver improves a state more, and settles it better, than a further pass or one long step at the same cost.
     beginning = ways.get(first_frame, Settled if refine else OneLongStep)()
     asked = 1 if passes is None and refine else passes
     return NetworkSimulator(
-        from_pretrained(wanted), propagation_steps, refine, answering, _device(device), asked, beginning
+        _checkpoint(wanted), propagation_steps, refine, answering, _device(device), asked, beginning
     )
+
+
+def _checkpoint(name: str) -> Checkpoint:
+    from pb4u.simulation.checkpoint import from_pretrained
+    from pb4u.simulation.released_weights import SUFFIXES, read_released
+
+    return read_released(name).checkpoint() if Path(name).suffix.lower() in SUFFIXES else from_pretrained(name)
 
 
 def _refuse_other_files_of_a_training(path: Path) -> None:
