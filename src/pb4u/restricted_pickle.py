@@ -240,6 +240,8 @@ def _constructors() -> dict[tuple[str, str], Any]:
 
     named: dict[tuple[str, str], Callable[..., Any]] = {
         ("numpy", "ndarray"): NdarrayName,
+        # A subclass that adds nothing to what is pickled.
+        ("trimesh.caching", "TrackedArray"): NdarrayName,
         ("numpy", "dtype"): _DtypeShell,
         ("numpy.core.multiarray", "_reconstruct"): reconstruct,
         ("numpy.core.multiarray", "scalar"): scalar,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,16 +64,25 @@ def load_simulator(
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
         first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
-            paper, or "auto": settled where the solver runs.
+            paper, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto": settled where the
+            solver runs.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
     from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
     from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
     from pb4u.simulation.simulator import SkinningSimulator
+    from pb4u.simulation.start_protocols import MovingStart, SkinnedStart, StandingStart
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
-    ways: dict[str, type[FirstFrame]] = {"settled": Settled, "long_step": OneLongStep}
+    ways: dict[str, Callable[[], FirstFrame]] = {
+        "settled": Settled,
+        "long_step": OneLongStep,
+        "release": StandingStart,
+        "hood": lambda: StandingStart(push=1.0),
+        "mgn": MovingStart,
+        "contourcraft": SkinnedStart,
+    }
     if first_frame not in ("auto", *ways):
         raise unknown_name("first frame", first_frame, ("auto", *ways))
     if refine < 0:
