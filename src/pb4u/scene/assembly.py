@@ -248,6 +248,10 @@ def _load_body(
 def _shaped_body(specification: SceneSpecification, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
     """The body with the `shape` that its recording says, and over it what is asked for."""
     body = specification.body
+    if shape and not (isinstance(body, str | Path) and Path(body).suffix):
+        raise InputError(
+            f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
+        )
     if isinstance(body, str | Path):
         return load_body(body, {**shape, **specification.body_shape})
     if not isinstance(body, ShapedBody | VertexSequence):
