@@ -18,6 +18,8 @@ from pb4u.simulation.released_weights import METHODS, UNKNOWN_LICENCE, read_rele
 GOLDEN = {
     "pb4u": ("checkpoints/pb4u.pth", "pb4u_dress", "pb4u_skirt"),
     "pb4u_128_wide": ("weights/pb4u_128_wide.safetensors", "pb4u_128_wide_dress"),
+    "hood": ("checkpoints/hood.pth", "hood_dress", "hood_skirt"),
+    "hood_cvpr": ("checkpoints/hood_cvpr.pth", "hood_cvpr_dress", "hood_cvpr_skirt"),
     "fine15": ("checkpoints/fine15.pth", "fine15_dress", "fine15_skirt"),
 }
 SCENES = [(name, scene) for name, (_, *scenes) in GOLDEN.items() for scene in scenes]

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from pb4u.baselines.contourcraft import ContourCraftConfiguration
 from pb4u.baselines.eslr import EslrConfiguration
-from pb4u.baselines.hood import HoodConfiguration, LevelsByLength
+from pb4u.baselines.hood import HoodConfiguration, LeftReturn, LevelsByLength
 from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.errors import unknown_name
 from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout, MaterialRange
@@ -83,6 +83,14 @@ release_mgn = replace(
     world_edges=_released_world_edges,
     pins=PinsAtTarget(moving=True),
 )
+release_hood = HoodConfiguration(
+    labelled=3,
+    way_up=LeftReturn(),
+    layout=replace(release_mgn.layout, node=_released_layout.node),
+    world_edges=_released_world_edges,
+    pins=PinsAtTarget(),
+)
+release_hood_cvpr = replace(release_hood, layout=release_mgn.layout, pins=PinsAtTarget(moving=True))
 
 PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
     "pb4u_paper": (pb4u_paper, "the paper's network"),
@@ -98,6 +106,8 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
     "release_pb4u": (release_pb4u, "the released network to the last digit, for its checkpoints"),
     "release_mgn": (release_mgn, "the released MeshGraphNet (fine15) to the last digit"),
     "release_mgn_48": (replace(release_mgn, blocks=48), "the released fine48"),
+    "release_hood": (release_hood, "the released HOOD (postcvpr) to the last digit"),
+    "release_hood_cvpr": (release_hood_cvpr, "the HOOD of the paper (cvpr) to the last digit"),
     "pb4u_bare_edges": (
         replace(pb4u_paper, layout=FeatureLayout(mesh_edge=("direction", "rest_direction", "length_ratio"))),
         "mesh edges with the three features that the paper names, and nothing else",

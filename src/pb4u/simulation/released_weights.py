@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file
 from torch import Tensor
 
+from pb4u.baselines.hood import FAR, NEAR, SCHEDULE
 from pb4u.errors import InputError, unknown_name
 from pb4u.graph.features import TABLES, FeatureLayout, MaterialRange, total_width
 from pb4u.graph.graph import NodeType
@@ -464,12 +466,50 @@ def _mgn_blocks(file: _File) -> list[_Block]:
     return _blocks_of_steps(file, mlps, "node_processor", ("mesh", "world", "node"))
 
 
+def _hood_stages(file: _File, prefix: str, first: int) -> list[tuple[str, int]]:
+    """Name of every stage and its number of blocks; the names are `prefix` and numbers from `first`."""
+    names = [f"{prefix}{number}" for number in range(first, first + len(SCHEDULE))]
+    return [(name, file.count(re.escape(name) + r"\.(\d+)\.")) for name in names]
+
+
+def _hood_blocks(file: _File, prefix: str, first: int) -> list[_Block]:
+    blocks = []
+    for (name, count), kinds in zip(_hood_stages(file, prefix, first), SCHEDULE, strict=True):
+        keys = {kind: f"edge_processor_dict.{_HOOD_KEYS[kind]}" for kind in (*kinds, "world")}
+        # The sums stand in alphabetical order of their keys.
+        order = ("node", *sorted(keys, key=keys.__getitem__))
+        blocks += [_Block(f"{name}.{number}", keys, "node_processor_dict.node", order) for number in range(count)]
+    return blocks
+
+
+def _hood_configuration(file: _File, preset: Any, prefix: str, first: int) -> NetworkConfiguration:
+    repeats = tuple(count for _, count in _hood_stages(file, prefix, first))
+    if not all(repeats):
+        raise InputError(f"{file.path} lacks one of HOOD's {len(SCHEDULE)} stages.")
+    made, told = _architecture(repeats), file.setting("model", "*", "architecture", default=None)
+    if told is not None and told != made:
+        raise InputError(f"{file.path} has the schedule {told} in its settings, where its blocks are those of {made}.")
+    return replace(preset, repeats=repeats)
+
+
+def _architecture(repeats: Sequence[int]) -> str:
+    """The schedule of HOOD's stages as its settings write it."""
+    written = []
+    for turn, kinds, count in zip(("", "d:", "d:", "u:", "u:"), SCHEDULE, repeats, strict=True):
+        sets = ",".join(_HOOD_SETS[kind] for kind in kinds)
+        written += [turn + sets, *[sets] * (count - 1)]
+    return "|".join(written)
+
+
+_HOOD_KEYS = {"mesh": "mesh_edge", NEAR: "coarse_edge0", FAR: "coarse_edge1", "world": "world_edge"}
+_HOOD_SETS = {"mesh": "f", NEAR: "c0", FAR: "c1"}
 _WIDTHS = {
     "type": TYPE_WIDTH,
     "level": LEVEL_WIDTH,
     **{name: total_width((feature,)) for table in TABLES.values() for name, feature in table.items()},
 }
 _NODE = ("velocity", "type", "normal", "time_step", "vertex_mass", "material")
+_LABELLED_NODE = ("velocity", "type", "level", "normal", "time_step", "vertex_mass", "material")
 _MESH = ("relative_position", "length", "rest_relative_position", "rest_length", "time_step", "material")
 _WORLD = ("-relative_now", "distance_now", "-relative_next", "distance_next", "time_step")
 _RELATIVE_MESH = ("direction", "rest_direction", "length_ratio", "time_step", "material")
@@ -497,6 +537,33 @@ METHODS: Mapping[str, _Method] = {
             _TWO_KINDS,
             _mgn_configuration,
             _mgn_blocks,
+        ),
+        _Method(
+            "release_hood",
+            ("postcvpr", "hood"),
+            "edgeset_encoders.coarse0",
+            {"node": _LABELLED_NODE, "mesh_edge": _MESH, "world_edge": _WORLD},
+            {
+                **_TWO_KINDS,
+                NEAR: ("coarse0", "mesh_edge", "mesh_edge"),
+                FAR: ("coarse1", "mesh_edge", "mesh_edge"),
+            },
+            partial(_hood_configuration, prefix="levels.", first=0),
+            partial(_hood_blocks, prefix="levels.", first=0),
+            unread=(r".*edgeset_encoders\.coarse[2-9]\.",),
+        ),
+        _Method(
+            "release_hood_cvpr",
+            ("cvpr",),
+            "edgeset_encoders.coarse.",
+            {"node": _LABELLED_NODE, "mesh_edge": _MESH, "world_edge": _WORLD},
+            {
+                **_TWO_KINDS,
+                NEAR: ("coarse", "mesh_edge", "mesh_edge"),
+                FAR: ("coarse", "mesh_edge", "mesh_edge"),
+            },
+            partial(_hood_configuration, prefix="processor_steps", first=1),
+            partial(_hood_blocks, prefix="processor_steps", first=1),
         ),
     )
 }
