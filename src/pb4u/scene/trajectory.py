@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.reading_limits import DamagedArchiveError
 from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_indices, joined_uvs, offsets
 from pb4u.scene.mapped_archive import map_archive
 from pb4u.scene.scene import Scene
@@ -242,9 +243,15 @@ class Trajectory:
         """
         path = Path(path)
         try:
+            if not path.is_file():
+                raise InputError(f"There is no trajectory file {path}.")
             members = map_archive(path)
-        except FileNotFoundError as error:
-            raise InputError(f"There is no trajectory file {path}.") from error
+        except DamagedArchiveError as error:
+            raise InputError(
+                f"{path} cannot be read as a trajectory (cut short or another format): {error.reason}."
+            ) from error
+        except InputError:
+            raise
         except Exception as error:  # zipfile and numpy let through whatever their parsers trip over
             raise InputError(
                 f"{path} cannot be read as a trajectory (cut short or another format): {error}."

@@ -20,6 +20,7 @@ from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
 from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
+from pb4u.reading_limits import parse_json, require_small_header
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
@@ -156,9 +157,12 @@ def load_checkpoint(path: Path | str, name: str | None = None) -> Checkpoint:
     if not path.is_file():
         raise InputError(f"There is no checkpoint {path}.")
     try:
+        require_small_header(path)
         with safe_open(path, framework="pt") as file:
             metadata: dict[str, str] = file.metadata() or {}
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except InputError:
+        raise
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
             f"{path} is no whole safetensors file ({error}); fetch or train it again. "
@@ -172,12 +176,15 @@ def load_checkpoint(path: Path | str, name: str | None = None) -> Checkpoint:
             f"{path} is of checkpoint format {version} and this pb4u reads up to {FORMAT_VERSION}; upgrade pb4u."
         )
     try:
-        configuration = configuration_from_json(json.loads(metadata["configuration"]))
-        record = _record_from_json(json.loads(metadata["training_record"]))
-    except (KeyError, TypeError, ValueError) as error:
+        configuration = configuration_from_json(parse_json(metadata["configuration"], "the configuration"))
+        record = _record_from_json(parse_json(metadata["training_record"], "the training record"))
+        # Without memory first: the header may tell of a network that is far larger than the weights in the file.
+        with torch.device("meta"):
+            described = AccelerationModel(configuration.network()).state_dict()
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
         raise InputError(f"{path} has a header that this pb4u cannot read: {error}") from error
+    _check_fit(path, described, tensors)
     model = AccelerationModel(configuration.network())
-    _check_fit(path, model.state_dict(), tensors)
     model.load_state_dict(tensors)
     return Checkpoint(name or path.stem, model.eval(), configuration, record, metadata.get("licence", "unknown"))
 

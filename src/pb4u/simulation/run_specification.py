@@ -17,6 +17,7 @@ import tomli_w
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning, unknown_name
 from pb4u.progress import Progress, unheard
+from pb4u.reading_limits import read_text
 from pb4u.scene.specification import (
     GarmentSpecification,
     SceneSpecification,
@@ -200,8 +201,10 @@ class RunSpecification:
         if not path.is_file():
             raise InputError(f"There is no scene file {path}.")
         try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
+            tables = tomllib.loads(read_text(path, "a scene file"))
+        except InputError:
+            raise
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{path} is no scene file, which is TOML: {error}.") from None
         try:
             return cls._of_tables(tables, path.parent)

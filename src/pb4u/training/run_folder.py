@@ -23,6 +23,7 @@ from torch import Tensor
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
+from pb4u.reading_limits import parse_json, read_json, require_small_header
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
@@ -94,7 +95,7 @@ class RunFolder:
         """Configuration that `configure` wrote. Raises InputError where it cannot be read."""
         path = self.path / CONFIGURATION
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = read_json(path)
             version = int(record["format_version"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{path} is not the configuration of a training: {error}.") from error
@@ -138,9 +139,10 @@ class RunFolder:
         if not path.is_file():
             return None
         try:
+            require_small_header(path)
             with safe_open(path, framework="pt") as file:
                 metadata = file.metadata() or {}
-                counters = json.loads(metadata["counters"])
+                counters = parse_json(metadata["counters"], path)
                 return {key: file.get_tensor(key) for key in file.keys()}, counters  # noqa: SIM118
         except (SafetensorError, OSError, KeyError, ValueError) as error:
             raise InputError(f"{path} is no checkpoint of a training ({error}).") from error
