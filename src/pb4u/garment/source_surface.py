@@ -18,8 +18,8 @@ from pb4u.geometry.triangulation import triangulate
 _FLATTEST = 1e-6
 # Border vertices within this distance [m] are one seam: far below any edge, far above the rounding of a file.
 _SAME_PLACE = 1e-4
-# Border vertices in one place, on average over all, above which their pairs would fill the memory: corners of a triangle
-# soup meet six at a time.
+# Border vertices in one place, on average, above which their pairs would fill the memory; in a soup of triangles six
+# corners meet.
 _MOST_COINCIDENT = 64
 # Layers within this distance [m] are one shell or lining: a solidify modifier rarely adds more, and garments are worn
 # farther from themselves. Of so many nearest faces one is across, not beside, where layers are meshed alike.
@@ -99,7 +99,8 @@ class SourceSurface:
     def weld_target(self) -> np.ndarray:
         """Indices (vertices,) int64 of the vertices welded to: of a border vertex the lowest in its place, else itself.
 
-        Vertices that share an edge are never joined, however short the edge is.
+        Vertices that share an edge are never joined, however short the edge is. Raises InputError where so many lie in
+        one place that their pairs cannot be gone through.
         """
         vertices, topology = self.source.vertices, self.topology
         border = np.flatnonzero(topology.border_vertices)
