@@ -13,10 +13,12 @@ from __future__ import annotations
 
 import contextlib
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
@@ -27,6 +29,7 @@ from pb4u.reading_limits import parse_json, read_json, require_small_header
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
+LOCK = ".lock"
 LAST, BEST, FINAL, CURVE = "last.safetensors", "best.safetensors", "final.safetensors", "curve.png"
 
 
@@ -77,6 +80,23 @@ class RunFolder:
         with contextlib.suppress(OSError):
             (self.path / CONFIGURATION).unlink()
             self.path.rmdir()
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep other processes from training in the folder. Raises InputError where one does."""
+        lock = FileLock(self.path / LOCK)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise InputError(
+                f"Another process is training in {self.path}; wait for it, or end it, before going on with --resume."
+            ) from None
+        except OSError as error:
+            raise InputError(f"Cannot use the folder {self.path}: {error.strerror or error}.") from error
+        try:
+            yield
+        finally:
+            lock.release()
 
     @staticmethod
     def open(path: Path | str) -> RunFolder:
