@@ -171,6 +171,13 @@ def simulate(
     contact: Annotated[
         Switch | None, typer.Option(help="Push the garment out of the body after each step. Default: on.")
     ] = None,
+    self_contact: Annotated[
+        Switch | None,
+        typer.Option(
+            help="Cloth feels cloth, within a garment and between garments. Default: on for the solver and networks; "
+            "skinning and newton cannot."
+        ),
+    ] = None,
     device: Annotated[
         Device | None,
         typer.Option(help="Where a network or newton computes; the solver always runs on the CPU. Default: auto."),
@@ -223,7 +230,8 @@ def simulate(
         ),
         **_given(
             model=model, propagation_steps=propagation_steps, passes=passes, refine=refine,
-            contact=contact and contact == "on", device=device, first_frame=first_frame,
+            contact=contact and contact == "on", self_contact=self_contact and self_contact == "on", device=device,
+            first_frame=first_frame,
         ),
     )  # fmt: skip
     keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])

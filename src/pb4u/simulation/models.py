@@ -9,6 +9,11 @@ from pb4u.errors import InputError, unknown_name
 from pb4u.simulation.simulator import Simulator
 
 _BEST = "best.safetensors"
+_WITHOUT_SELF_CONTACT = {
+    "skinning": "skinning carries every vertex with the body and keeps no cloth from crossing",
+    "newton": "newton runs with its own self-contact off",
+}
+"""What simulators that cannot keep cloth from crossing say when they are asked to."""
 _TRAINING_STATE = "pb4u_training"
 """Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
 
@@ -42,6 +47,7 @@ def load_simulator(
     name: str | Path = "auto",
     *,
     contact: bool = True,
+    self_contact: bool | None = None,
     refine: int = 5,
     propagation_steps: int | None = None,
     passes: int | None = None,
@@ -53,6 +59,8 @@ def load_simulator(
     Args:
         name: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
         contact: push the garment out of the body after each step (networks and solver).
+        self_contact: cloth feels cloth, within a garment and between garments (networks and solver, which do unless
+            this is False).
         refine: solver iterations after each step of a network.
         propagation_steps: override of K for a network; None follows the paper's rule.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
@@ -63,11 +71,13 @@ def load_simulator(
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
     from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
+    from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
-    ways: dict[str, type[FirstFrame]] = {"settled": Settled, "long_step": OneLongStep}
+    potential = IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact()
+    ways: dict[str, FirstFrame] = {"settled": Settled(potential=potential), "long_step": OneLongStep()}
     if first_frame not in ("auto", *ways):
         raise unknown_name("first frame", first_frame, ("auto", *ways))
     if refine < 0:
@@ -76,10 +86,16 @@ def load_simulator(
     answering: Contact = ContactResponse() if contact else NoContact()
     if wanted in ("skinning", "newton") and first_frame != "auto":
         raise InputError(f"{wanted} starts in a way of its own; leave the first frame to it.")
+    if self_contact and wanted in _WITHOUT_SELF_CONTACT:
+        raise InputError(
+            f"{_WITHOUT_SELF_CONTACT[wanted]}, so --self-contact cannot be on; leave it out, or take --model solver or "
+            "a network."
+        )
     if wanted == "skinning":
         return SkinningSimulator()
     if wanted == "solver":
-        return SolverSimulator(contact=answering, first_frame=ways.get(first_frame, Settled)())
+        beginning = ways.get(first_frame, ways["settled"])
+        return SolverSimulator(contact=answering, first_frame=beginning, potential=potential)
     if wanted == "newton":
         from pb4u.simulation.newton_simulator import NewtonSimulator
 
@@ -91,10 +107,10 @@ def load_simulator(
     from pb4u.simulation.checkpoint import from_pretrained
 
     # The solver improves a state more, and settles it better, than a further pass or one long step at the same cost.
-    beginning = ways.get(first_frame, Settled if refine else OneLongStep)()
+    beginning = ways.get(first_frame, ways["settled" if refine else "long_step"])
     asked = 1 if passes is None and refine else passes
     return NetworkSimulator(
-        from_pretrained(wanted), propagation_steps, refine, answering, _device(device), asked, beginning
+        from_pretrained(wanted), propagation_steps, refine, answering, _device(device), asked, beginning, potential
     )
 
 

@@ -60,6 +60,8 @@ class RunSpecification:
         scene: garments, body and motion.
         model: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
         contact: push the garment out of the body after each step (networks and solver).
+        self_contact: cloth feels cloth, within a garment and between garments; None is on for networks and the solver,
+            which can.
         refine: solver iterations after each step of a network.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         propagation_steps: override of K for a network; None follows the paper's rule.
@@ -74,6 +76,7 @@ class RunSpecification:
     scene: SceneSpecification = field(default_factory=SceneSpecification)
     model: str | Path = "auto"
     contact: bool = True
+    self_contact: bool | None = None
     refine: int = 5
     passes: int | None = None
     propagation_steps: int | None = None
@@ -83,6 +86,8 @@ class RunSpecification:
     def __post_init__(self) -> None:
         require_name("model", self.model)
         require_switch("contact", self.contact)
+        if self.self_contact is not None:
+            require_switch("self_contact", self.self_contact)
         require_whole("number of refining iterations", self.refine)
         require_whole("number of passes", self.passes, optional=True)
         require_whole("number of propagation steps", self.propagation_steps, optional=True)
@@ -107,6 +112,7 @@ class RunSpecification:
         return load_simulator(
             self.model,
             contact=self.contact,
+            self_contact=self.self_contact,
             refine=self.refine,
             propagation_steps=self.propagation_steps,
             passes=self.passes,
