@@ -17,8 +17,10 @@ from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.diagnosis import require_worn
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
+from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import nearest_places, read_garment
+from pb4u.garment.layering import layered
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
@@ -118,17 +120,12 @@ def assemble(specification: SceneSpecification) -> Scene:
     body = _load_body(specification)
     performance = _perform(body, specification) if isinstance(body, ShapedBody) else _play(body, specification)
     collider, frames, lead_in, notes = performance.body, performance.frames, specification.lead_in, performance.notes
-    dressed = []
+    garments = []
     for each in specification.garments:
         garment = _load_garment(each, body)
-        if each.pins is not None:
-            garment = garment.with_pins(resolve_pins(each.pins, garment))
-        placement: Placement = (
-            SkinnedPlacement(garment, collider)
-            if isinstance(collider, PosedBody)
-            else AttachedPlacement(garment, collider)
-        )
-        dressed.append(DressedGarment(garment, placement))
+        garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
+    places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
+    dressed = [DressedGarment(each, _placed(each, collider, worn)) for each, worn in zip(garments, places, strict=True)]
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
@@ -157,6 +154,13 @@ def assemble(specification: SceneSpecification) -> Scene:
         },
         notes=notes,
     )
+
+
+def _placed(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None) -> Placement:
+    """The garment on the moving body, at `worn` (vertices, 3) [m] where it is laid over others."""
+    if isinstance(collider, PosedBody):
+        return SkinnedPlacement(garment, collider, worn=worn)
+    return AttachedPlacement(garment, collider, worn)
 
 
 def _specified(
