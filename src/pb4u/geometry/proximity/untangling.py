@@ -47,6 +47,8 @@ _MOST_WIDENINGS = 60
 _PATIENCE = 30
 """Passes without fewer crossings after which the cloth around those left is smoothed, up to `_WIDEST` edges away."""
 _WIDEST = 4
+_GIVEN_UP = 3 * _PATIENCE
+"""Passes without fewer crossings after which no more are made."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +148,7 @@ class _Untangling:
             since += 1
             if not made or (len(pairs), -nearest) < (len(best.crossings), -best.gap):
                 best, since = Untangled(vertices, pairs, nearest, made), 0
-            if not len(pairs) and (pushes is None or widenings == _MOST_WIDENINGS):
+            if since == _GIVEN_UP or (not len(pairs) and (pushes is None or widenings == _MOST_WIDENINGS)):
                 break
             if pushes is not None:
                 widenings += 1
