@@ -19,7 +19,7 @@ from pb4u.physics.contact.planes import (
     nearest_face_centres,
     nearest_planes,
 )
-from pb4u.physics.contact.self_contact import CollisionFree, NoSelfContact, SelfContact
+from pb4u.physics.contact.self_contact import ClothPairs, CollisionFree, NoSelfContact, SelfContact
 from pb4u.physics.energy_term import EnergyTerm
 from pb4u.physics.gravity import Gravity
 from pb4u.physics.inertia import Inertia
@@ -166,34 +166,37 @@ class StepPotential:
         """
         return replace(self, contacts=replace(self.contacts, next=contact, opposite=opposite))
 
-    def carried(self, before: Tensor, wanted: Tensor) -> Tensor:
-        """Positions (vertices, 3) [m] near `wanted` that are reached without cloth passing through cloth.
+    def reached(self, x: Tensor, wanted: Tensor) -> tuple[StepPotential, Tensor]:
+        """This potential for a move, and the positions (vertices, 3) [m] to which it leads where cloth stops cloth.
+
+        The cloth elements that the potential compares are fixed to those that meet along the move. The positions are
+        `wanted` itself where nothing touches.
 
         Args:
-            before: (vertices, 3) [m] that cross nowhere.
+            x: (vertices, 3) [m] from where, crossing nowhere.
             wanted: (vertices, 3) [m].
         """
-        return self.potential.self_contact.carried(self.step.garments, before, wanted)
+        met = self._along(x, wanted - x)
+        carried = self.potential.self_contact.carried(self.step.garments, x, wanted, met.contacts.cloth)
+        return (met if carried is wanted else self._along(x, carried - x)), carried
 
-    def free_shares(self, x: Tensor, moves: Tensor) -> Tensor:
-        """Shares (worlds,) in [0, 1] of `moves` that each world may take before cloth touches cloth.
-
-        Args:
-            x: (vertices, 3) [m] that cross nowhere.
-            moves: (vertices, 3) [m], linear, along which the pairs are fixed.
-        """
-        return self.potential.self_contact.shares(self.step.garments, self.contacts.cloth, x, moves)
-
-    def with_cloth_along(self, x: Tensor, moves: Tensor | None = None) -> StepPotential:
-        """This potential with the cloth elements that it compares fixed to those that meet along a move.
+    def as_far_as_free(self, x: Tensor, moves: Tensor) -> tuple[StepPotential, Tensor]:
+        """This potential for a move, as `reached` gives it, and the shares (worlds,) of it that touch nothing.
 
         Args:
-            x: (vertices, 3) [m] from where.
-            moves: (vertices, 3) [m], linear; None for what is near at `x`.
+            x: (vertices, 3) [m] from where, crossing nowhere.
+            moves: (vertices, 3) [m], linear.
         """
-        contact, before = self.potential.self_contact, self.step.state.positions
-        cloth = contact.pairs(self.step.garments, x, moves, before)
+        met = self._along(x, moves)
+        return met, met.potential.self_contact.shares(self.step.garments, met.contacts.cloth, x, moves)
+
+    def with_cloth(self, cloth: ClothPairs | None) -> StepPotential:
+        """This potential with the cloth elements that it compares fixed to `cloth`; None looks them up."""
         return self if cloth is None else replace(self, contacts=replace(self.contacts, cloth=cloth))
+
+    def _along(self, x: Tensor, moves: Tensor) -> StepPotential:
+        before = self.step.state.positions
+        return self.with_cloth(self.potential.self_contact.pairs(self.step.garments, x, moves, before))
 
     def energies(self, x: Tensor) -> Energies:
         """Energies at `x` (vertices, 3) [m]; differentiable by autograd."""

@@ -74,7 +74,7 @@ class SummedProduct:
 
 
 @compiled
-def _add_product(corners, rows, vector, product):
+def _add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, product: np.ndarray) -> None:
     for row in range(len(corners)):
         total = 0.0
         for corner in range(4):
@@ -88,7 +88,7 @@ def _add_product(corners, rows, vector, product):
 
 
 @compiled
-def _add_diagonal(corners, rows, blocks):
+def _add_diagonal(corners: np.ndarray, rows: np.ndarray, blocks: np.ndarray) -> None:
     for row in range(len(corners)):
         for corner in range(4):
             for i in range(3):

@@ -6,7 +6,7 @@ Simulation takes all of it; training learns from its predictions and refines not
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 
@@ -15,7 +15,7 @@ from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import Network, NoNetwork
-from pb4u.simulation.refinement import NoRefinement, Refinement
+from pb4u.simulation.refinement import NoRefinement, Refinement, carried
 from pb4u.simulation.step_start import FreeFlight, StepStart
 
 
@@ -47,16 +47,12 @@ def take(step: TimeStep, method: StepMethod) -> State:
     """
     # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
     *_, predicted = predictions(step, method)
-    predicted = require_finite(predicted)
-    # What would pass through other cloth on the way goes as far as it can.
-    carried = method.self_contact.carried(step.garments, step.state.positions, predicted.positions)
     # A few iterations of the solver, or all of them, lower the same energies that the network was trained on.
-    refined = method.refinement.refine(step, replace(predicted, positions=carried))
+    refined = method.refinement.refine(step, require_finite(predicted))
     # Vertices still inside the body are pushed out, without gaining speed.
     answered = method.contact.respond(step, refined)
-    return replace(
-        answered, positions=method.self_contact.carried(step.garments, refined.positions, answered.positions)
-    )
+    # A push, like every other move, goes no further than to the next cloth.
+    return carried(method.self_contact, step, refined, answered)
 
 
 def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:

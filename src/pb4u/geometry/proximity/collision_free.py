@@ -48,30 +48,38 @@ def free_shares(pairs: ElementPairs, gaps: np.ndarray, vertices: np.ndarray, mov
     return _free_shares(vertices, moves, pairs.corners, pairs.vertex_faces, gaps)
 
 
-def collision_free(tree: SurfaceTree, before: np.ndarray, wanted: np.ndarray, masses: np.ndarray) -> np.ndarray:
+def collision_free(
+    tree: SurfaceTree,
+    before: np.ndarray,
+    wanted: np.ndarray,
+    masses: np.ndarray,
+    known: tuple[ElementPairs, np.ndarray] | None = None,
+) -> np.ndarray:
     """Positions (vertices, 3) [m] near `wanted` that `before` reaches without an element passing through another.
+
+    Gives back `wanted` itself where nothing touches.
 
     Args:
         tree: of the surface.
         before: (vertices, 3) float64 [m] that cross nowhere.
         wanted: (vertices, 3) float64 [m].
         masses: (vertices,) [kg]; infinite for vertices that give way to no impulse.
+        known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were looked up already.
     """
     moves = wanted - before
-    reach = SMALLEST_GAP
-    inverse = 1.0 / masses
-    joined = np.arange(len(before))
-    pairs = tree.pairs(before, reach, moves)
-    gaps = smallest_gaps(pairs, before)
+    if not moves.any():
+        return wanted
+    pairs, gaps = known or _met(tree, before, moves)
+    touching = free_shares(pairs, gaps, before, moves) < 1.0
+    if not touching.any():
+        return wanted
+    inverse, joined = 1.0 / masses, np.arange(len(before))
     for attempt in range(_IMPULSES + _ZONES):
         shares = free_shares(pairs, gaps, before, moves)
         touching = shares < 1.0
         if not touching.any():
             # Changed moves may meet others than the first ones did.
-            if attempt == 0:
-                return wanted
-            pairs = tree.pairs(before, reach, moves)
-            gaps = smallest_gaps(pairs, before)
+            pairs, gaps = _met(tree, before, moves)
             shares = free_shares(pairs, gaps, before, moves)
             touching = shares < 1.0
             if not touching.any():
@@ -82,13 +90,18 @@ def collision_free(tree: SurfaceTree, before: np.ndarray, wanted: np.ndarray, ma
         else:
             moves = _together(moves, hit.corners, joined)
     # All of the surface together, as far as nothing touches: it always can be.
-    pairs = tree.pairs(before, reach, moves)
-    shares = free_shares(pairs, smallest_gaps(pairs, before), before, moves)
-    return before + shares.min(initial=1.0) * moves
+    pairs, gaps = _met(tree, before, moves)
+    return before + free_shares(pairs, gaps, before, moves).min(initial=1.0) * moves
+
+
+def _met(tree: SurfaceTree, before: np.ndarray, moves: np.ndarray) -> tuple[ElementPairs, np.ndarray]:
+    """Pairs that may touch along `moves`, and their gaps (pairs,) [m]."""
+    pairs = tree.pairs(before, SMALLEST_GAP, moves)
+    return pairs, smallest_gaps(pairs, before)
 
 
 @compiled
-def _below_present(before, corners, vertex_faces, gaps):
+def _below_present(before: np.ndarray, corners: np.ndarray, vertex_faces: int, gaps: np.ndarray) -> np.ndarray:
     """`gaps` (pairs,) lowered to nine tenths of the distance that pairs have `before`, where that is less."""
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
     lowered = np.empty(len(corners))
@@ -101,7 +114,9 @@ def _below_present(before, corners, vertex_faces, gaps):
 
 
 @compiled
-def _free_shares(vertices, moves, corners, vertex_faces, gaps):
+def _free_shares(
+    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_faces: int, gaps: np.ndarray
+) -> np.ndarray:
     """Shares (pairs,) of the moves that each pair may take."""
     points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     shares = np.empty(len(corners))
@@ -114,7 +129,15 @@ def _free_shares(vertices, moves, corners, vertex_faces, gaps):
 
 
 @compiled
-def _impulses(before, moves, corners, vertex_faces, gaps, shares, inverse):
+def _impulses(
+    before: np.ndarray,
+    moves: np.ndarray,
+    corners: np.ndarray,
+    vertex_faces: int,
+    gaps: np.ndarray,
+    shares: np.ndarray,
+    inverse: np.ndarray,
+) -> None:
     """Change `moves` of touching pairs, the first to touch first, so that each keeps half of its gap open.
 
     The impulse acts along the line between the nearest points where the pair was stopped.
@@ -145,7 +168,7 @@ def _impulses(before, moves, corners, vertex_faces, gaps, shares, inverse):
 
 
 @compiled
-def _root(joined, vertex):
+def _root(joined: np.ndarray, vertex: int) -> int:
     while joined[vertex] != vertex:
         joined[vertex] = joined[joined[vertex]]
         vertex = joined[vertex]
@@ -153,7 +176,7 @@ def _root(joined, vertex):
 
 
 @compiled
-def _together(moves, corners, joined):
+def _together(moves: np.ndarray, corners: np.ndarray, joined: np.ndarray) -> np.ndarray:
     """Moves (vertices, 3) with vertices of touching pairs moved alike; `joined` (vertices,) is their forest."""
     for pair in range(len(corners)):
         first = _root(joined, corners[pair, 0])

@@ -6,11 +6,19 @@ weighted corners, so that the distance changes by `weight * normal` per unit tha
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar, cast
+
 import numba
 import numpy as np
 
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
-"""Compiles a function; its machine code is kept on disk, and runs without holding up other threads."""
+Compiled = TypeVar("Compiled", bound=Callable)
+
+
+def compiled(function: Compiled) -> Compiled:
+    """`function` compiled when first called; the machine code is kept on disk and does not hold up other threads."""
+    return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
 
 _KEPT = 0.1
 """Share of the gap that is left where a move is cut: that much of the way to the other element is not taken."""
@@ -20,7 +28,7 @@ _MOST_ADVANCES = 200
 
 
 @compiled
-def vertex_face_weights(p, a, b, c, weights):
+def vertex_face_weights(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, weights: np.ndarray) -> None:
     """Fill `weights` (4,) of the vector from the nearest point of triangle a b c to the point p.
 
     Source: Ericson, Real-Time Collision Detection, 5.1.5.
@@ -71,7 +79,7 @@ def vertex_face_weights(p, a, b, c, weights):
 
 
 @compiled
-def edge_edge_weights(a, b, c, d, weights):
+def edge_edge_weights(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, weights: np.ndarray) -> None:
     """Fill `weights` (4,) of the vector from the nearest point of the edge c d to that of the edge a b.
 
     Source: Ericson, Real-Time Collision Detection, 5.1.9.
@@ -104,7 +112,7 @@ def edge_edge_weights(a, b, c, d, weights):
 
 
 @compiled
-def nearest(points, vertex_face, weights, between):
+def nearest(points: np.ndarray, vertex_face: bool, weights: np.ndarray, between: np.ndarray) -> float:
     """Distance [m] of a pair; fills its `weights` (4,) and the vector `between` (3,) [m] its nearest points.
 
     `points` (4, 3) [m] are its corners: those of a vertex and a face where `vertex_face`, else of two edges.
@@ -126,7 +134,9 @@ def nearest(points, vertex_face, weights, between):
 
 
 @compiled
-def free_share(points, moves, vertex_face, gap, weights, between):
+def free_share(
+    points: np.ndarray, moves: np.ndarray, vertex_face: bool, gap: float, weights: np.ndarray, between: np.ndarray
+) -> float:
     """Share in [0, 1] of linear `moves` (4, 3) [m] that a pair may take and stay further apart than `gap` [m].
 
     Below 1, a tenth of what was between them is left; 0 where they are that near already. `points` (4, 3) [m] are

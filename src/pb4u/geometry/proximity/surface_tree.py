@@ -93,12 +93,12 @@ class SurfaceTree:
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
         face_boxes, edge_boxes, vertex_boxes = (
-            _boxes(vertices, moving, corners) for corners in (self.faces, self.edges, self._vertices)
+            _boxes(vertices, moving, corners, 0.5 * reach) for corners in (self.faces, self.edges, self._vertices)
         )
         boxes = (_fit(face_boxes, self._order, self._children, self._ranges), face_boxes, edge_boxes, vertex_boxes)
         tree = (self._order, self._children, self._ranges, self._roots)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
-        vertex_faces, edge_edges = _search(float(reach), boxes, tree, elements)
+        vertex_faces, edge_edges = _search(boxes, tree, elements)
         corners = np.concatenate([vertex_faces, edge_edges])
         rest = _rest_distances(self.rest, self.part, corners, len(vertex_faces))
         return ElementPairs(corners, len(vertex_faces), rest)
@@ -176,25 +176,28 @@ def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np
 
 
 @compiled
-def _boxes(vertices, moves, corners):
-    """Boxes (elements, 12) of elements: lowest and highest position of the corners, then those of their moves."""
+def _boxes(vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margin: float) -> np.ndarray:
+    """Boxes (elements, 12) of elements, wider by `margin` on every side.
+
+    Lowest and highest position of the corners; then the same with the lowest and highest move added. In between the
+    bounds change linearly, for two boxes in the same measure, so that they need be compared at the ends alone.
+    """
     boxes = np.empty((len(corners), 12))
     for element in range(len(corners)):
         box = boxes[element]
         for axis in range(3):
-            box[axis], box[3 + axis], box[6 + axis], box[9 + axis] = np.inf, -np.inf, np.inf, -np.inf
-        for k in range(corners.shape[1]):
-            for axis in range(3):
+            low, high, slowest, fastest = np.inf, -np.inf, np.inf, -np.inf
+            for k in range(corners.shape[1]):
                 position, move = vertices[corners[element, k], axis], moves[corners[element, k], axis]
-                box[axis] = min(box[axis], position)
-                box[3 + axis] = max(box[3 + axis], position)
-                box[6 + axis] = min(box[6 + axis], move)
-                box[9 + axis] = max(box[9 + axis], move)
+                low, high = min(low, position), max(high, position)
+                slowest, fastest = min(slowest, move), max(fastest, move)
+            box[axis], box[3 + axis] = low - margin, high + margin
+            box[6 + axis], box[9 + axis] = low - margin + slowest, high + margin + fastest
     return boxes
 
 
 @compiled
-def _fit(face_boxes, order, children, ranges):
+def _fit(face_boxes: np.ndarray, order: np.ndarray, children: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """Boxes (nodes, 12) of the nodes from those of the faces."""
     boxes = np.empty((len(children), 12))
     for node in range(len(children) - 1, -1, -1):
@@ -210,39 +213,30 @@ def _fit(face_boxes, order, children, ranges):
 
 
 @compiled
-def _include(box, other):
+def _include(box: np.ndarray, other: np.ndarray) -> None:
     """Widen `box` (12,) to hold `other` (12,)."""
     for axis in range(3):
+        slowest = min(box[6 + axis] - box[axis], other[6 + axis] - other[axis])
+        fastest = max(box[9 + axis] - box[3 + axis], other[9 + axis] - other[3 + axis])
         box[axis] = min(box[axis], other[axis])
         box[3 + axis] = max(box[3 + axis], other[3 + axis])
-        box[6 + axis] = min(box[6 + axis], other[6 + axis])
-        box[9 + axis] = max(box[9 + axis], other[9 + axis])
+        box[6 + axis] = box[axis] + slowest
+        box[9 + axis] = box[3 + axis] + fastest
 
 
 @compiled
-def _meet(one, other, reach):
-    """Whether two boxes (12,) come within `reach` at the same share of their moves."""
-    begin, end = 0.0, 1.0
+def _meet(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two boxes (12,) may come together: on no axis is one beyond the other at both ends of their moves."""
     for axis in range(3):
-        # The lowest difference must not exceed the reach, nor the highest fall below its negative.
-        for side in range(2):
-            if side == 0:
-                value = one[axis] - other[3 + axis] - reach
-                slope = one[6 + axis] - other[9 + axis]
-            else:
-                value = other[axis] - one[3 + axis] - reach
-                slope = other[6 + axis] - one[9 + axis]
-            if value > 0.0:
-                if value + slope > 0.0:
-                    return False
-                begin = max(begin, value / -slope)
-            elif value + slope > 0.0:
-                end = min(end, -value / slope)
-    return begin <= end
+        if one[axis] > other[3 + axis] and one[6 + axis] > other[9 + axis]:
+            return False
+        if other[axis] > one[3 + axis] and other[6 + axis] > one[9 + axis]:
+            return False
+    return True
 
 
 @compiled
-def _with_room(rows, count):
+def _with_room(rows: np.ndarray, count: int) -> np.ndarray:
     """`rows` with room for one more than `count`."""
     if count < len(rows):
         return rows
@@ -252,7 +246,7 @@ def _with_room(rows, count):
 
 
 @compiled
-def _search(reach, boxes, tree, elements):
+def _search(boxes: tuple, tree: tuple, elements: tuple) -> tuple[np.ndarray, np.ndarray]:
     """Corners (pairs, 4) of vertex and face, and of two edges, whose boxes meet."""
     order, children, ranges, roots = tree
     faces, edges, owned_vertices, owned_edges = elements
@@ -275,7 +269,7 @@ def _search(reach, boxes, tree, elements):
                     stack[depth + 2, 0], stack[depth + 2, 1] = left, right
                     depth += 3
                     continue
-            elif not _meet(node_boxes[a], node_boxes[b], reach):
+            elif not _meet(node_boxes[a], node_boxes[b]):
                 continue
             elif inner_a or inner_b:
                 if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
@@ -290,21 +284,21 @@ def _search(reach, boxes, tree, elements):
                 f = order[i]
                 for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                     g = order[j]
-                    if not _meet(face_boxes[f], face_boxes[g], reach):
+                    if not _meet(face_boxes[f], face_boxes[g]):
                         continue
                     for one, two in ((f, g), (g, f)):
                         for k in range(3):
                             v = owned_vertices[one, k]
                             if v < 0 or v == faces[two, 0] or v == faces[two, 1] or v == faces[two, 2]:
                                 continue
-                            if _meet(vertex_boxes[v], face_boxes[two], reach):
+                            if _meet(vertex_boxes[v], face_boxes[two]):
                                 near_faces = _with_room(near_faces, face_count)
                                 near_faces[face_count, 0] = v
                                 near_faces[face_count, 1:] = faces[two]
                                 face_count += 1
                     for k in range(3):
                         p = owned_edges[f, k]
-                        if p < 0 or not _meet(edge_boxes[p], face_boxes[g], reach):
+                        if p < 0 or not _meet(edge_boxes[p], face_boxes[g]):
                             continue
                         for m in range(3):
                             q = owned_edges[g, m]
@@ -312,7 +306,7 @@ def _search(reach, boxes, tree, elements):
                                 continue
                             if edges[p, 1] == edges[q, 0] or edges[p, 1] == edges[q, 1]:
                                 continue
-                            if _meet(edge_boxes[p], edge_boxes[q], reach):
+                            if _meet(edge_boxes[p], edge_boxes[q]):
                                 near_edges = _with_room(near_edges, edge_count)
                                 near_edges[edge_count, :2] = edges[p]
                                 near_edges[edge_count, 2:] = edges[q]
@@ -321,7 +315,9 @@ def _search(reach, boxes, tree, elements):
 
 
 @compiled
-def _all_nearest(vertices, corners, vertex_faces):
+def _all_nearest(
+    vertices: np.ndarray, corners: np.ndarray, vertex_faces: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Distances (pairs,), weights (pairs, 4) and unit normals (pairs, 3) of pairs."""
     count = len(corners)
     distances, weights, normals = np.empty(count), np.empty((count, 4)), np.empty((count, 3))
@@ -335,7 +331,7 @@ def _all_nearest(vertices, corners, vertex_faces):
 
 
 @compiled
-def _rest_distances(rest, part, corners, vertex_faces):
+def _rest_distances(rest: np.ndarray, part: np.ndarray, corners: np.ndarray, vertex_faces: int) -> np.ndarray:
     """Distances (pairs,) [m] at rest of pairs of one part, infinite between two."""
     count = len(corners)
     distances = np.full(count, np.inf)

@@ -43,7 +43,8 @@ class ClothContact(EnergyTerm):
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         if contacts.cloth is None:
             return x.new_zeros(step.garments.garment_count)
-        return _Barrier.apply(x, step, contacts, self)
+        energies: Tensor = _Barrier.apply(x, step, contacts, self)  # type: ignore[no-untyped-call]
+        return energies
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         cloth = contacts.cloth
@@ -89,7 +90,7 @@ class ClothFriction(EnergyTerm):
 
     coefficient: float = 0.5
     smoothing: float = 1e-3
-    contact: ClothContact = ClothContact()  # noqa: RUF009
+    contact: ClothContact = ClothContact()
     name = "self_friction"
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
@@ -152,19 +153,19 @@ class _Barrier(torch.autograd.Function):
     """The barrier with the gradient that is known by hand."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
-        ctx: Any, x: Tensor, step: TimeStep, contacts: ContactSet, term: ClothContact
-    ) -> Tensor:
+    def forward(ctx: Any, x: Tensor, step: TimeStep, contacts: ContactSet, term: ClothContact) -> Tensor:
         assert contacts.cloth is not None
         values, ctx.saved = _barrier(_array(x), *_law(contacts.cloth), term.stiffness)[0], (step, contacts, term, x)
         return _by_garment(step.garments, contacts.cloth.pairs.corners, torch.from_numpy(values)).to(x)
 
     @staticmethod
-    def backward(ctx: Any, slopes: Tensor) -> tuple[Tensor, None, None, None]:  # type: ignore[override]
+    def backward(ctx: Any, slopes: Tensor) -> tuple[Tensor, None, None, None]:
         step, contacts, term, x = ctx.saved
         # Half of a pair's energy belongs to each of its garments; so does half of its force.
         corners = torch.from_numpy(contacts.cloth.pairs.corners)
-        weights = 0.5 * (slopes[step.garments.vertex_garment[corners[:, 0]]] + slopes[step.garments.vertex_garment[corners[:, 2]]])
+        weights = 0.5 * (
+            slopes[step.garments.vertex_garment[corners[:, 0]]] + slopes[step.garments.vertex_garment[corners[:, 2]]]
+        )
         areas = contacts.cloth.areas * weights.numpy()
         _, gradient = _barrier(_array(x), *_law(replace(contacts.cloth, areas=areas)), term.stiffness)
         return torch.from_numpy(gradient).to(x), None, None, None
@@ -192,7 +193,15 @@ def _array(values: Tensor) -> np.ndarray:
 
 
 @compiled
-def _barrier(vertices, corners, vertex_faces, gaps, reaches, areas, stiffness):
+def _barrier(
+    vertices: np.ndarray,
+    corners: np.ndarray,
+    vertex_faces: int,
+    gaps: np.ndarray,
+    reaches: np.ndarray,
+    areas: np.ndarray,
+    stiffness: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Energies (pairs,) [J] and gradient (vertices, 3) [N] of the barriers; infinite where a gap is not kept."""
     energies, gradient = np.zeros(len(corners)), np.zeros_like(vertices)
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
@@ -216,7 +225,15 @@ def _barrier(vertices, corners, vertex_faces, gaps, reaches, areas, stiffness):
 
 
 @compiled
-def _barrier_rows(vertices, corners, vertex_faces, gaps, reaches, areas, stiffness):
+def _barrier_rows(
+    vertices: np.ndarray,
+    corners: np.ndarray,
+    vertex_faces: int,
+    gaps: np.ndarray,
+    reaches: np.ndarray,
+    areas: np.ndarray,
+    stiffness: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Corners (rows, 4) of the pairs that feel each other, and rows (rows, 4, 3) [(N/m)^0.5] of their stiffness."""
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
     chosen, rows = np.empty((len(corners), 4), dtype=np.int64), np.empty((len(corners), 4, 3))

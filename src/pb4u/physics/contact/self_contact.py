@@ -103,13 +103,18 @@ class SelfContact(ABC):
         """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`; None for none."""
 
     @abstractmethod
-    def carried(self, garments: PackedGarments, before: Tensor, wanted: Tensor) -> Tensor:
+    def carried(
+        self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
+    ) -> Tensor:
         """Positions (vertices, 3) [m] near `wanted` that are reached without cloth passing through cloth.
+
+        Gives back `wanted` itself where no cloth touches.
 
         Args:
             garments: static quantities.
             before: (vertices, 3) [m] that cross nowhere.
             wanted: (vertices, 3) [m].
+            cloth: all pairs that may touch on the way, where they were looked up already.
         """
 
     @abstractmethod
@@ -130,7 +135,9 @@ class NoSelfContact(SelfContact):
     def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
         return None
 
-    def carried(self, garments: PackedGarments, before: Tensor, wanted: Tensor) -> Tensor:
+    def carried(
+        self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
+    ) -> Tensor:
         return wanted
 
     def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
@@ -150,10 +157,13 @@ class CollisionFree(SelfContact):
     def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
         return ClothPairs.along(garments, x, moves, before, self.reach)
 
-    def carried(self, garments: PackedGarments, before: Tensor, wanted: Tensor) -> Tensor:
+    def carried(
+        self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
+    ) -> Tensor:
         masses = torch.where(garments.pinned, torch.inf, garments.vertex_masses.clamp_min(1e-12))
-        result = collision_free(garments.surface_tree, _array(before), _array(wanted), _array(masses))
-        return torch.from_numpy(result).to(wanted)
+        asked, known = _array(wanted), None if cloth is None else (cloth.pairs, cloth.gaps)
+        result = collision_free(garments.surface_tree, _array(before), asked, _array(masses), known)
+        return wanted if result is asked else torch.from_numpy(result).to(wanted)
 
     def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
         result = x.new_ones(garments.world_count)
