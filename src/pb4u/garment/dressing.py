@@ -44,17 +44,25 @@ class SkinnedPlacement(Placement):
         garment: worn by the body in its rest pose.
         body: the posed body.
         weights: skinning weights of the garment's vertices; borrowed from the body when None.
+        worn: (vertices, 3) where the garment sits on the resting body [m], laid over others; its rest shape when None.
     """
 
-    def __init__(self, garment: Garment, body: PosedBody, weights: SkinningWeights | None = None) -> None:
+    def __init__(
+        self,
+        garment: Garment,
+        body: PosedBody,
+        weights: SkinningWeights | None = None,
+        worn: np.ndarray | None = None,
+    ) -> None:
         self.garment = garment
         self.body = body
+        self.worn = garment.vertices if worn is None else worn
         self.weights = garment_weights(garment, body.body) if weights is None else weights
 
     def positions(self, start: int, stop: int) -> Tensor:
         """Garment vertices (stop - start, vertices, 3) float32 [m] skinned to the bones; see `Placement`."""
         chunks = [
-            self.body.skin(self.garment.vertices, self.weights, first, min(first + _FRAME_CHUNK, stop))
+            self.body.skin(self.worn, self.weights, first, min(first + _FRAME_CHUNK, stop))
             for first in range(start, stop, _FRAME_CHUNK)
         ]
         return torch.cat(chunks) if chunks else torch.zeros(0, len(self.garment.vertices), 3)
@@ -91,14 +99,16 @@ class AttachedPlacement(Placement):
     Args:
         garment: placed on the body of frame 0.
         body: any moving surface.
+        worn: (vertices, 3) where the garment sits on that body [m], laid over others; its rest shape when None.
     """
 
-    def __init__(self, garment: Garment, body: AnimatedBody) -> None:
+    def __init__(self, garment: Garment, body: AnimatedBody, worn: np.ndarray | None = None) -> None:
         self.garment = garment
         self.body = body
         start = body.positions(0, 1)[0]
         self._faces = torch.from_numpy(body.faces)
-        rest = torch.from_numpy(np.ascontiguousarray(garment.vertices, dtype=np.float32))
+        places = garment.vertices if worn is None else worn
+        rest = torch.from_numpy(np.ascontiguousarray(places, dtype=np.float32))
         hit = TriangleSurface(body.faces, len(start), body.contact).at(start).nearest(rest)
         self._corners = self._faces[hit.triangle]
         self._barycentric = hit.barycentric.float()

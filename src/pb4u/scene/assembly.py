@@ -20,9 +20,11 @@ from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.diagnosis import require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
+from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import nearest_places, read_garment
+from pb4u.garment.layering import layered
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
@@ -127,12 +129,14 @@ def assemble(specification: SceneSpecification) -> Scene:
     else:
         performance = _play(body, specification)
     collider, frames, lead_in, notes = performance.body, performance.frames, specification.lead_in, performance.notes
-    dressed = []
+    garments = []
     for each in specification.garments:
         garment = _load_garment(each, body)
-        if each.pins is not None:
-            garment = garment.with_pins(resolve_pins(each.pins, garment))
-        dressed.append(DressedGarment(garment, _placement(garment, collider)))
+        garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
+    places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
+    dressed = [
+        DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
+    ]
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
@@ -221,12 +225,13 @@ class _Performance:
     notes: tuple[str, ...] = ()
 
 
-def _placement(garment: Garment, collider: AnimatedBody) -> Placement:
+def _placement(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None) -> Placement:
+    """The garment on the moving body, at `worn` (vertices, 3) [m] where it lies over others."""
     if not isinstance(collider, PosedBody):
-        return AttachedPlacement(garment, collider)
-    if CorrectedPlacement.fits(garment.skinning, collider):
+        return AttachedPlacement(garment, collider, worn)
+    if worn is None and CorrectedPlacement.fits(garment.skinning, collider):
         return CorrectedPlacement(garment, collider)
-    return SkinnedPlacement(garment, collider)
+    return SkinnedPlacement(garment, collider, worn=worn)
 
 
 def _recording(specification: SceneSpecification) -> RecordingAsItIs:

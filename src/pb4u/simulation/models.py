@@ -71,7 +71,7 @@ def load_simulator(
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
         first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
-            paper, "release", "hood", "mgn" or "contourcraft" as in their released code, "placed" as it is, or "auto":
+            paper, "placed" as it is, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto":
             settled where the solver runs.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
