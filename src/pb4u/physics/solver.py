@@ -349,10 +349,19 @@ def substep_count(step: TimeStep) -> int:
     return max(1, math.ceil(float(motion.norm(dim=1).max()) / LARGEST_MOTION))
 
 
+def free_flight(step: TimeStep) -> Tensor:
+    """Positions (vertices, 3) [m] where every vertex keeps its velocity, pinned ones in their places."""
+    return step.with_pins(step.state.positions + step.dt * step.state.velocities)
+
+
 def implicit_steps(
-    potential: IncrementalPotential, solver: Solver, step: TimeStep, iterations: int | None = None
+    potential: IncrementalPotential,
+    solver: Solver,
+    step: TimeStep,
+    iterations: int | None = None,
+    start: Callable[[TimeStep], Tensor] = free_flight,
 ) -> tuple[State, Solution]:
-    """The state at the end of `step`, started from free flight, and the solution of its last implicit step.
+    """The state at the end of `step`, and the solution of its last implicit step.
 
     A body that moves far in the step is moved along straight lines in several implicit steps.
 
@@ -361,13 +370,13 @@ def implicit_steps(
         solver: minimises them.
         step: garments in float64 on the CPU.
         iterations: at most this many in each implicit step; None goes to the solver's tolerance.
+        start: gives the positions (vertices, 3) [m] that an implicit step starts from.
 
     Raises DivergedError when the state is not finite.
     """
     count, state = substep_count(step), step.state
     for k in range(count):
         part = step if count == 1 else step.part(k, count, state)
-        start = part.with_pins(state.positions + part.dt * state.velocities)
-        solution = solver.minimise(potential.of(part), start, iterations)
+        solution = solver.minimise(potential.of(part), start(part), iterations)
         state = part.reached(solution.positions)
     return State(state.positions, state.velocities, step.state.frame + 1), solution

@@ -81,6 +81,7 @@ def load_simulator(
     from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.start_protocols import MovingStart, SkinnedStart, StandingStart
+    from pb4u.simulation.step_start import CARRIED_SHARES, CarriedStart, FreeFlight
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
     potential = IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact()
@@ -110,7 +111,9 @@ def load_simulator(
         return SkinningSimulator()
     if wanted == "solver":
         beginning = ways.get(first_frame, ways["settled"])
-        return SolverSimulator(contact=answering, first_frame=beginning, potential=potential)
+        # Where cloth stops cloth, what free flight leaves behind a fast limb would stay hooked on it.
+        start = FreeFlight() if self_contact is False else CarriedStart(CARRIED_SHARES)
+        return SolverSimulator(contact=answering, first_frame=beginning, potential=potential, start=start)
     if wanted == "newton":
         from pb4u.simulation.newton_simulator import NewtonSimulator
 

@@ -26,7 +26,7 @@ from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SolverRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import start_of
+from pb4u.simulation.step_start import FreeFlight, StepStart, start_of
 from pb4u.simulation.timeline import Timeline
 
 
@@ -73,7 +73,7 @@ def _written(scene: Scene, timeline: Timeline, state: State, method: StepMethod)
 
 
 class SolverSimulator(StepwiseSimulator):
-    """Solver of every frame (`--model solver`): minimises the incremental potential from free flight, then contact.
+    """Solver of every frame (`--model solver`): minimises the incremental potential, then answers contact.
 
     The reference, and the floor that energies are measured from.
 
@@ -82,6 +82,7 @@ class SolverSimulator(StepwiseSimulator):
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; settled by default.
         potential: the energies, and whether cloth feels cloth; the six terms by default.
+        start: where a step starts from; free flight by default.
     """
 
     name = "solver"
@@ -92,9 +93,10 @@ class SolverSimulator(StepwiseSimulator):
         contact: Contact | None = None,
         first_frame: FirstFrame | None = None,
         potential: IncrementalPotential | None = None,
+        start: StepStart | None = None,
     ) -> None:
         self.iterations, self.contact = iterations, contact or NoContact()
-        self.potential = potential or IncrementalPotential()
+        self.potential, self.start = potential or IncrementalPotential(), start or FreeFlight()
         self.first_frame = first_frame or Settled()
 
     def settings(self) -> dict[str, Any]:
@@ -105,7 +107,7 @@ class SolverSimulator(StepwiseSimulator):
             record.solver_iterations.append(solution.iterations)
             record.unsolved += not solution.converged
 
-        refinement = ImplicitSteps(self.iterations, potential=self.potential, watch=note)
+        refinement = ImplicitSteps(self.iterations, self.potential, note, self.start)
         return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
 
 
