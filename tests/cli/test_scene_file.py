@@ -99,7 +99,9 @@ def test_two_garments_are_simulated_and_told_apart(
         alone = pb4u("simulate", *SMALL, "--garment", garment, *flags[-2:], "--out", "b.npz")
         assert alone.code == 0, alone.err
         first, stop = each["vertices"]
-        np.testing.assert_array_equal(made.positions[:, first:stop], Trajectory.open("b.npz").positions)
+        # Laid over each other they are some millimetres from where each hangs alone.
+        away = np.linalg.norm(made.positions[:, first:stop] - Trajectory.open("b.npz").positions, axis=2)
+        assert 0.0 < away.max() < 0.03
 
 
 @pytest.mark.parametrize(
@@ -181,7 +183,12 @@ def test_a_file_whose_name_holds_an_equals_sign_is_a_file(saved: Saved) -> None:
     assert str(saved("--material", "a=b.json").scene.garments[0].material) == "a=b.json"
 
 
-def test_check_looks_at_one_garment(pb4u: Callable) -> None:
-    ended = pb4u("check", "a.obj", "--garment", "tshirt")
-    assert ended.code == 1
-    assert ended.err == "pb4u: One garment is checked at a time; give a.obj or --garment tshirt, not both.\n"
+def test_check_takes_garments_in_one_way(pb4u: Callable) -> None:
+    for flags, says in (
+        (("a.obj", "--garment", "tshirt"), "Give a.obj or --garment tshirt, not both; of several garments each as"),
+        (("--garment", "skirt", "--garment", "skirt"), "The garment skirt is worn twice"),
+        (("--garment", "a.obj", "--garment", "skirt", "--fix", "b.obj"), "--fix mends one garment at a time"),
+    ):
+        ended = pb4u("check", *flags)
+        assert ended.code == 1
+        assert ended.err.startswith(f"pb4u: {says}")
