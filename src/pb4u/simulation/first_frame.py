@@ -31,6 +31,13 @@ class FirstFrame(ABC):
         yield self.start(timeline, method)
 
 
+class AsPlaced(FirstFrame):
+    """The garments where their placement puts them, such as cloth about to fall."""
+
+    def start(self, timeline: Timeline, method: StepMethod) -> State:
+        return timeline.skinned_state(0)
+
+
 class OneLongStep(FirstFrame):
     """The paper's rule: the method's own step, once, with the body held and a long time step.
 

@@ -71,14 +71,14 @@ def load_simulator(
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
         first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
-            paper, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto": settled where the
-            solver runs.
+            paper, "placed" as it is, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto":
+            settled where the solver runs.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
     from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
     from pb4u.physics.incremental_potential import IncrementalPotential
-    from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
+    from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.start_protocols import MovingStart, SkinnedStart, StandingStart
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
@@ -87,6 +87,7 @@ def load_simulator(
     ways: dict[str, FirstFrame] = {
         "settled": Settled(potential=potential),
         "long_step": OneLongStep(),
+        "placed": AsPlaced(),
         "release": StandingStart(),
         "hood": StandingStart(push=1.0),
         "mgn": MovingStart(),
