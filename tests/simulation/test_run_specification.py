@@ -26,6 +26,7 @@ garments = st.builds(
     material=st.none() | st.sampled_from(["silk", "denim"]),
     pins=st.none() | st.just("waist") | st.lists(st.integers(0, 10_000), max_size=4),
     triangles=st.none() | st.integers(200, 200_000),
+    tucked=st.booleans(),
 )
 scenes = st.builds(
     SceneSpecification,

@@ -83,6 +83,14 @@ def simulate(
             f"Default: {GarmentSpecification.garment}.",
         ),
     ] = None,
+    tuck: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Garment of the scene that goes into what is worn from the waist, such as trousers, wherever it "
+            "stands in the order. Repeatable.",
+        ),
+    ] = None,
     body: Annotated[
         str | None,
         typer.Option(
@@ -239,7 +247,9 @@ def simulate(
         described,
         scene=replace(
             described.scene,
-            garments=_dressed(described.scene.garments, garment, material=material, pins=pins, triangles=triangles),
+            garments=_dressed(
+                described.scene.garments, garment, tuck, material=material, pins=pins, triangles=triangles
+            ),
             body_shape={**({} if body else described.scene.body_shape), **BodyShape.of(body_shape)},
             crop=crop or (None if motion else described.scene.crop),
             **_given(
@@ -262,7 +272,10 @@ def _given(**flags: Any) -> dict[str, Any]:
 
 
 def _dressed(
-    described: Sequence[GarmentSpecification], named: list[str] | None, **flags: list[GarmentValue] | None
+    described: Sequence[GarmentSpecification],
+    named: list[str] | None,
+    tuck: list[str] | None,
+    **flags: list[GarmentValue] | None,
 ) -> tuple[GarmentSpecification, ...]:
     """The garments that the flags name, or those of the scene file, with what else the flags say of each."""
     garments = [GarmentSpecification(name) for name in named] if named else list(described)
@@ -272,7 +285,11 @@ def _dressed(
             garment if value is None else replace(garment, **{field: value})
             for garment, value in zip(garments, values, strict=True)
         ]
-    return tuple(garments)
+    known = [garment.name for garment in garments]
+    for name in tuck or []:
+        if name not in known:
+            raise unknown_name("garment in this scene", name, known)
+    return tuple(replace(garment, tucked=garment.tucked or garment.name in (tuck or [])) for garment in garments)
 
 
 def _one_each(flag: str, given: list[GarmentValue], names: list[str]) -> list[Any]:
