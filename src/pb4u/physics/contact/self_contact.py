@@ -14,11 +14,15 @@ import torch
 from torch import Tensor
 
 from pb4u.geometry.proximity.collision_free import collision_free, free_shares, smallest_gaps
+from pb4u.geometry.proximity.element_distance import crossing_shares
 from pb4u.geometry.proximity.surface_tree import ElementPairs
 from pb4u.scene.packed import PackedGarments
 
 _SHARE_OF_REST = 0.5
 """Share of their distance at rest within which two elements of one garment feel each other: at rest none does."""
+
+_PARALLEL = 1e-3
+"""Squared sine of the angle between two edges from which on they feel each other in full: 1.8 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +34,14 @@ class ClothPairs:
         gaps: (pairs,) [m] that they never come within.
         reaches: (pairs,) [m] at which they begin to feel each other.
         areas: (pairs,) [m^2] of cloth that each pair stands for.
+        parallels: (pairs,) squared cross product [m^4] below which two edges count as parallel; 0 for the others.
     """
 
     pairs: ElementPairs
     gaps: np.ndarray
     reaches: np.ndarray
     areas: np.ndarray
+    parallels: np.ndarray
 
     @staticmethod
     def along(garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor, reach: float) -> ClothPairs:
@@ -53,7 +59,11 @@ class ClothPairs:
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
         areas = 0.25 * garments.vertex_areas.detach().cpu().numpy()[pairs.corners].mean(axis=1)
-        return ClothPairs(pairs, gaps, reaches, areas)
+        ends = garments.surface_tree.rest[pairs.corners]
+        lengths = ((ends[:, [1, 3]] - ends[:, [0, 2]]) ** 2).sum(axis=2)
+        parallels = _PARALLEL * lengths.prod(axis=1)
+        parallels[: pairs.vertex_faces] = 0.0
+        return ClothPairs(pairs, gaps, reaches, areas, parallels)
 
     def touching(self, x: Tensor) -> TouchingCloth | None:
         """Those of the pairs that feel each other at `x` (vertices, 3) [m], or None."""
@@ -61,14 +71,15 @@ class ClothPairs:
         rows = distances < self.reaches
         if not rows.any():
             return None
+        corners = self.pairs.corners[rows]
         return TouchingCloth(
-            self.pairs.corners[rows],
+            corners,
             weights[rows],
             normals[rows],
             distances[rows],
             self.gaps[rows],
             self.reaches[rows],
-            self.areas[rows],
+            self.areas[rows] * crossing_shares(_array(x), corners, self.parallels[rows]),
         )
 
 
@@ -83,7 +94,7 @@ class TouchingCloth:
         distances: (pairs,) [m].
         gaps: (pairs,) [m] that they never come within.
         reaches: (pairs,) [m] at which they begin to feel each other.
-        areas: (pairs,) [m^2] of cloth that each pair stands for.
+        areas: (pairs,) [m^2] of cloth that each pair stands for, less of edges that are nearly parallel.
     """
 
     corners: np.ndarray
