@@ -12,6 +12,10 @@ import pytest
 RUNS = [
     ("pb4u", "garments_dict.pkl:dress", "release"),
     ("pb4u", "garments_dict_skirt.pkl:skirt", "release"),
+    ("hood", "garments_dict.pkl:dress@73", "hood"),
+    ("hood", "garments_dict_skirt.pkl:skirt@388", "hood"),
+    ("hood_cvpr", "garments_dict.pkl:dress@125", "mgn"),
+    ("hood_cvpr", "garments_dict_skirt.pkl:skirt@122", "mgn"),
     ("fine15", "garments_dict.pkl:dress", "mgn"),
     ("fine15", "garments_dict_skirt.pkl:skirt", "mgn"),
 ]

@@ -45,7 +45,7 @@ pb4u_small_two_passes = replace(pb4u_small_carried, passes=2)
 _small_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
 
 mgn = MeshGraphNetConfiguration()
-hood = HoodConfiguration()
+hood = HoodConfiguration(way_up=LeftReturn())
 eslr = EslrConfiguration()
 contourcraft = ContourCraftConfiguration()
 # The small ones take about as long as `pb4u_small` for a step of training at 2,500 triangles (docs/baselines.md), and
