@@ -209,7 +209,7 @@ def test_the_author_s_file_is_not_mended_over(
     monkeypatch.setattr("pb4u.garment.garment_file.read_source", lambda *_: pytest.fail("the garment was read"))
     ended = pb4u("check", "shirt.obj", "--fix", out)
     assert ended.code == 1
-    assert ended.err == f"pb4u: --fix {Path(out)} would overwrite the garment that it mends; give another name.\n"
+    assert ended.err == f"pb4u: --fix {Path(out)} would overwrite shirt.obj, which is read; give another name.\n"
     assert Path("shirt.obj").read_text() == CUBE
 
 

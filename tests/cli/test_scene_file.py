@@ -167,11 +167,11 @@ def test_shapes_given_apart_add_up_and_the_same_key_twice_is_refused(pb4u: Calla
 def test_every_entry_has_a_flag(saved: Saved) -> None:
     run = saved(
         "--model", "pb4u-small", "--first-frame", "settled", "--refine", 3, "--passes", 2, "--propagation-steps", 7,
-        "--contact", "off", "--device", "cpu", "--arms-away", 4, "--seed", 9, "--lead-in", 2, "--fps", 24,
-        "--frames", 5,
+        "--contact", "off", "--self-contact", "off", "--device", "cpu", "--arms-away", 4, "--seed", 9, "--lead-in", 2,
+        "--fps", 24, "--frames", 5,
     )  # fmt: skip
     assert (run.first_frame, run.refine, run.passes, run.propagation_steps) == ("settled", 3, 2, 7)
-    assert (run.model, run.contact, run.device) == ("pb4u-small", False, "cpu")
+    assert (run.model, run.contact, run.self_contact, run.device) == ("pb4u-small", False, False, "cpu")
     scene = run.scene
     assert (scene.arms_away, scene.seed, scene.lead_in, scene.fps, scene.frames) == (4, 9, 2, 24, 5)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +13,7 @@ from pb4u.body.body_model import BodyModel, ShapedBody
 from pb4u.body.smpl import SmplBody
 from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence, load_vertex_sequence
 from pb4u.errors import InputError, unknown_name
+from pb4u.reading_limits import member_names
 from pb4u.restricted_pickle import load_pickle
 
 
@@ -97,11 +97,7 @@ def _read(path: Path) -> BodyModel | VertexSequence:
     suffix = _FOLDER if path.is_dir() else suffix
     members: set[str] = set()
     if suffix == ".npz":
-        try:
-            with zipfile.ZipFile(path) as archive:
-                members = {Path(member).stem for member in archive.namelist()}
-        except (OSError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path}: not a readable .npz ({error}).") from error
+        members = set(member_names(path))
     fitting = (f for f in _FORMATS if suffix in f.suffixes and (not f.members or members & set(f.members)))
     # What is of no known kind is refused by the reader of the last one, which lists the kinds.
     return resolve_name(next(fitting, _FORMATS[-1]).reader)(path)

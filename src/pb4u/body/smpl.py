@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import strongest_influences
 from pb4u.errors import InputError
+from pb4u.reading_limits import read_arrays
 from pb4u.restricted_pickle import load_pickle
 
 BETA_RANGE = (-10.0, 0.0, 10.0)
@@ -103,11 +103,7 @@ def _load(path: Path) -> Mapping[str, Any]:
         if not isinstance(members, dict):
             raise InputError(f"{path} holds a {type(members).__name__}, not the members of an SMPL model.")
     else:
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                members = {key: archive[key] for key in _MEMBERS if key in archive.files}
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path}: not a readable .npz of plain arrays ({error}).") from error
+        members = read_arrays(path, _MEMBERS)
     if missing := [key for key in _MEMBERS if key not in members]:
         raise InputError(f"{path}: not an SMPL, SMPL-H or SMPL-X model, it lacks {', '.join(missing)}.")
     return members

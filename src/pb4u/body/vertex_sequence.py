@@ -20,6 +20,7 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
 from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
+from pb4u.reading_limits import member_names, read_arrays, told_names
 from pb4u.restricted_pickle import load_pickle
 
 DEFAULT_FPS = 30.0
@@ -233,7 +234,7 @@ def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     return frames, faces
 
 
-def _read_frame(path: Path) -> tuple[np.ndarray, list[bytes] | bytes]:
+def _read_frame(path: Path) -> tuple[np.ndarray, bytes]:
     """Vertices (vertices, 3), and what is equal between files with the same faces."""
     if path.suffix.lower() == ".obj":
         return read_obj_vertices(path)
@@ -243,23 +244,20 @@ def _read_frame(path: Path) -> tuple[np.ndarray, list[bytes] | bytes]:
 
 def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndarray | None]:
     """Members of a sequence, or the body of a trajectory of this package."""
+    keys = set(member_names(path))
+    prefix = "body_" if {"body_positions", "body_faces"} <= keys else ""
+    names = [key for key in (f"{prefix}positions", "vertices") if key in keys]
+    if not names or f"{prefix}faces" not in keys:
+        raise InputError(
+            f'{path} has the members {told_names(keys)}; a moving body needs "vertices" (frames, vertices, 3) and '
+            '"faces" (faces, 3).'
+        )
+    members = read_arrays(path, (names[0], f"{prefix}faces", "fps", f"{prefix}contact"))
+    vertices, faces, contact = members[names[0]], members[f"{prefix}faces"], members.get(f"{prefix}contact")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            keys = set(archive.files)
-            prefix = "body_" if {"body_positions", "body_faces"} <= keys else ""
-            names = [key for key in (f"{prefix}positions", "vertices") if key in keys]
-            if not names or f"{prefix}faces" not in keys:
-                raise InputError(
-                    f'{path} has the members {", ".join(sorted(keys)) or "(none)"}; a moving body needs "vertices" '
-                    '(frames, vertices, 3) and "faces" (faces, 3).'
-                )
-            vertices, faces = archive[names[0]], archive[f"{prefix}faces"]
-            fps = float(archive["fps"]) if "fps" in keys else None
-            contact = archive[f"{prefix}contact"] if f"{prefix}contact" in keys else None
-    except InputError:
-        raise
-    except Exception as error:  # zipfile and numpy let through whatever their parsers trip over
-        raise InputError(f"{path}: not a readable .npz of plain arrays ({error}).") from error
+        fps = float(members["fps"]) if "fps" in members else None
+    except (TypeError, ValueError):
+        raise InputError(f'{path}: "fps" should be one number, and is {members["fps"].dtype}.') from None
     if vertices.ndim != 3 or vertices.shape[2] != 3 or not len(vertices) or vertices.dtype.kind != "f":
         raise InputError(
             f'{path}: "{names[0]}" has shape {vertices.shape} of {vertices.dtype}; '
@@ -269,7 +267,8 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndar
         raise InputError(f'{path}: "faces" has shape {faces.shape} of {faces.dtype}; it needs (faces, 3) integers.')
     if contact is not None and contact.shape != (vertices.shape[1],):
         raise InputError(f'{path}: "contact" has shape {contact.shape}; it needs one value per vertex.')
-    return vertices.astype(np.float32), faces.astype(np.int64), fps, None if contact is None else contact.astype(bool)
+    vertices, faces = vertices.astype(np.float32, copy=False), faces.astype(np.int64, copy=False)
+    return vertices, faces, fps, None if contact is None else contact.astype(bool)
 
 
 def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | None]:

@@ -15,6 +15,7 @@ from pb4u.cli.console import (
     ShapeFlag,
     check_json_target,
     check_writable,
+    keep_inputs,
     write_json,
 )
 from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name
@@ -63,6 +64,7 @@ def check(
     if crop is not None and motion is None:
         raise InputError("--crop cuts the recording of --motion; give that as well.")
     check_json_target(json)
+    keep_inputs([given, body, motion], [("--fix", fix), ("--json", json)])
     if fix is not None:
         _check_fix(fix, given)
     if triangles is not None and given not in garment_names():
@@ -98,8 +100,6 @@ def _check_fix(fix: Path, given: str | None) -> None:
     if given is None or given in garment_names():
         raise InputError("--fix mends a garment from a file; give that file.")
     check_writable(fix, "--fix")
-    if fix.exists() and Path(given).exists() and fix.samefile(given):
-        raise InputError(f"--fix {fix} would overwrite the garment that it mends; give another name.")
 
 
 def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | None) -> dict[str, Any]:

@@ -18,11 +18,12 @@ from pb4u.cli.console import (
     Switch,
     check_json_target,
     check_writable,
+    keep_inputs,
     progress_bar,
     write_json,
     wrote,
 )
-from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name
+from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError, unknown_name
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 from pb4u.simulation.run_specification import Device, FirstFrameChoice, RunSpecification
 
@@ -186,6 +187,13 @@ def simulate(
     contact: Annotated[
         Switch | None, typer.Option(help="Push the garment out of the body after each step. Default: on.")
     ] = None,
+    self_contact: Annotated[
+        Switch | None,
+        typer.Option(
+            help="Cloth feels cloth, within a garment and between garments. Default: on for the solver and networks; "
+            "skinning and newton cannot."
+        ),
+    ] = None,
     device: Annotated[
         Device | None,
         typer.Option(help="Where a network or newton computes; the solver always runs on the CPU. Default: auto."),
@@ -241,9 +249,11 @@ def simulate(
         ),
         **_given(
             model=model, propagation_steps=propagation_steps, passes=passes, refine=refine,
-            contact=contact and contact == "on", device=device, first_frame=first_frame,
+            contact=contact and contact == "on", self_contact=self_contact and self_contact == "on", device=device,
+            first_frame=first_frame,
         ),
     )  # fmt: skip
+    keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])
     _simulate(run, list(out) if out else _default_targets(run.scene), save_scene, json)
 
 
@@ -306,6 +316,7 @@ def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | Non
     check_json_target(json)
     if save_scene is not None:
         check_writable(save_scene, "--save-scene")
+    keep_inputs(run.files(), [("--save-scene", save_scene), ("--json", json)], targets)
     simulator = run.simulator()
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
         _warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
@@ -315,7 +326,7 @@ def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | Non
     record = RunRecord()
     left = list(targets)
     trajectory = _trajectory(run, simulator, scene, left, record)
-    _export(trajectory, left)
+    _export(trajectory, left, next((target for target in targets if target not in left), None))
     if json != "-":
         print(wrote(targets, trajectory.frame_count))
     diverged = None
@@ -348,20 +359,29 @@ def _trajectory(
     run: RunSpecification, simulator: Simulator, scene: Scene, targets: list[Path], record: RunRecord
 ) -> Trajectory:
     """Simulate into the first .npz asked for, which is taken off `targets`, else into memory."""
+    from pb4u.scene.trajectory import interrupted_path
+
     file = next((target for target in targets if target.suffix.lower() == ".npz"), None)
+    kept = interrupted_path(file or targets[0])
     if file is not None:
         targets.remove(file)
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with progress_bar(f"{count:,} triangles, {simulator.name}") as progress:
-        return run.roll_out(simulator, scene, file, record, progress)
+        return run.roll_out(simulator, scene, file, record, progress, kept)
 
 
-def _export(trajectory: Trajectory, targets: list[Path]) -> None:
+def _export(trajectory: Trajectory, targets: list[Path], saved: Path | None) -> None:
+    """Write the files asked for; `saved` is the trajectory's, where it has one already."""
     from pb4u.export.registry import export
+    from pb4u.scene.trajectory import interrupted_path
 
-    for target in targets:
-        with progress_bar(f"writing {target.name}") as progress:
-            export(trajectory, target, progress)
+    try:
+        for target in targets:
+            with progress_bar(f"writing {target.name}") as progress:
+                export(trajectory, target, progress)
+    except KeyboardInterrupt as error:
+        kept = saved or trajectory.save(interrupted_path(targets[0]))
+        raise Interrupted(f"all {trajectory.frame_count} frames are in {kept}", getattr(error, "signal", 2)) from error
 
 
 def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:

@@ -9,7 +9,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import FORMATS, FrameRange, JsonFlag, check_json_target, progress_bar, write_json, wrote
+from pb4u.cli.console import (
+    FORMATS,
+    FrameRange,
+    JsonFlag,
+    check_json_target,
+    keep_inputs,
+    progress_bar,
+    write_json,
+    wrote,
+)
 
 
 def convert(
@@ -43,6 +52,7 @@ def convert(
 
     check_target(out)
     check_json_target(json)
+    keep_inputs([trajectory], [("--json", json)], [out])
     opened = open_trajectory(trajectory)
     chosen = select_frames(opened, range_, every)
     if on == "source":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Protocol
 
 import torch
@@ -23,6 +23,10 @@ from pb4u.scene.packed import PackedGarments
 ACCELERATION = Feature("acceleration", 3, "m/step^2", True, 3e-3, "x(t+1) - 2 x(t) + x(t-1), in displacement units")
 MOST_PROPAGATION_STEPS = 500
 """Limit against mistyped numbers, far above the 31 that the rule gives at 38,000 triangles."""
+
+
+MOST_COUNTED = 1024
+"""Columns, blocks or layers that a network may have, eight times the largest published."""
 
 
 class FurtherLoss(Protocol):
@@ -75,7 +79,8 @@ class NetworkConfiguration(ABC):
             flight, is taken; none in the paper. With any the layout should name the same two.
 
     Raises:
-        InputError: less than 1 pass, or a share that is not above 0 and up to 1.
+        InputError: less than 1 pass, a width below 1, a count below 0 or above `MOST_COUNTED`, or a share that is not
+            above 0 and up to 1.
     """
 
     width: int = 128
@@ -86,6 +91,12 @@ class NetworkConfiguration(ABC):
     carried_shares: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.width < 1:
+            raise InputError(f"network.width must be 1 or more, not {self.width}.")
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if isinstance(value, int) and not 0 <= value <= MOST_COUNTED:
+                raise InputError(f"network.{entry.name} must be from 0 to {MOST_COUNTED}, not {value}.")
         if self.passes < 1:
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
         if not all(0.0 < share <= 1.0 for share in self.carried_shares):

@@ -20,6 +20,7 @@ from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
 from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
+from pb4u.reading_limits import parse_json, require_small_header
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
@@ -178,9 +179,12 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
     if not path.is_file():
         raise InputError(f"There is no checkpoint {path}.")
     try:
+        require_small_header(path)
         with safe_open(path, framework="pt") as file:
             metadata: dict[str, str] = file.metadata() or {}
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except InputError:
+        raise
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
             f"{path} is no whole safetensors file ({error}); fetch or train it again. "
@@ -194,12 +198,19 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
             f"{path} is of checkpoint format {version} and this pb4u reads up to {FORMAT_VERSION}; upgrade pb4u."
         )
     try:
-        configuration = configuration_from_json(json.loads(metadata["configuration"]))
-        record = _record_from_json(json.loads(metadata["training_record"]))
-    except (KeyError, TypeError, ValueError) as error:
+        configuration = configuration_from_json(parse_json(metadata["configuration"], "the configuration"))
+        record = _record_from_json(parse_json(metadata["training_record"], "the training record"))
+        _described(configuration)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
         raise InputError(f"{path} has a header that this pb4u cannot read: {error}") from error
     licence = metadata.get("licence", "unknown")
     return built_checkpoint(name or path.stem, configuration, tensors, record, licence, dtype, path)
+
+
+def _described(configuration: NetworkConfiguration) -> Mapping[str, Tensor]:
+    """State of the network without memory: a header may tell of one that is far larger than the weights beside it."""
+    with torch.device("meta"):
+        return AccelerationModel(configuration.network()).state_dict()
 
 
 def built_checkpoint(
@@ -224,8 +235,8 @@ def built_checkpoint(
 
     Raises InputError where the state does not fit the configuration, or is not finite.
     """
+    _check_fit(origin or name, _described(configuration), state)
     model = AccelerationModel(configuration.network())
-    _check_fit(origin or name, model.state_dict(), state)
     if dtype != torch.float32:
         model = model.to(dtype)
     model.load_state_dict(state)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 
+from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution, Solver, implicit_steps
 from pb4u.physics.time_step import TimeStep
@@ -25,10 +27,17 @@ class Refinement(ABC):
 
 
 class NoRefinement(Refinement):
-    """Leaves predictions as they are."""
+    """Leaves predictions as they are, as far as cloth can go there.
+
+    Args:
+        self_contact: keeps cloth from passing through cloth, or does not.
+    """
+
+    def __init__(self, self_contact: SelfContact | None = None) -> None:
+        self.self_contact = self_contact or NoSelfContact()
 
     def refine(self, step: TimeStep, predicted: State) -> State:
-        return predicted
+        return carried(self.self_contact, step, step.state, predicted)
 
 
 class SolverRefinement(Refinement):
@@ -71,3 +80,19 @@ class ImplicitSteps(SolverRefinement):
         if self.watch:
             self.watch(solution)
         return state
+
+
+def carried(self_contact: SelfContact, step: TimeStep, before: State, wanted: State) -> State:
+    """`wanted` as far as it is reached from `before` without cloth passing through cloth, at the speed it then has.
+
+    Args:
+        self_contact: keeps cloth from passing through cloth, or does not.
+        step: the time step.
+        before: state that crosses nowhere.
+        wanted: state at the end of the step.
+    """
+    positions = self_contact.carried(step.garments, before.positions, wanted.positions)
+    if positions is wanted.positions:
+        return wanted
+    cut = (positions - wanted.positions) / step.dt
+    return replace(wanted, positions=positions, velocities=wanted.velocities + cut)

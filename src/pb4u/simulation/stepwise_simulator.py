@@ -14,6 +14,7 @@ import torch
 from pb4u.errors import InputError
 from pb4u.graph.features import ADVANCE
 from pb4u.physics.contact.response import Contact, NoContact
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution
 from pb4u.physics.time_step import DivergedError, require_finite
 from pb4u.scene.packed import PackedGarments, pack
@@ -67,7 +68,8 @@ def _written(scene: Scene, timeline: Timeline, state: State, method: StepMethod)
     """The state as it is written; frames of the lead-in are not, and are left as they are."""
     if state.frame < scene.lead_in:
         return state
-    return method.contact.present(timeline.garments, state, timeline.pose(state.frame))
+    shown = method.contact.present(timeline.garments, state, timeline.pose(state.frame))
+    return replace(shown, positions=method.self_contact.carried(timeline.garments, state.positions, shown.positions))
 
 
 class SolverSimulator(StepwiseSimulator):
@@ -79,14 +81,20 @@ class SolverSimulator(StepwiseSimulator):
         iterations: a fixed number of solver iterations an implicit step; None goes to the tolerance.
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; settled by default.
+        potential: the energies, and whether cloth feels cloth; the six terms by default.
     """
 
     name = "solver"
 
     def __init__(
-        self, iterations: int | None = None, contact: Contact | None = None, first_frame: FirstFrame | None = None
+        self,
+        iterations: int | None = None,
+        contact: Contact | None = None,
+        first_frame: FirstFrame | None = None,
+        potential: IncrementalPotential | None = None,
     ) -> None:
         self.iterations, self.contact = iterations, contact or NoContact()
+        self.potential = potential or IncrementalPotential()
         self.first_frame = first_frame or Settled()
 
     def settings(self) -> dict[str, Any]:
@@ -97,7 +105,8 @@ class SolverSimulator(StepwiseSimulator):
             record.solver_iterations.append(solution.iterations)
             record.unsolved += not solution.converged
 
-        return StepMethod(refinement=ImplicitSteps(self.iterations, watch=note), contact=self.contact)
+        refinement = ImplicitSteps(self.iterations, potential=self.potential, watch=note)
+        return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
 
 
 class NetworkSimulator(StepwiseSimulator):
@@ -114,6 +123,7 @@ class NetworkSimulator(StepwiseSimulator):
         device: device that the network computes on.
         passes: evaluations of the network in a step; None is its own number.
         first_frame: makes frame 0; by default one long step of the method's own.
+        potential: the energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
 
     Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next.
     """
@@ -127,8 +137,10 @@ class NetworkSimulator(StepwiseSimulator):
         device: torch.device | str = "cpu",
         passes: int | None = None,
         first_frame: FirstFrame | None = None,
+        potential: IncrementalPotential | None = None,
     ) -> None:
         self.name = checkpoint.name
+        self.potential = potential or IncrementalPotential()
         self.fps = 1.0 / checkpoint.record.dt
         self.override, self.refine = propagation_steps, refine
         self.contact, self.first_frame = contact or NoContact(), first_frame or OneLongStep()
@@ -169,6 +181,9 @@ class NetworkSimulator(StepwiseSimulator):
         return StepMethod(
             start_of(model.network),
             NetworkPass(model, prepared, self.passes),
-            SolverRefinement(self.refine) if self.refine else NoRefinement(),
+            SolverRefinement(self.refine, potential=self.potential)
+            if self.refine
+            else NoRefinement(self.potential.self_contact),
             self.contact,
+            self.potential.self_contact,
         )
