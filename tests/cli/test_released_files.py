@@ -26,7 +26,7 @@ def arguments(compat: Path, garment: str) -> list[object]:
     return [
         "simulate", "--garment", f"{files}/{garment}", "--body", files / "SMPL_FEMALE.pkl",
         "--omitted", files / "smpl_aux.pkl", "--motion", files / "recording.pkl", "--as-recorded", "--arms-away", 20,
-        "--lead-in", 0, "--refine", 0, "--contact", "off",
+        "--lead-in", 0, "--refine", 0, "--contact", "off", "--self-contact", "off",
     ]  # fmt: skip
 
 
