@@ -321,7 +321,8 @@ def _folded(file: _File, method: _Method, network: EncodeProcessDecode) -> dict[
     state |= {f"network.{name}": value for name, value in method.further(file).items()}
     mean, spread = file.statistics("output")
     state |= _normaliser_state("acceleration", mean, spread)
-    return state
+    # Encoders of one file may serve two kinds here; each gets numbers of its own.
+    return {name: value.clone() for name, value in state.items()}
 
 
 class _Columns:
