@@ -16,7 +16,7 @@ from pb4u.graph.features import Feature, FeatureLayout
 from pb4u.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.graph.graph import EdgeSet, Graph
 from pb4u.graph.pins import PinsAtPresent, PinsAtTarget, PinsAtTargetInEdges
-from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.graph.world_edges import NearestFaceRule, WorldEdgeRule
 from pb4u.nn.normaliser import Normaliser
 from pb4u.scene.packed import PackedGarments
 
@@ -85,7 +85,7 @@ class NetworkConfiguration(ABC):
 
     width: int = 128
     layout: FeatureLayout = field(default_factory=FeatureLayout)
-    world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
+    world_edges: WorldEdgeRule | NearestFaceRule = field(default_factory=WorldEdgeRule)
     pins: PinsAtPresent | PinsAtTarget | PinsAtTargetInEdges = field(default_factory=PinsAtPresent)
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
