@@ -112,6 +112,7 @@ class NetworkSimulator(StepwiseSimulator):
         device: device that the network computes on.
         passes: evaluations of the network in a step; None is its own number.
         first_frame: makes frame 0; by default one long step of the method's own.
+        precision: data type of the network's products.
 
     Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next.
     """
@@ -125,6 +126,7 @@ class NetworkSimulator(StepwiseSimulator):
         device: torch.device | str = "cpu",
         passes: int | None = None,
         first_frame: FirstFrame | None = None,
+        precision: torch.dtype = torch.float32,
     ) -> None:
         self.name = checkpoint.name
         self.fps = 1.0 / checkpoint.record.dt
@@ -141,6 +143,9 @@ class NetworkSimulator(StepwiseSimulator):
             )
         if next(checkpoint.model.parameters()).device != self.device:
             checkpoint = replace(checkpoint, model=copy.deepcopy(checkpoint.model).to(self.device))
+        self.precision = precision
+        if precision != torch.float32:
+            checkpoint = replace(checkpoint, model=checkpoint.model.with_products_in(precision))
         self.checkpoint = checkpoint
 
     def settings(self) -> dict[str, Any]:
@@ -148,6 +153,7 @@ class NetworkSimulator(StepwiseSimulator):
             "refine": self.refine,
             "passes": self.passes,
             "device": str(self.device),
+            "precision": str(self.precision).removeprefix("torch."),
             "weights_licence": self.checkpoint.licence,
         }
 
