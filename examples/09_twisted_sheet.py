@@ -1,7 +1,7 @@
 """A sheet wrung by its ends: four turns, until it is a rope that coils up on itself.
 
-    python examples/09_twisted_sheet.py
-    python examples/09_twisted_sheet.py --turns 6 --triangles 10000
+python examples/09_twisted_sheet.py
+python examples/09_twisted_sheet.py --turns 6 --triangles 10000
 """
 
 from __future__ import annotations

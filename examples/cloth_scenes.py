@@ -42,7 +42,7 @@ def solid(name: str, vertices: np.ndarray, faces: np.ndarray, felt: bool = True)
 
 
 def simulate(scene: pb4u.Scene, out: str, self_contact: bool = True) -> Trajectory:
-    """Simulate by the solver from where the cloth is placed, report on contact, and write a trajectory and a picture."""
+    """Simulate by the solver from where the cloth is placed, tell of contact, write a trajectory and a picture."""
     simulator = pb4u.load_simulator("solver", first_frame="placed", self_contact=self_contact)
     record = RunRecord()
     trajectory = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record))
@@ -53,6 +53,8 @@ def simulate(scene: pb4u.Scene, out: str, self_contact: bool = True) -> Trajecto
         f"{iterations.mean():.1f} iterations a step (most {iterations.max()}), {record.unsolved} steps unsolved"
     )
     print(f"pairs of triangles that cross: {sum(crossing)} in all frames, {max(crossing)} in the worst")
-    print(f"fastest vertex in the last frame: {1000 * np.linalg.norm(trajectory.velocities[-1], axis=1).max():.1f} mm/s")
+    print(
+        f"fastest vertex at the end: {1000 * np.linalg.norm(trajectory.velocities[-1], axis=1).max():.1f} mm/s"
+    )
     print("written:", trajectory.save(f"{out}.npz"), pb4u.export_trajectory(trajectory, f"{out}.png"))
     return trajectory

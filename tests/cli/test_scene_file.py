@@ -174,8 +174,9 @@ def test_every_entry_has_a_flag(saved: Saved) -> None:
     run = saved(
         "--model", "pb4u-small", "--first-frame", "settled", "--refine", 3, "--passes", 2, "--propagation-steps", 7,
         "--contact", "off", "--self-contact", "off", "--device", "cpu", "--arms-away", 4, "--seed", 9, "--lead-in", 2,
-        "--fps", 24, "--frames", 5,
+        "--fps", 24, "--frames", 5, "--precision", "bfloat16",
     )  # fmt: skip
+    assert run.precision == "bfloat16"
     assert (run.first_frame, run.refine, run.passes, run.propagation_steps) == ("settled", 3, 2, 7)
     assert (run.model, run.contact, run.self_contact, run.device) == ("pb4u-small", False, False, "cpu")
     scene = run.scene

@@ -25,7 +25,7 @@ from pb4u.cli.console import (
 )
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError, unknown_name
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
-from pb4u.simulation.run_specification import Device, FirstFrameChoice, RunSpecification
+from pb4u.simulation.run_specification import Device, FirstFrameChoice, Precision, RunSpecification
 
 if TYPE_CHECKING:
     from pb4u.scene.scene import Scene
@@ -216,6 +216,13 @@ def simulate(
             "settled wherever the solver takes part.",
         ),
     ] = None,
+    precision: Annotated[
+        Precision | None,
+        typer.Option(
+            help="Precision of a network's matrix products. Default: auto, which is bfloat16 where the device "
+            "multiplies faster in it."
+        ),
+    ] = None,
     seed: Annotated[
         int | None, typer.Option(help=f"Seed of everything random. Default: {SceneSpecification.seed}.")
     ] = None,
@@ -260,7 +267,7 @@ def simulate(
         **_given(
             model=model, propagation_steps=propagation_steps, passes=passes, refine=refine,
             contact=contact and contact == "on", self_contact=self_contact and self_contact == "on", device=device,
-            first_frame=first_frame,
+            first_frame=first_frame, precision=precision,
         ),
     )  # fmt: skip
     keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])
