@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import io
+import math
 import mmap
 import pickle
+import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.reading_limits import MOST_UNFOLDED, Allowance, require_plain_pickle
+from pb4u.reading_limits import MOST_UNFOLDED, Allowance, DamagedArchiveError, open_archive, require_plain_pickle
 
 _SPARSE_FORMATS = ("csr", "csc", "coo")
 
@@ -83,6 +86,38 @@ def load_pickle(path: str | Path) -> Any:
         raise InputError(f"{path}: not a complete pickle of plain arrays ({type(error).__name__}: {error}).") from error
 
 
+def load_torch_archive(path: str | Path) -> Any:
+    """Content of a file that `torch.save` wrote, every tensor as a numpy array, read as `load_pickle` reads.
+
+    Besides what `load_pickle` takes, tensors and parameters of 16, 32 and 64 bit floating point and whole numbers are
+    known, on whichever device they lay; all other names are refused.
+
+    Raises InputError when the file is no whole archive of torch 1.6 or later, or names anything else.
+    """
+    path = Path(path)
+    try:
+        allowance = Allowance(path)
+        with open_archive(path) as archive:
+            members = _Archive(path, archive)
+            require_plain_pickle(members.pickle(), path)
+            return _Resolution(allowance).of(_ArchiveUnpickler(members, allowance).load())
+    except DamagedArchiveError:
+        raise InputError(
+            f"{path} is no whole archive of torch.save; fetch it again, or save a file from before torch 1.6 anew."
+        ) from None
+    except InputError:
+        raise
+    except _Refused as refusal:
+        raise InputError(f"{path}: {refusal}; only files of plain tensors are read, nothing in it was run.") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except Exception as error:
+        # A damaged archive can raise nearly anything; what it raises says little to a user.
+        raise InputError(
+            f"{path}: not a complete archive of plain tensors ({type(error).__name__}: {error})."
+        ) from error
+
+
 class _DataUnpickler(pickle.Unpickler):
     """An unpickler whose only callables are those of `_constructors`, made anew for each file."""
 
@@ -104,6 +139,85 @@ class _DataUnpickler(pickle.Unpickler):
 
     def persistent_load(self, pid: Any) -> Any:
         raise _Refused("it refers to data outside of itself")
+
+
+class _Storage(NamedTuple):
+    """Stands for a storage class of torch: the data type of its numbers."""
+
+    dtype: str
+
+
+_STORAGES = {
+    "FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2", "LongStorage": "<i8", "IntStorage": "<i4",
+    "BoolStorage": "|b1",
+}  # fmt: skip
+
+
+class _Archive:
+    """The members of a torch archive: a pickle that refers to storages, which are members of their own.
+
+    Args:
+        path: its file.
+        archive: opened.
+    """
+
+    def __init__(self, path: Path, archive: zipfile.ZipFile) -> None:
+        members = archive.infolist()
+        # Stored as they are, members are no larger than the file; packed ones could be of any size.
+        packed = [member for member in members if member.compress_type != zipfile.ZIP_STORED]
+        if packed or sum(member.file_size for member in members) > path.stat().st_size:
+            raise _Refused("its members are packed, which torch.save never does")
+        pickles = [member.filename for member in members if member.filename.endswith("data.pkl")]
+        if len(pickles) != 1:
+            raise _Refused("it is a zip file, but not one of torch.save")
+        self._archive, self._folder = archive, pickles[0].removesuffix("data.pkl")
+        if f"{self._folder}byteorder" in archive.namelist() and self._read("byteorder") != b"little":
+            raise _Refused("its numbers are big-endian")
+
+    def pickle(self) -> BinaryIO:
+        return io.BytesIO(self._read("data.pkl"))
+
+    def storage(self, kind: object, key: object) -> np.ndarray:
+        if not isinstance(kind, _Storage) or not isinstance(key, str):
+            raise _Refused("it holds a storage of an unknown kind")
+        return np.frombuffer(self._read(f"data/{key}"), dtype=kind.dtype)
+
+    def _read(self, member: str) -> bytes:
+        return self._archive.read(self._folder + member)
+
+
+class _ArchiveUnpickler(_DataUnpickler):
+    """An unpickler that also knows the tensors of a torch archive."""
+
+    def __init__(self, archive: _Archive, allowance: Allowance) -> None:
+        super().__init__(archive.pickle(), allowance)
+        self._archive = archive
+        self._constructors |= {("torch", name): _Storage(dtype) for name, dtype in _STORAGES.items()}
+        self._constructors["torch._utils", "_rebuild_tensor_v2"] = _tensor
+        self._constructors["torch._utils", "_rebuild_parameter"] = _parameter
+
+    def persistent_load(self, pid: Any) -> Any:
+        if not isinstance(pid, tuple) or len(pid) != 5 or pid[0] != "storage":
+            raise _Refused("it refers to data outside of itself")
+        _, kind, key, _, _ = pid
+        return self._archive.storage(kind, key)
+
+
+def _tensor(storage: Any, offset: Any, size: Any, stride: Any, *flags: object) -> np.ndarray:
+    """The view (size) of a storage as an array of its own; sizes and strides are what the file says."""
+    numbers = (offset, *size, *stride)
+    if not isinstance(storage, np.ndarray) or not all(type(n) is int and n >= 0 for n in numbers):
+        raise _Refused("it holds a tensor of an unknown kind")
+    last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
+    count = math.prod(size)
+    if count > len(storage) or (count and last >= len(storage)):
+        raise _Refused("it holds a tensor that is larger than its numbers")
+    steps = [step * storage.itemsize for step in stride]
+    return np.lib.stride_tricks.as_strided(storage[offset:] if count else storage, size, steps).copy()
+
+
+def _parameter(data: Any, *flags: object) -> Any:
+    return data
 
 
 def _constructors(allowance: Allowance) -> dict[tuple[str, str], Any]:
@@ -149,6 +263,8 @@ def _constructors(allowance: Allowance) -> dict[tuple[str, str], Any]:
 
     named: dict[tuple[str, str], Callable[..., Any]] = {
         ("numpy", "ndarray"): NdarrayName,
+        # A subclass that adds nothing to what is pickled.
+        ("trimesh.caching", "TrackedArray"): NdarrayName,
         ("numpy", "dtype"): _DtypeShell,
         ("numpy.core.multiarray", "_reconstruct"): reconstruct,
         ("numpy.core.multiarray", "scalar"): scalar,

@@ -10,9 +10,11 @@ from typing import NamedTuple
 
 from pb4u.body.baked_body import BUILT_IN, BakedBody
 from pb4u.body.body_model import BodyModel, ShapedBody
-from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence
+from pb4u.body.smpl import SmplBody
+from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence, load_vertex_sequence
 from pb4u.errors import InputError, unknown_name
 from pb4u.reading_limits import member_names
+from pb4u.restricted_pickle import load_pickle
 
 
 class _Format(NamedTuple):
@@ -29,7 +31,7 @@ _FOLDER = "/"
 _FORMATS = (
     _Format("pb4u.body.baked_body:BakedBody", (".npz",), ("term_basis",)),
     _Format("pb4u.body.smpl:SmplBody", (".npz",), ("v_template", "shapedirs", "kintree_table")),
-    _Format("pb4u.body.smpl:SmplBody", (".pkl",)),
+    _Format("pb4u.body.library:read_pickled_body", (".pkl",)),
     _Format("pb4u.body.vertex_sequence:load_vertex_sequence", (".npz", *SUFFIXES, _FOLDER)),
 )
 _MODELS = {"anny": "pb4u.body.anny_body:AnnyBody"}
@@ -61,6 +63,20 @@ def load_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None
     if given:
         raise InputError(f"{name} is a moving surface without shape parameters; leave out {', '.join(given)}.")
     return body
+
+
+def read_pickled_body(path: Path) -> BodyModel | VertexSequence:
+    """A body in a pickle, of which nothing is run: a sequence of vertices where it has them, else an SMPL model.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: it is neither, or its parts do not fit each other.
+    """
+    content = load_pickle(path)
+    is_sequence = isinstance(content, Mapping) and "verts" in content
+    return load_vertex_sequence(path) if is_sequence else SmplBody(path)
 
 
 @lru_cache(maxsize=8)

@@ -6,6 +6,7 @@ import io
 import re
 import struct
 import warnings
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
 from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
 from pb4u.reading_limits import member_names, read_arrays, told_names
+from pb4u.restricted_pickle import load_pickle
 
 DEFAULT_FPS = 30.0
 MOST_TRIANGLES = 1_000_000
@@ -104,6 +106,10 @@ class VertexSequence(AnimatedBody):
         held = round(self.held_start * fps / self.fps)
         return VertexSequence(self.name, self.vertices, self.faces, self.stored_fps, self.contact, fps, held)
 
+    def with_contact(self, contact: np.ndarray) -> VertexSequence:
+        """The same motion with other vertices left out of contact: `contact` (vertices,) bool is False there."""
+        return VertexSequence(self.name, self.vertices, self.faces, self.stored_fps, contact, self.fps, self.held_start)
+
     def with_held_start(self, frames: int) -> VertexSequence:
         """The same motion after `frames` more frames of its first one."""
         return VertexSequence(
@@ -157,6 +163,8 @@ def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSe
     file_fps: float | None = None
     if path.is_dir():
         vertices, faces = _read_folder(path)
+    elif path.suffix.lower() == ".pkl":
+        vertices, faces = _read_pickle(path)
     elif path.suffix.lower() == ".npz":
         vertices, faces, file_fps, contact = _read_npz(path)
     elif path.suffix.lower() in SUFFIXES:
@@ -185,6 +193,20 @@ def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (vertices, 3) float64 and triangles (faces, 3) int64 of a mesh file."""
     mesh = read_mesh(path, partial(_refuse_large, path))
     return mesh.vertices, np.concatenate(mesh.polygons)[triangulate(mesh.vertices, mesh.polygons)[0]]
+
+
+def _read_pickle(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (frames, vertices, 3) float32 and triangles (faces, 3) of a mesh sequence of the released code."""
+    content = load_pickle(path)
+    if not isinstance(content, Mapping) or not {"verts", "faces"} <= set(content):
+        raise InputError(f'{path}: a moving body in a pickle has "verts" and "faces".')
+    vertices, faces = np.asarray(content["verts"]), np.asarray(content["faces"])
+    if vertices.ndim != 3 or vertices.shape[2] != 3 or vertices.dtype.kind != "f" or not len(vertices):
+        raise InputError(f'{path}: "verts" has the shape {vertices.shape}, where (frames, vertices, 3) belongs.')
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise InputError(f'{path}: "faces" has the shape {faces.shape}, where (faces, 3) whole numbers belong.')
+    _refuse_large(path, len(faces))
+    return vertices.astype(np.float32), faces.astype(np.int64)
 
 
 def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from pb4u import __version__
-from pb4u.cli import assets, check, evaluate, info, simulate, train, trajectory_verbs
+from pb4u.cli import assets, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
 from pb4u.errors import InputWarning, Interrupted, Pb4uError
 
 app = typer.Typer(
@@ -28,6 +28,7 @@ for verb in (
     trajectory_verbs.view,
     check.check,
     trajectory_verbs.convert,
+    convert_weights.convert_weights,
     train.train,
     evaluate.evaluate,
     info.info,

@@ -78,7 +78,8 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Built-in garment, or a mesh file in metres that fits the body at rest. Repeatable, inner first. "
+            help="Built-in garment, a mesh file in metres that fits the body at rest, or FILE.pkl:NAME of a garments "
+            "dictionary of HOOD's family. Repeatable, inner first. "
             f"Default: {GarmentSpecification.garment}.",
         ),
     ] = None,
@@ -117,6 +118,20 @@ def simulate(
     arms_away: Annotated[
         float | None, typer.Option(help="Hold hanging arms this many degrees away from the torso. Default: 0.")
     ] = None,
+    as_recorded: Annotated[
+        bool | None,
+        typer.Option(
+            "--as-recorded/--retargeted",
+            help="Play an SMPL recording (.pkl, AMASS .npz) as it is, on the shape, place and height that it has; "
+            "--arms-away 20 is the released code's separate_arms. Default: retargeted.",
+        ),
+    ] = None,
+    omitted: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE", help="Body vertices left out of contact: smpl_aux.pkl, or a list. Default: the body's own."
+        ),
+    ] = None,
     pins: Annotated[
         list[GarmentValue] | None,
         typer.Option(
@@ -150,7 +165,8 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="solver, skinning, newton, or a network by name or .safetensors file. Default: pb4u-small.",
+            help="solver, skinning, newton, or a network by name, .safetensors file or .pth of the released code. "
+            "Default: pb4u-small.",
         ),
     ] = None,
     propagation_steps: Annotated[
@@ -185,8 +201,11 @@ def simulate(
     first_frame: Annotated[
         FirstFrameChoice | None,
         typer.Option(
-            help="How frame 0 is made: settled by the solver, or in one long step of the method itself, as in the "
-            "paper. Default: auto, which is settled wherever the solver takes part."
+            "--first-frame",
+            "--start",
+            help="How frame 0 is made: settled by the solver, in one long step of the method itself, as in the paper, "
+            "or as the released code begins: release (Pb4U-GNet), hood, mgn, contourcraft. Default: auto, which is "
+            "settled wherever the solver takes part.",
         ),
     ] = None,
     seed: Annotated[
@@ -225,7 +244,7 @@ def simulate(
             crop=crop or (None if motion else described.scene.crop),
             **_given(
                 body=body, motion=motion, fps=fps, lead_in=lead_in, keep_lead_in=keep_lead_in, arms_away=arms_away,
-                frames=frames, seed=seed,
+                frames=frames, seed=seed, as_recorded=as_recorded, omitted=omitted,
             ),
         ),
         **_given(

@@ -66,6 +66,11 @@ FORMATS = (
         "pb4u.export.mesh_sequence:cache_files",
     ),
     Format((".usdc", ".usda", ".usdz"), "USD is exact", "pb4u.export.usd:write_usd", "pb4u.export.usd:check_usd"),
+    Format(
+        (".pkl",),
+        "PKL is the result layout of HOOD's family, for their viewers",
+        "pb4u.export.result_pickle:write_result",
+    ),
     Format((".glb",), "GLB is within 1 mm (else a warning says how far off)", "pb4u.export.gltf:write_glb"),
     Format((".png", ".jpg"), "PNG and JPG show five moments side by side", "pb4u.export.picture:write_still"),
     Format((".gif",), "GIF leaves frames out, down to about 15 a second", "pb4u.export.picture:write_gif"),

@@ -17,7 +17,10 @@ from pb4u.garment.fit import UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.tangles import tangles
 from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.proximity.crossings import self_crossings
+from pb4u.geometry.proximity.untangling import untangle
 from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
 
 # Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn.
@@ -126,11 +129,14 @@ def diagnose(
         fit = find_fit(vertices, rest)
         mend = fix_command(file, rest.name)
         findings += _placement_findings(vertices, fit, rest, mend)
+        findings += _crossing_findings(surface, fit.apply(garment.vertices), measures)
         findings += _contact_findings(surface, fit, rest, measures, mend)
         if not pinned and not any(f.code in _NOT_WORN for f in findings):
             findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
         findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres"))
+    elif len(vertices):
+        findings += _crossing_findings(surface, garment.vertices, measures)
     order = list(Severity)
     return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures)
 
@@ -285,6 +291,30 @@ def _contact_findings(
         sentence = "All faces look inwards, at the body."
         findings.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
     return findings
+
+
+def _crossing_findings(
+    surface: SourceSurface, vertices: np.ndarray, measures: dict[str, float | None]
+) -> list[Finding]:
+    """A garment that passes through itself, its (vertices, 3) where it is worn; open seams count as welded."""
+    welded = surface.weld_target[surface.faces]
+    whole = np.flatnonzero((welded != np.roll(welded, 1, axis=1)).all(axis=1))
+    faces = welded[whole]
+    pairs = self_crossings(vertices, faces, sharing=True)
+    measures["self_intersections"] = float(len(pairs))
+    if not len(pairs):
+        return []
+    (tangle,) = tangles(["The garment"], np.zeros(len(vertices), dtype=np.int64), vertices, faces, pairs)
+    polygons = surface.polygon[surface.kept[whole[pairs]]]
+    freed = untangle(vertices, faces, gap=0.0)
+    sentence = f"{tangle}, first faces {_first(polygons)} (pairs)."
+    where = tuple(polygons.reshape(-1)[:20].tolist())
+    if not freed.is_free:
+        fix = "mend it where it was made, or simulate it with `--self-contact off`"
+        return [Finding("self-crossing", Severity.REFUSED, sentence, fix, where=where)]
+    farthest = float(np.linalg.norm(freed.vertices - vertices, axis=1).max())
+    fix = f"mend it where it was made; simulation untangles its start, by at most {1000 * farthest:.1f} mm"
+    return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where)]
 
 
 def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:

@@ -94,7 +94,7 @@ def garment_graph(
         node_types=torch.where(garments.pinned, int(NodeType.PINNED), int(NodeType.GARMENT)),
         node_owner=garments.vertex_garment,
         node_world=garments.vertex_world,
-        areal_density=map_log(density, material_range.density)[:, None].to(dtype),
+        areal_density=map_log(density, material_range.density, material_range.margin)[:, None].to(dtype),
         vertex_mass=_known_or_mean(mass.log(), garments)[:, None].to(dtype),
         node_material=material.to(dtype),
         incident_length=_mean_at(garments.edges.reshape(-1), lengths, garments).to(dtype),
@@ -128,8 +128,14 @@ def _vertex_material(garments: PackedGarments, limits: MaterialRange) -> Tensor:
     mu = _mean_at(corners, garments.lame_mu.repeat_interleave(3), garments)
     lam = _mean_at(corners, garments.lame_lambda.repeat_interleave(3), garments)
     bending = _mean_at(garments.hinges[:, :2].reshape(-1), garments.bending.repeat_interleave(2), garments)
-    mapped = [map_log(bending, limits.bending), map_log(mu, limits.lame_mu), map_linear(lam, limits.lame_lambda)]
-    return torch.stack(mapped, dim=1)
+    return torch.stack(
+        [
+            map_log(bending, limits.bending, limits.margin),
+            map_log(mu, limits.lame_mu, limits.margin),
+            map_linear(lam, limits.lame_lambda, limits.margin),
+        ],
+        dim=1,
+    )
 
 
 def _mean_at(vertices: Tensor, values: Tensor, garments: PackedGarments) -> Tensor:

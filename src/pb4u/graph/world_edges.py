@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
+from pb4u.scene.packed import PackedColliders
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,8 @@ class WorldEdgeRule:
         radius: largest distance [m] (paper: a threshold; reference 1.4: 3 cm).
         neighbours: number of the nearest that are taken; 1 in the released code, a large number for all within the
             radius, as in the paper.
+        whole_body: whether body vertices left out of contact are searched as well, and edges to them dropped, as in the
+            released code: what is nearest to one of them has no edge.
 
     Raises:
         InputError: a radius that is not above 0 and finite, or neighbours not from 1 to 64.
@@ -27,6 +30,7 @@ class WorldEdgeRule:
 
     radius: float = 0.03
     neighbours: int = 1
+    whole_body: bool = False
 
     def __post_init__(self) -> None:
         if not (0.0 < self.radius < float("inf")) or not 1 <= self.neighbours <= 64:
@@ -34,6 +38,13 @@ class WorldEdgeRule:
                 f"World edges need a radius above 0 m and 1 to 64 neighbours, not {self.radius} m and "
                 f"{self.neighbours}."
             )
+
+    def searched(self, colliders: PackedColliders) -> tuple[Tensor, ...]:
+        """Indices (vertices,) int64 of the packed body vertices of each world that the nearest are sought among."""
+        if not self.whole_body:
+            return colliders.touchable
+        rows = colliders.world_vertices
+        return tuple(torch.arange(own.start, own.stop, device=colliders.contact.device) for own in rows)
 
 
 @torch.no_grad()

@@ -15,6 +15,7 @@ from pb4u.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges
 from pb4u.graph.features import Feature, FeatureLayout
 from pb4u.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.graph.graph import EdgeSet, Graph
+from pb4u.graph.pins import PinsAtPresent, PinsAtTarget, PinsAtTargetInEdges
 from pb4u.graph.world_edges import WorldEdgeRule
 from pb4u.nn.normaliser import Normaliser
 from pb4u.scene.packed import PackedGarments
@@ -71,6 +72,7 @@ class NetworkConfiguration(ABC):
         width: number of columns of all latents and hidden layers.
         layout: the columns read.
         world_edges: rule for the body vertices that a garment vertex has edges to.
+        pins: rule for what is seen of pinned vertices.
         passes: evaluations of the network in one time step, each adding to the accelerations of the one before; 1 in
             the paper. Above 1 the layout should name "descent" and "advance".
         carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
@@ -84,6 +86,7 @@ class NetworkConfiguration(ABC):
     width: int = 128
     layout: FeatureLayout = field(default_factory=FeatureLayout)
     world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
+    pins: PinsAtPresent | PinsAtTarget | PinsAtTargetInEdges = field(default_factory=PinsAtPresent)
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
 
@@ -115,6 +118,7 @@ class GraphNetwork(nn.Module, ABC):
         super().__init__()
         self.layout = configuration.layout
         self.world_edges = configuration.world_edges
+        self.pins = configuration.pins
         self.passes = configuration.passes
         self.carried_shares = configuration.carried_shares
 
@@ -231,7 +235,7 @@ class AccelerationModel(nn.Module):
         network, layout = self.network, self.network.layout
         derived = network.derive(garments)
         static = garment_graph(garments, layout.material_range, dtype, derived.edges)
-        builder = GraphBuilder(static, layout, network.world_edges, derived.finder, derived.rest)
+        builder = GraphBuilder(static, layout, network.world_edges, derived.finder, derived.rest, network.pins)
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
         prepared = PreparedGarments(builder, steps, network.update_scale(static), derived.losses)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)

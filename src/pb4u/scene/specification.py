@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError
+from pb4u.garment.dictionary_entry import DictionaryEntry
 
 if TYPE_CHECKING:
     from pb4u.body.animated_body import AnimatedBody
@@ -56,7 +57,10 @@ class GarmentSpecification:
     @property
     def name(self) -> str:
         """Name of the garment; the stem of a file."""
-        return Path(self.garment).stem if isinstance(self.garment, str | Path) else self.garment.name
+        if not isinstance(self.garment, str | Path):
+            return self.garment.name
+        entry = DictionaryEntry.parse(self.garment)
+        return Path(self.garment).stem if entry is None else entry.title
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,8 @@ class SceneSpecification:
         fps: frames per second [1/s].
         arms_away: degrees by which hanging arms are held away from the torso.
         seed: seed of procedural motion and of everything random.
+        as_recorded: whether an SMPL recording is played as it is, on its own shape, place and height.
+        omitted: file of the body vertices that are left out of contact; None is the body's own.
 
     Raises:
         InputError: a value of a wrong type or out of range, or one garment worn twice.
@@ -91,6 +97,8 @@ class SceneSpecification:
     fps: float = 30.0
     arms_away: float = 0.0
     seed: int = 0
+    as_recorded: bool = False
+    omitted: str | Path | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "garments", tuple(self.garments))
@@ -100,6 +108,8 @@ class SceneSpecification:
         require_name("body", self.body)
         require_name("motion", self.motion, optional=True)
         require_switch("keep_lead_in", self.keep_lead_in)
+        require_switch("as_recorded", self.as_recorded)
+        require_name("omitted", self.omitted, optional=True)
         require_whole("number of frames", self.frames, optional=True)
         require_whole("lead-in", self.lead_in)
         require_whole("seed", self.seed)

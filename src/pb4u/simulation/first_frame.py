@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -24,6 +25,17 @@ class FirstFrame(ABC):
             timeline: garments and bodies.
             method: takes the steps that follow.
         """
+
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+        """States of frame 0 and of those after it that are made in a way of their own; arguments as in `start`."""
+        yield self.start(timeline, method)
+
+
+class AsPlaced(FirstFrame):
+    """The garments where their placement puts them, such as cloth about to fall."""
+
+    def start(self, timeline: Timeline, method: StepMethod) -> State:
+        return timeline.skinned_state(0)
 
 
 class OneLongStep(FirstFrame):

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pb4u.errors import InputError, unknown_name
 from pb4u.simulation.simulator import Simulator
+
+if TYPE_CHECKING:
+    from pb4u.simulation.checkpoint import Checkpoint
 
 _BEST = "best.safetensors"
 _WITHOUT_SELF_CONTACT = {
@@ -57,7 +61,8 @@ def load_simulator(
     """Simulator called `name`, loaded.
 
     Args:
-        name: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
+        name: "auto", "solver", "skinning", "newton", a shipped network, a checkpoint file, or a .pth of the released
+            code of Pb4U-GNet, HOOD or ContourCraft.
         contact: push the garment out of the body after each step (networks and solver).
         self_contact: cloth feels cloth, within a garment and between garments (networks and solver, which do unless
             this is False).
@@ -66,18 +71,28 @@ def load_simulator(
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
         first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
-            paper, or "auto": settled where the solver runs.
+            paper, "placed" as it is, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto":
+            settled where the solver runs.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
     from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
     from pb4u.physics.incremental_potential import IncrementalPotential
-    from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
+    from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
     from pb4u.simulation.simulator import SkinningSimulator
+    from pb4u.simulation.start_protocols import MovingStart, SkinnedStart, StandingStart
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
     potential = IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact()
-    ways: dict[str, FirstFrame] = {"settled": Settled(potential=potential), "long_step": OneLongStep()}
+    ways: dict[str, FirstFrame] = {
+        "settled": Settled(potential=potential),
+        "long_step": OneLongStep(),
+        "placed": AsPlaced(),
+        "release": StandingStart(),
+        "hood": StandingStart(push=1.0),
+        "mgn": MovingStart(),
+        "contourcraft": SkinnedStart(),
+    }
     if first_frame not in ("auto", *ways):
         raise unknown_name("first frame", first_frame, ("auto", *ways))
     if refine < 0:
@@ -104,14 +119,19 @@ def load_simulator(
         _refuse_other_files_of_a_training(Path(wanted))
     if not Path(wanted).suffix and wanted not in model_descriptions():
         raise unknown_name("model", wanted, model_descriptions())
-    from pb4u.simulation.checkpoint import from_pretrained
-
     # The solver improves a state more, and settles it better, than a further pass or one long step at the same cost.
     beginning = ways.get(first_frame, ways["settled" if refine else "long_step"])
     asked = 1 if passes is None and refine else passes
     return NetworkSimulator(
-        from_pretrained(wanted), propagation_steps, refine, answering, _device(device), asked, beginning, potential
+        _checkpoint(wanted), propagation_steps, refine, answering, _device(device), asked, beginning, potential
     )
+
+
+def _checkpoint(name: str) -> Checkpoint:
+    from pb4u.simulation.checkpoint import from_pretrained
+    from pb4u.simulation.released_weights import SUFFIXES, read_released
+
+    return read_released(name).checkpoint() if Path(name).suffix.lower() in SUFFIXES else from_pretrained(name)
 
 
 def _refuse_other_files_of_a_training(path: Path) -> None:

@@ -45,11 +45,11 @@ _HEADING = """\
 
 """
 _SECTIONS = ("format_version", "scene", "garments", "run")
-_FILES = ("garment", "material", "pins", "body", "motion", "model")
+_FILES = ("garment", "material", "pins", "body", "motion", "model", "omitted")
 """Entries that are a name or a file."""
 
 Device = Literal["auto", "cpu", "cuda"]
-FirstFrameChoice = Literal["auto", "settled", "long_step"]
+FirstFrameChoice = Literal["auto", "settled", "long_step", "release", "hood", "mgn", "contourcraft"]
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,9 @@ class RunSpecification:
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         propagation_steps: override of K for a network; None follows the paper's rule.
         device: "auto", "cpu" or "cuda", for networks and newton.
-        first_frame: way to make frame 0: "settled" by the solver, or by one "long_step" of the method itself; "auto"
-            is settled where the solver runs.
+        first_frame: way to make frame 0: "settled" by the solver, by one "long_step" of the method itself, or as the
+            released code of "release" (Pb4U-GNet), "hood", "mgn" or "contourcraft" begins; "auto" is settled where the
+            solver runs.
 
     Raises:
         InputError: a value of a wrong type or out of range.

@@ -6,6 +6,7 @@ import copy
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import torch
@@ -52,9 +53,10 @@ class StepwiseSimulator(Simulator):
         method = self.method(timeline, record)
         made = 0
         try:
-            state = require_finite(self.first_frame.start(timeline, method))
-            yield _written(scene, timeline, state, method)
-            for frame in range(1, scene.total_frames):
+            for state in islice(self.first_frame.states(timeline, method), scene.total_frames):
+                yield _written(scene, timeline, require_finite(state), method)
+                made += 1
+            for frame in range(made, scene.total_frames):
                 made = frame
                 state = require_finite(take(timeline.step_from(state), method))
                 yield _written(scene, timeline, state, method)
