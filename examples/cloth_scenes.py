@@ -53,8 +53,6 @@ def simulate(scene: pb4u.Scene, out: str, self_contact: bool = True) -> Trajecto
         f"{iterations.mean():.1f} iterations a step (most {iterations.max()}), {record.unsolved} steps unsolved"
     )
     print(f"pairs of triangles that cross: {sum(crossing)} in all frames, {max(crossing)} in the worst")
-    print(
-        f"fastest vertex at the end: {1000 * np.linalg.norm(trajectory.velocities[-1], axis=1).max():.1f} mm/s"
-    )
+    print(f"fastest vertex at the end: {1000 * np.linalg.norm(trajectory.velocities[-1], axis=1).max():.1f} mm/s")
     print("written:", trajectory.save(f"{out}.npz"), pb4u.export_trajectory(trajectory, f"{out}.png"))
     return trajectory
