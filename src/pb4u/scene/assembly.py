@@ -137,10 +137,6 @@ def assemble(specification: SceneSpecification) -> Scene:
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
-    if len(dressed) > 1:
-        apart = "Garments do not feel each other yet: where their layers meet, they pass through one another."
-        notes = (*notes, apart)
-        _say(apart)
     named = {
         worn.garment.name: str(each.garment)
         for worn, each in zip(dressed, specified, strict=True)
