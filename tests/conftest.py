@@ -19,6 +19,15 @@ def test_data() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def compat() -> Path:
+    """Folder of what the released research code computes and writes; it is not part of the repository."""
+    folder = Path(os.environ.get("PB4U_TEST_COMPAT", Path(__file__).resolve().parents[2] / "shared" / "compat"))
+    if not folder.is_dir():
+        pytest.skip("the golden data of the released code is absent; set PB4U_TEST_COMPAT to run this test")
+    return folder
+
+
 @pytest.fixture
 def one_thread() -> Iterator[None]:
     """Small tensor operations on one thread, as trainings on a processor run."""

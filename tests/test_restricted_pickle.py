@@ -3,15 +3,17 @@ import os
 import pickle
 import sys
 import types
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse
+import torch
 
 from pb4u.errors import InputError
-from pb4u.restricted_pickle import load_pickle
+from pb4u.restricted_pickle import load_pickle, load_torch_archive
 
 
 class Calls:
@@ -169,3 +171,66 @@ def test_the_class_that_was_asked_for_is_named(tmp_path: Path) -> None:
 def test_an_absent_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         load_pickle(tmp_path / "absent.pkl")
+
+
+def test_a_torch_archive_is_read_as_arrays(tmp_path: Path) -> None:
+    shared = torch.arange(12.0).reshape(3, 4)
+    content = {
+        "weights": collections.OrderedDict(a=shared, b=shared.T, c=torch.nn.Parameter(shared[1:, 2:])),
+        "kinds": [torch.arange(3), torch.ones(2, dtype=torch.float64), torch.ones(2, dtype=torch.float16)],
+        "empty": torch.zeros(0, 3),
+        "scalar": torch.tensor(2.5),
+        "config": {"model": {"width": 8, "name": None}, "rate": 1e-4},
+    }
+    path = tmp_path / "model.pth"
+    torch.save(content, path)
+    read = load_torch_archive(path)
+    np.testing.assert_array_equal(read["weights"]["b"], shared.numpy().T)
+    np.testing.assert_array_equal(read["weights"]["c"], shared.numpy()[1:, 2:])
+    assert [array.dtype.name for array in read["kinds"]] == ["int64", "float64", "float16"]
+    assert read["empty"].shape == (0, 3)
+    assert read["scalar"] == 2.5
+    assert read["config"] == content["config"]
+
+
+def test_a_torch_archive_that_asks_for_code_is_refused_and_did_not_run(tmp_path: Path) -> None:
+    proof = tmp_path / "proof"
+    path = tmp_path / "model.pth"
+    for attack in (Calls(os.system, f"touch {proof}"), Calls(eval, f"open({str(proof)!r}, 'w').close()")):
+        torch.save({"weights": torch.zeros(2), "config": attack}, path)
+        with pytest.raises(InputError, match="nothing in it was run"):
+            load_torch_archive(path)
+        assert not proof.exists()
+    torch.load(path, weights_only=False)
+    assert proof.exists(), "the attack must work where pickles are trusted, or this test proves nothing"
+
+
+def test_a_torch_archive_that_is_damaged_or_forged_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.pth"
+    torch.save({"weights": torch.zeros(1000)}, path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="no whole archive"):
+        load_torch_archive(path)
+
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("m/data.pkl", pickle.dumps({}))
+        archive.writestr("m/data/0", bytes(10_000_000))
+    with pytest.raises(InputError, match="packed"):
+        load_torch_archive(path)
+
+    with zipfile.ZipFile(path, "w") as archive:
+        # A tensor of 1000 x 1000 out of a storage of one number.
+        archive.writestr(
+            "m/data.pkl",
+            b"ctorch._utils\n_rebuild_tensor_v2\n((S'storage'\nctorch\nFloatStorage\nS'0'\nS'cpu'\nI1\ntQI0\n(I1000\n"
+            b"I1000\nt(I0\nI0\ntI00\nNtR.",
+        )
+        archive.writestr("m/data/0", bytes(4))
+    with pytest.raises(InputError, match="larger than its numbers"):
+        load_torch_archive(path)
+
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("readme.txt", "not a model")
+    with pytest.raises(InputError, match=r"not one of torch\.save"):
+        load_torch_archive(path)

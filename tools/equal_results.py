@@ -24,9 +24,9 @@ from safetensors.numpy import load_file
 
 SCENES = (("tshirt", "walk"), ("dress", "jump"), ("tshirt", "dance"))
 MODELS = {
-    "solver": "--model solver",
-    "network": "--model pb4u-small --refine 0 --contact off",
-    "refined": "--model pb4u-small",
+    "solver": "--model solver --self-contact off",
+    "network": "--model pb4u-small --refine 0 --contact off --self-contact off",
+    "refined": "--model pb4u-small --self-contact off",
     "skinning": "--model skinning",
 }
 TRAININGS = {

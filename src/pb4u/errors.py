@@ -13,6 +13,19 @@ class Pb4uError(Exception):
     """The request failed or was refused; the message is one plain sentence saying what, where and how to mend."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """The user, or the machine, ended the request; what it had made is kept where the message says so.
+
+    Args:
+        sentence: one plain sentence on what is kept; empty for nothing.
+        signal: number of the signal that ended it.
+    """
+
+    def __init__(self, sentence: str = "", signal: int = 2) -> None:
+        super().__init__(sentence)
+        self.signal = signal
+
+
 class InputError(Pb4uError, ValueError):
     """An input (file, name or number) cannot be used as it is."""
 

@@ -182,7 +182,7 @@ def test_an_empty_folder_and_mixed_kinds_are_refused(tmp_path: Path, box: tuple[
         ({"faces": np.full((12, 3), 8)}, "out of range"),
         ({"faces": np.zeros((0, 3), dtype=np.int64)}, "no faces"),
         ({"fps": 0.0}, "positive"),
-        ({"fps": np.array(["fast"])}, "not a readable"),
+        ({"fps": np.array(["fast"])}, "should be one number"),
         ({"contact": np.ones(5, dtype=bool)}, "one value per vertex"),
         ({"scale": 1000.0}, "metres"),
     ],

@@ -18,7 +18,7 @@ from pb4u.errors import InputError, InputWarning, MissingExtraError
 from pb4u.export.finite_frames import hold_finite
 from pb4u.export.picture import View, render
 from pb4u.export.registry import FORMATS, WRITERS, check_target, export, written_files
-from pb4u.scene.trajectory import Trajectory
+from pb4u.scene.trajectory import Trajectory, TrajectoryWriter
 
 PICTURES = {".png", ".jpg", ".gif", ".mp4"}
 DATA_SUFFIXES = [suffix for suffix in WRITERS if suffix not in PICTURES]
@@ -88,6 +88,14 @@ def test_a_full_disk_leaves_nothing(trajectory: Trajectory, tmp_path: Path, suff
     skip_without_usd(suffix)
     with small_disk(), pytest.raises(InputError, match="Cannot write"):
         export(trajectory, tmp_path / f"walk{suffix}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_fills_while_frames_are_simulated_leaves_nothing(trajectory: Trajectory, tmp_path: Path) -> None:
+    writing = TrajectoryWriter(tmp_path / "walk.npz", trajectory.header)
+    with small_disk(), pytest.raises(InputError, match="Cannot write"), writing as writer:
+        for frame in trajectory.frames:
+            writer.append(frame)
     assert list(tmp_path.iterdir()) == []
 
 

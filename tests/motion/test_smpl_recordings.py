@@ -202,7 +202,7 @@ def test_amass_of_pickled_objects_is_refused(tmp_path):
 def test_file_that_is_no_npz_is_refused(tmp_path):
     path = tmp_path / "a.npz"
     path.write_bytes(b"PK\x03\x04 cut short")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="not a readable"):
         load_motion(path)
 
 

@@ -26,6 +26,7 @@ garments = st.builds(
     material=st.none() | st.sampled_from(["silk", "denim"]),
     pins=st.none() | st.just("waist") | st.lists(st.integers(0, 10_000), max_size=4),
     triangles=st.none() | st.integers(200, 200_000),
+    tucked=st.booleans(),
 )
 scenes = st.builds(
     SceneSpecification,
@@ -46,6 +47,7 @@ runs = st.builds(
     scene=scenes,
     model=st.sampled_from(["auto", "solver", "pb4u-small"]),
     contact=st.booleans(),
+    self_contact=st.none() | st.booleans(),
     refine=st.integers(0, 50),
     passes=st.none() | st.integers(1, 9),
     propagation_steps=st.none() | st.integers(1, 99),
@@ -170,6 +172,15 @@ def test_the_first_frame_left_open_is_settled_where_the_solver_runs(asked: dict[
 def test_a_model_with_a_start_of_its_own_takes_no_other() -> None:
     with pytest.raises(InputError, match="skinning starts in a way of its own"):
         RunSpecification(model="skinning", first_frame="settled").simulator()
+
+
+@pytest.mark.parametrize("model", ["skinning", "newton"])
+def test_self_contact_is_refused_where_it_cannot_be(model: str) -> None:
+    with pytest.raises(InputError, match=rf"^{model} .*, so --self-contact cannot be on; leave it out"):
+        RunSpecification(model=model, self_contact=True).simulator()
+    assert RunSpecification(model="skinning", self_contact=False).simulator().name == "skinning"
+    with pytest.raises(InputError, match="self_contact must be true or false"):
+        RunSpecification(self_contact="on")
 
 
 @pytest.mark.parametrize(("refine", "passes"), [(0, None), (5, None), (5, 2)])

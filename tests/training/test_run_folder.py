@@ -11,6 +11,7 @@ import torch
 
 from pb4u.errors import InputError
 from pb4u.training.run_folder import NotSavedError, RunFolder
+from pb4u.training.session import Request, train
 
 
 def test_a_full_disk_leaves_the_last_checkpoint_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,3 +64,11 @@ def test_metrics_forget_steps_that_will_be_taken_again(tmp_path: Path) -> None:
     (folder.path / ".last.safetensors.123").write_bytes(b"half")
     folder.forget_leftovers()
     assert sorted(p.name for p in folder.path.iterdir()) == ["configuration.json", "metrics.jsonl"]
+
+
+def test_one_process_at_a_time_trains_in_a_folder(tmp_path: Path) -> None:
+    folder = RunFolder.create(tmp_path / "run", {})
+    with folder.held(), pytest.raises(InputError, match="Another process is training in"):
+        train(Request(resume=folder.path))
+    with folder.held():
+        pass

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from pb4u.baselines.coarsening import REMEMBERED, coarse_levels
 from pb4u.baselines.meshgraphnet import MESH_GRAPH_LAYOUT
-from pb4u.baselines.rest_meshes import MeshMemory, packed_levels, require_scipy
+from pb4u.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require_scipy
 from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import GARMENT, Graph
@@ -85,19 +85,68 @@ class LevelsByLength:
         return near, max(far, near + 1)
 
 
+class WayUp(Protocol):
+    """A rule for the latents of world edges when a stage on a coarser level has ended."""
+
+    def latents(self, before: Tensor, after: Tensor, stayed: Tensor) -> Tensor:
+        """Latents (edges, width), dimensionless, on the finer level.
+
+        Args:
+            before: (edges, width) [1] when the coarser stage began.
+            after: (edges, width) [1] when it ended.
+            stayed: (edges, 1) [1] factors, 1 for edges of vertices on the coarser level, 0 for those that left it.
+        """
+
+
+@dataclass(frozen=True)
+class AllReturn:
+    """All world edges take back what they had, which HOOD's code does not do: how `comparison-hood` was trained."""
+
+    def latents(self, before: Tensor, after: Tensor, stayed: Tensor) -> Tensor:
+        return before
+
+
+@dataclass(frozen=True)
+class LeftReturn:
+    """Edges that left the level take back what they had, and those that stayed keep what they became: HOOD's rule."""
+
+    def latents(self, before: Tensor, after: Tensor, stayed: Tensor) -> Tensor:
+        return torch.where(stayed > 0.0, after, before)
+
+
 @dataclass(frozen=True, kw_only=True)
 class HoodConfiguration(NetworkConfiguration):
     """Configuration of a HOOD; fields that are not listed are as in `NetworkConfiguration`.
 
     Args:
-        repeats: blocks of each of the five stages; 3 in the paper, 15 blocks together.
+        repeats: blocks of each of the five stages, one number for all or one each; 3 in the paper, 15 blocks together.
         choice: rule for the coarse levels.
+        labelled: number of levels, from the finest, that vertices are labelled by; 3 in HOOD's code, None for the two
+            that are used.
+        way_up: rule for world edges back on a finer level; weights that do not say were trained with the first.
         layout: the columns read; coarse edges have those of mesh edges.
+
+    Raises:
+        InputError: a stage without a block, or a number of labelled levels that is not from 1 to 12.
     """
 
-    repeats: int = 3
+    repeats: int | tuple[int, ...] = 3
     choice: LevelsByHops | LevelsByLength = field(default_factory=LevelsByHops)
+    labelled: int | None = None
+    way_up: AllReturn | LeftReturn = field(default_factory=AllReturn)
     layout: FeatureLayout = field(default_factory=lambda: MESH_GRAPH_LAYOUT)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.blocks_by_stage) != len(SCHEDULE) or min(self.blocks_by_stage) < 1:
+            raise InputError(f"HOOD has {len(SCHEDULE)} stages of 1 block or more each, not {self.repeats}.")
+        if self.labelled is not None and not 1 <= self.labelled <= 12:
+            raise InputError(f"Vertices are labelled by 1 to 12 coarse levels, not {self.labelled}.")
+
+    @property
+    def blocks_by_stage(self) -> tuple[int, ...]:
+        """Number of blocks of each stage."""
+        return (self.repeats,) * len(SCHEDULE) if isinstance(self.repeats, int) else tuple(self.repeats)
 
     def network(self) -> Hood:
         """A network of this configuration with fresh weights."""
@@ -113,12 +162,15 @@ class Hood(EncodeProcessDecode):
 
     def __init__(self, configuration: HoodConfiguration) -> None:
         require_scipy("HOOD")
-        super().__init__(configuration, ("mesh", NEAR, FAR), levels=3)
+        super().__init__(configuration, ("mesh", NEAR, FAR), levels=1 + (configuration.labelled or 2))
         self.choice: LevelChoice = configuration.choice
+        self.labelled = configuration.labelled
+        self.way_up: WayUp = configuration.way_up
         self._levels = MeshMemory(coarse_levels, REMEMBERED)
         width = configuration.width
         self.decoder = MLP(width, width, 3, norm=False)
-        self.schedule = tuple(kinds for kinds in SCHEDULE for _ in range(configuration.repeats))
+        stages = zip(SCHEDULE, configuration.blocks_by_stage, strict=True)
+        self.schedule = tuple(kinds for kinds, count in stages for _ in range(count))
         self.blocks = nn.ModuleList(InteractionBlock(width, (*kinds, "world")) for kinds in self.schedule)
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
@@ -136,19 +188,22 @@ class Hood(EncodeProcessDecode):
             if depth > len(saved):
                 saved.append(_world_latents(graph, edges))
             elif depth < len(saved):
-                edges = edges | saved.pop()
+                stayed = masks[len(saved)]
+                before = saved.pop()
+                edges = edges | {name: self.way_up.latents(before[name], edges[name], stayed[name]) for name in before}
             last = index == len(self.blocks) - 1
             nodes, changed = block(nodes, edges, graph, (GARMENT,) if last else None, masks[depth])
             edges = edges | changed
         return self.decoder(nodes[GARMENT])
 
     def derive(self, garments: PackedGarments) -> Derived:
-        chosen = []
+        chosen, labelled = [], []
         for garment, length in enumerate(garments.mean_edge_lengths):
             near, far = self.choice.levels(length)
-            levels = self._levels.of(garments, garment, far + 1)
+            levels = levels_of(garments, garment, max(far + 1, self.labelled or 0), self._levels)
             chosen.append([levels[near], levels[far]])
-        edges, labels = packed_levels(garments, chosen, (NEAR, FAR))
+            labelled.append(chosen[-1] if self.labelled is None else levels[: self.labelled])
+        edges, labels = packed_levels(garments, chosen, (NEAR, FAR), labelled)
         return Derived(edges=edges, rest={LEVEL: labels})
 
 

@@ -52,8 +52,26 @@ class MeshMemory(Generic[T]):
         return self._results[key]
 
 
+def levels_of(
+    garments: PackedGarments, garment: int, count: int, made: MeshMemory[list[np.ndarray]]
+) -> list[np.ndarray]:
+    """Edges (edges, 2) int64 of the first `count` coarse levels of a garment: of its file where that has so many.
+
+    Args:
+        garments: the pack.
+        garment: index of the garment.
+        count: number of levels.
+        made: makes those of garments whose file has too few.
+    """
+    given = garments.garments[garment].coarse_edges
+    return list(given[:count]) if len(given) >= count else made.of(garments, garment, count)
+
+
 def packed_levels(
-    garments: PackedGarments, levels: Sequence[Sequence[np.ndarray]], kinds: Sequence[str]
+    garments: PackedGarments,
+    levels: Sequence[Sequence[np.ndarray]],
+    kinds: Sequence[str],
+    labelled: Sequence[Sequence[np.ndarray]] | None = None,
 ) -> tuple[dict[str, Tensor], Tensor]:
     """Edges (edges, 2) int64 vertex indices of the pack by kind, and the number of levels at each vertex (vertices,).
 
@@ -63,9 +81,10 @@ def packed_levels(
         garments: the pack.
         levels: edges (edges, 2) int64 indices of each garment's coarse levels, from fine to coarse, numbered within it.
         kinds: names of the last levels of each garment.
+        labelled: levels of each garment that its vertices are labelled by; the same ones by default.
     """
     spans = list(pairwise(garments.vertex_offsets))
-    labels = [level_labels(own, stop - start) for own, (start, stop) in zip(levels, spans, strict=True)]
+    labels = [level_labels(own, stop - start) for own, (start, stop) in zip(labelled or levels, spans, strict=True)]
     shifted = [[edges + start for edges in own] for own, (start, _) in zip(levels, spans, strict=True)]
     named = zip(kinds, zip(*(own[-len(kinds) :] for own in shifted), strict=True), strict=True)
     edges = {kind: torch.from_numpy(np.concatenate(parts)).to(garments.device) for kind, parts in named}

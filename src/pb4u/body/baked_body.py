@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from functools import lru_cache
 from importlib.resources import as_file, files
@@ -13,6 +12,7 @@ import numpy as np
 from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
+from pb4u.reading_limits import read_arrays
 
 FORMAT_VERSION = 1
 BUILT_IN = ("woman", "man")
@@ -55,12 +55,14 @@ class BakedBody(BodyModel):
         path = Path(path)
         self.name = path.stem
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                version = int(archive["format_version"])
-                members = {key: archive[key] for key in _MEMBERS}
+            members = read_arrays(path, ("format_version", *_MEMBERS))
+            version = int(members["format_version"])
+            members = {key: members[key] for key in _MEMBERS}
+        except InputError:
+            raise
         except KeyError as error:
             raise InputError(f"{path}: not a baked body, its member {error} is missing.") from error
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
+        except (TypeError, ValueError) as error:
             raise InputError(f"{path}: not a readable baked body ({error}).") from error
         if version != FORMAT_VERSION:
             raise InputError(f"{path}: a baked body of format {version}, not {FORMAT_VERSION}; bake it again.")

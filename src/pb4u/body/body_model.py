@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -141,6 +141,10 @@ class ShapedBody:
         """The body moving through `poses`."""
         return PosedBody(self, poses)
 
+    def with_contact(self, contact: np.ndarray) -> ShapedBody:
+        """The same body with other vertices left out of contact: `contact` (vertices,) bool is False there."""
+        return replace(self, contact=contact)
+
     @property
     def height(self) -> float:
         """Height at rest [m]."""
@@ -176,7 +180,7 @@ class PosedBody(AnimatedBody):
 
     def positions(self, start: int, stop: int) -> Tensor:
         if self.body.pose_offsets is not None:
-            return self._corrected_positions(self.body.pose_offsets, start, stop)
+            return self.corrected(self._surface, self.body.pose_offsets, start, stop)
         return self._surface.positions(self.transforms[start:stop])
 
     def skin(self, rest_vertices: np.ndarray, weights: SkinningWeights, start: int, stop: int) -> Tensor:
@@ -200,17 +204,28 @@ class PosedBody(AnimatedBody):
     def _surface(self) -> SkinnedSurface:
         return SkinnedSurface(self.body.vertices, self.body.weights, self.body.skeleton.bone_count)
 
-    def _corrected_positions(self, pose_offsets: np.ndarray, start: int, stop: int) -> Tensor:
-        """Positions with pose-dependent corrections of the rest surface, some frames at a time to bound memory."""
+    def corrected(self, surface: SkinnedSurface, pose_offsets: np.ndarray, start: int, stop: int) -> Tensor:
+        """A surface moved by the bones of this body, with pose-dependent corrections of its rest shape.
+
+        Args:
+            surface: skinned to the bones.
+            pose_offsets: (vertices, 3, pose features) [m], see `ShapedBody`.
+            start: first frame.
+            stop: frame after the last.
+
+        Returns:
+            (stop - start, vertices, 3) float32 [m].
+        """
+        # Some frames at a time, to bound memory.
         flat = pose_offsets.reshape(-1, pose_offsets.shape[-1]).astype(np.float32, copy=False)
         directions = torch.from_numpy(flat).T
         parents = torch.from_numpy(self.body.skeleton.parents[1:])
-        result = self._surface.positions(self.transforms[start:stop])
+        result = surface.positions(self.transforms[start:stop])
         for first in range(0, len(result), SkinnedSurface.CHUNK):
             transforms = self.transforms[start:stop][first : first + SkinnedSurface.CHUNK]
             rotations = transforms[..., :3]
             local = rotations[:, parents].transpose(-1, -2) @ rotations[:, 1:]
             features = (local - torch.eye(3)).flatten(1)
             offsets = (features @ directions).view(len(transforms), -1, 3)
-            result[first : first + SkinnedSurface.CHUNK] += self._surface.turned(offsets, transforms)
+            result[first : first + SkinnedSurface.CHUNK] += surface.turned(offsets, transforms)
         return result

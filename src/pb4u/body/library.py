@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -11,8 +10,11 @@ from typing import NamedTuple
 
 from pb4u.body.baked_body import BUILT_IN, BakedBody
 from pb4u.body.body_model import BodyModel, ShapedBody
-from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence
+from pb4u.body.smpl import SmplBody
+from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence, load_vertex_sequence
 from pb4u.errors import InputError, unknown_name
+from pb4u.reading_limits import member_names
+from pb4u.restricted_pickle import load_pickle
 
 
 class _Format(NamedTuple):
@@ -29,7 +31,7 @@ _FOLDER = "/"
 _FORMATS = (
     _Format("pb4u.body.baked_body:BakedBody", (".npz",), ("term_basis",)),
     _Format("pb4u.body.smpl:SmplBody", (".npz",), ("v_template", "shapedirs", "kintree_table")),
-    _Format("pb4u.body.smpl:SmplBody", (".pkl",)),
+    _Format("pb4u.body.library:read_pickled_body", (".pkl",)),
     _Format("pb4u.body.vertex_sequence:load_vertex_sequence", (".npz", *SUFFIXES, _FOLDER)),
 )
 _MODELS = {"anny": "pb4u.body.anny_body:AnnyBody"}
@@ -63,6 +65,20 @@ def load_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None
     return body
 
 
+def read_pickled_body(path: Path) -> BodyModel | VertexSequence:
+    """A body in a pickle, of which nothing is run: a sequence of vertices where it has them, else an SMPL model.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: it is neither, or its parts do not fit each other.
+    """
+    content = load_pickle(path)
+    is_sequence = isinstance(content, Mapping) and "verts" in content
+    return load_vertex_sequence(path) if is_sequence else SmplBody(path)
+
+
 @lru_cache(maxsize=8)
 def _built_in(name: str, shape: tuple[tuple[str, float], ...]) -> ShapedBody:
     """Kept, because garments keep what they worked out about a body for as long as it lives."""
@@ -81,11 +97,7 @@ def _read(path: Path) -> BodyModel | VertexSequence:
     suffix = _FOLDER if path.is_dir() else suffix
     members: set[str] = set()
     if suffix == ".npz":
-        try:
-            with zipfile.ZipFile(path) as archive:
-                members = {Path(member).stem for member in archive.namelist()}
-        except (OSError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path}: not a readable .npz ({error}).") from error
+        members = set(member_names(path))
     fitting = (f for f in _FORMATS if suffix in f.suffixes and (not f.members or members & set(f.members)))
     # What is of no known kind is refused by the reader of the last one, which lists the kinds.
     return resolve_name(next(fitting, _FORMATS[-1]).reader)(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import strongest_influences
 from pb4u.errors import InputError
+from pb4u.reading_limits import read_arrays
 from pb4u.restricted_pickle import load_pickle
 
 BETA_RANGE = (-10.0, 0.0, 10.0)
@@ -37,6 +37,8 @@ _HAND_JOINTS = {"left_wrist", "right_wrist", "left_hand", "right_hand", *_FINGER
 # Bones that move one vertex at most, which bounds the cost of skinning; the others' shares go to these.
 _MAX_INFLUENCES = 8
 # A SMPL-X file appends 10 or 100 expression directions to its 10 or 300 of shape.
+_OMITTED_TYPE = 2
+"""Type of a body vertex left out of contact in the released code."""
 _SMPLX_EXPRESSIONS = {20: 10, 400: 100}
 
 
@@ -101,11 +103,7 @@ def _load(path: Path) -> Mapping[str, Any]:
         if not isinstance(members, dict):
             raise InputError(f"{path} holds a {type(members).__name__}, not the members of an SMPL model.")
     else:
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                members = {key: archive[key] for key in _MEMBERS if key in archive.files}
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
-            raise InputError(f"{path}: not a readable .npz of plain arrays ({error}).") from error
+        members = read_arrays(path, _MEMBERS)
     if missing := [key for key in _MEMBERS if key not in members]:
         raise InputError(f"{path}: not an SMPL, SMPL-H or SMPL-X model, it lacks {', '.join(missing)}.")
     return members
@@ -145,3 +143,36 @@ def _parents(path: Path, row: np.ndarray) -> np.ndarray:
     if (parents[1:] < 0).any() or (parents[1:] >= np.arange(1, len(parents))).any():
         raise InputError(f'{path}: in "kintree_table" a joint comes before its parent; download the model again.')
     return parents
+
+
+def read_contact(path: Path, vertices: int) -> np.ndarray:
+    """Flags (vertices,) bool of the body vertices that may be touched, from a file of those left out.
+
+    Args:
+        path: `smpl_aux.pkl` of the released code, {"vertex_type": 1, or 2 where left out}, or indices as text.
+        vertices: number of vertices of the body.
+
+    Raises:
+        InputError: the file is neither, or is for another body.
+    """
+    if not path.is_file():
+        raise InputError(f"There is no file {path} of body vertices to leave out.")
+    contact = np.ones(vertices, dtype=bool)
+    if path.suffix.lower() != ".pkl":
+        try:
+            omitted = np.array(
+                [int(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()], dtype=np.int64
+            )
+        except (OSError, ValueError):
+            raise InputError(f"{path} is no list of vertex numbers; write one a line.") from None
+        if len(omitted) and not 0 <= omitted.min() <= omitted.max() < vertices:
+            raise InputError(f"{path} names vertices that the body does not have; it has {vertices:,}.")
+        contact[omitted] = False
+        return contact
+    content = load_pickle(path)
+    types = np.asarray(content.get("vertex_type") if isinstance(content, Mapping) else None)
+    if types.dtype.kind not in "iu" or types.size != vertices:
+        raise InputError(
+            f'{path} should hold "vertex_type", a number for each of the {vertices:,} vertices of the body.'
+        )
+    return types.reshape(-1) != _OMITTED_TYPE

@@ -6,6 +6,7 @@ import io
 import re
 import struct
 import warnings
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
 from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
+from pb4u.reading_limits import member_names, read_arrays, told_names
+from pb4u.restricted_pickle import load_pickle
 
 DEFAULT_FPS = 30.0
 MOST_TRIANGLES = 1_000_000
@@ -103,6 +106,10 @@ class VertexSequence(AnimatedBody):
         held = round(self.held_start * fps / self.fps)
         return VertexSequence(self.name, self.vertices, self.faces, self.stored_fps, self.contact, fps, held)
 
+    def with_contact(self, contact: np.ndarray) -> VertexSequence:
+        """The same motion with other vertices left out of contact: `contact` (vertices,) bool is False there."""
+        return VertexSequence(self.name, self.vertices, self.faces, self.stored_fps, contact, self.fps, self.held_start)
+
     def with_held_start(self, frames: int) -> VertexSequence:
         """The same motion after `frames` more frames of its first one."""
         return VertexSequence(
@@ -156,6 +163,8 @@ def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSe
     file_fps: float | None = None
     if path.is_dir():
         vertices, faces = _read_folder(path)
+    elif path.suffix.lower() == ".pkl":
+        vertices, faces = _read_pickle(path)
     elif path.suffix.lower() == ".npz":
         vertices, faces, file_fps, contact = _read_npz(path)
     elif path.suffix.lower() in SUFFIXES:
@@ -186,6 +195,20 @@ def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return mesh.vertices, np.concatenate(mesh.polygons)[triangulate(mesh.vertices, mesh.polygons)[0]]
 
 
+def _read_pickle(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (frames, vertices, 3) float32 and triangles (faces, 3) of a mesh sequence of the released code."""
+    content = load_pickle(path)
+    if not isinstance(content, Mapping) or not {"verts", "faces"} <= set(content):
+        raise InputError(f'{path}: a moving body in a pickle has "verts" and "faces".')
+    vertices, faces = np.asarray(content["verts"]), np.asarray(content["faces"])
+    if vertices.ndim != 3 or vertices.shape[2] != 3 or vertices.dtype.kind != "f" or not len(vertices):
+        raise InputError(f'{path}: "verts" has the shape {vertices.shape}, where (frames, vertices, 3) belongs.')
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise InputError(f'{path}: "faces" has the shape {faces.shape}, where (faces, 3) whole numbers belong.')
+    _refuse_large(path, len(faces))
+    return vertices.astype(np.float32), faces.astype(np.int64)
+
+
 def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (frames, vertices, 3) float32 of the files of one topology in a folder, and its triangles (faces, 3)."""
     files = [p for p in folder.iterdir() if p.suffix.lower() in _MESH_SUFFIXES and not p.name.startswith(".")]
@@ -211,7 +234,7 @@ def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     return frames, faces
 
 
-def _read_frame(path: Path) -> tuple[np.ndarray, list[bytes] | bytes]:
+def _read_frame(path: Path) -> tuple[np.ndarray, bytes]:
     """Vertices (vertices, 3), and what is equal between files with the same faces."""
     if path.suffix.lower() == ".obj":
         return read_obj_vertices(path)
@@ -221,23 +244,20 @@ def _read_frame(path: Path) -> tuple[np.ndarray, list[bytes] | bytes]:
 
 def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndarray | None]:
     """Members of a sequence, or the body of a trajectory of this package."""
+    keys = set(member_names(path))
+    prefix = "body_" if {"body_positions", "body_faces"} <= keys else ""
+    names = [key for key in (f"{prefix}positions", "vertices") if key in keys]
+    if not names or f"{prefix}faces" not in keys:
+        raise InputError(
+            f'{path} has the members {told_names(keys)}; a moving body needs "vertices" (frames, vertices, 3) and '
+            '"faces" (faces, 3).'
+        )
+    members = read_arrays(path, (names[0], f"{prefix}faces", "fps", f"{prefix}contact"))
+    vertices, faces, contact = members[names[0]], members[f"{prefix}faces"], members.get(f"{prefix}contact")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            keys = set(archive.files)
-            prefix = "body_" if {"body_positions", "body_faces"} <= keys else ""
-            names = [key for key in (f"{prefix}positions", "vertices") if key in keys]
-            if not names or f"{prefix}faces" not in keys:
-                raise InputError(
-                    f'{path} has the members {", ".join(sorted(keys)) or "(none)"}; a moving body needs "vertices" '
-                    '(frames, vertices, 3) and "faces" (faces, 3).'
-                )
-            vertices, faces = archive[names[0]], archive[f"{prefix}faces"]
-            fps = float(archive["fps"]) if "fps" in keys else None
-            contact = archive[f"{prefix}contact"] if f"{prefix}contact" in keys else None
-    except InputError:
-        raise
-    except Exception as error:  # zipfile and numpy let through whatever their parsers trip over
-        raise InputError(f"{path}: not a readable .npz of plain arrays ({error}).") from error
+        fps = float(members["fps"]) if "fps" in members else None
+    except (TypeError, ValueError):
+        raise InputError(f'{path}: "fps" should be one number, and is {members["fps"].dtype}.') from None
     if vertices.ndim != 3 or vertices.shape[2] != 3 or not len(vertices) or vertices.dtype.kind != "f":
         raise InputError(
             f'{path}: "{names[0]}" has shape {vertices.shape} of {vertices.dtype}; '
@@ -247,7 +267,8 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndar
         raise InputError(f'{path}: "faces" has shape {faces.shape} of {faces.dtype}; it needs (faces, 3) integers.')
     if contact is not None and contact.shape != (vertices.shape[1],):
         raise InputError(f'{path}: "contact" has shape {contact.shape}; it needs one value per vertex.')
-    return vertices.astype(np.float32), faces.astype(np.int64), fps, None if contact is None else contact.astype(bool)
+    vertices, faces = vertices.astype(np.float32, copy=False), faces.astype(np.int64, copy=False)
+    return vertices, faces, fps, None if contact is None else contact.astype(bool)
 
 
 def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
@@ -13,7 +13,7 @@ import typer
 
 from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError
-from pb4u.export.registry import formats_help, written_files
+from pb4u.export.registry import formats_help, is_same_file, would_overwrite, written_files
 from pb4u.progress import Progress, unheard
 
 Switch: TypeAlias = Literal["on", "off"]
@@ -103,6 +103,44 @@ def check_writable(path: Path, flag: str) -> None:
         raise InputError(f"{path} for {flag} is a folder; give the name of a file.")
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"The folder {path.parent} for {flag} cannot be written to.")
+
+
+def keep_inputs(
+    inputs: Iterable[object], outputs: Sequence[tuple[str, Path | str | None]], exports: Sequence[Path] = ()
+) -> None:
+    """Refuse an output that would replace what is read, or another output; called before any work is done.
+
+    Args:
+        inputs: names and paths of what is read; what is no file or folder is left out.
+        outputs: the flag that names each, for the message, and its path; None and "-" write no file.
+        exports: what trajectories are written to, of which some make files of other names.
+
+    Raises:
+        InputError: two of them are one file.
+    """
+    given = [Path(str(name)) for name in inputs if isinstance(name, str | Path)]
+    read = [file for path in given if path.exists() for file in _with_companions(path)]
+    written: list[tuple[Path, Path]] = []
+    single = [(flag, Path(path)) for flag, path in outputs if path is not None and str(path) != "-"]
+    for flag, path, is_export in [*((f, p, False) for f, p in single), *(("--out", p, True) for p in exports)]:
+        for file in read:
+            if would_overwrite(path, file) if is_export else is_same_file(path, file):
+                raise InputError(f"{flag} {path} would overwrite {file}, which is read; give another name.")
+        for other, file in written:
+            if would_overwrite(path, file) if is_export else is_same_file(path, file):
+                raise InputError(f"{path} and {other} would both be written to {file}; give each a name of its own.")
+        written += [(path, file) for file in (written_files(path, 1) if is_export else (path,))]
+
+
+def _with_companions(path: Path) -> list[Path]:
+    """A file and those that are read with it: the skeleton of a trial, the mesh of a point cache and its cache."""
+    suffixes = {".amc": (".asf",), ".pc2": (".obj",), ".obj": (".pc2", ".mdd"), ".mdd": (".obj",)}
+    beside = suffixes.get(path.suffix.lower(), ())
+    return [path, *(p for p in path.absolute().parent.glob("*") if p.suffix.lower() in beside and _belongs(p, path))]
+
+
+def _belongs(companion: Path, path: Path) -> bool:
+    return companion.suffix.lower() == ".asf" or companion.stem == path.stem
 
 
 class BodyShape(dict[str, float]):

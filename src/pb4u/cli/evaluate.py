@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import Switch, check_json_target, progress_bar, write_json
+from pb4u.cli.console import Switch, check_json_target, keep_inputs, progress_bar, write_json
 from pb4u.errors import InputError, Pb4uError
 
 if TYPE_CHECKING:
@@ -85,6 +85,8 @@ def evaluate(
     from pb4u.evaluation.report import PAGE, PLOTS
 
     check_json_target(json)
+    read = [name for names in (models, garments, motions, bodies) for name in _names(names) or ()]
+    keep_inputs(read, [("--json", json)])
     if workers < 1:
         raise InputError(f"The number of workers must be 1 or more, not {workers}.")
     if refine < 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import traceback
 import warnings
@@ -11,8 +12,8 @@ from typing import Annotated
 import typer
 
 from pb4u import __version__
-from pb4u.cli import assets, check, evaluate, info, simulate, train, trajectory_verbs
-from pb4u.errors import InputWarning, Pb4uError
+from pb4u.cli import assets, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
+from pb4u.errors import InputWarning, Interrupted, Pb4uError
 
 app = typer.Typer(
     name="pb4u",
@@ -27,6 +28,7 @@ for verb in (
     trajectory_verbs.view,
     check.check,
     trajectory_verbs.convert,
+    convert_weights.convert_weights,
     train.train,
     evaluate.evaluate,
     info.info,
@@ -68,8 +70,12 @@ def main() -> None:
         warnings.simplefilter("ignore")
         warnings.showwarning = _one_line_warning
     warnings.simplefilter("always", InputWarning)
+    answer_signals()
     try:
         app()
+    except SystemExit as ended:
+        _tell_interrupt(ended)
+        raise
     except Pb4uError as error:
         _fail(str(error), debug)
     except MemoryError:
@@ -77,6 +83,29 @@ def main() -> None:
     except OSError as error:
         where = f" ({error.filename})" if error.filename else ""
         _fail(f"{error.strerror or error}{where}.", debug)
+
+
+def answer_signals() -> None:
+    """Let a request to end, and a terminal that closes, unwind as an interrupt does, so that nothing is left behind."""
+
+    def end(number: int, _: object) -> None:
+        raise Interrupted(signal=number)
+
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        # What is ignored, as under nohup, stays ignored.
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, end)
+
+
+def _tell_interrupt(ended: SystemExit) -> None:
+    """Say what is kept where an interrupt ended the command, and end with the code of its signal."""
+    error: BaseException | None = ended
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    if error is not None:
+        print(f"pb4u: interrupted; {str(error) or 'nothing was written'}.", file=sys.stderr)
+        ended.code = 128 + getattr(error, "signal", 2)
 
 
 def _fail(sentence: str, debug: bool) -> None:

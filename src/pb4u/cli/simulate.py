@@ -18,11 +18,12 @@ from pb4u.cli.console import (
     Switch,
     check_json_target,
     check_writable,
+    keep_inputs,
     progress_bar,
     write_json,
     wrote,
 )
-from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name
+from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError, unknown_name
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 from pb4u.simulation.run_specification import Device, FirstFrameChoice, Precision, RunSpecification
 
@@ -77,8 +78,17 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Built-in garment, or a mesh file in metres that fits the body at rest. Repeatable, inner first. "
+            help="Built-in garment, a mesh file in metres that fits the body at rest, or FILE.pkl:NAME of a garments "
+            "dictionary of HOOD's family. Repeatable, inner first. "
             f"Default: {GarmentSpecification.garment}.",
+        ),
+    ] = None,
+    tuck: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Garment of the scene that goes into what is worn from the waist, such as trousers, wherever it "
+            "stands in the order. Repeatable.",
         ),
     ] = None,
     body: Annotated[
@@ -116,6 +126,20 @@ def simulate(
     arms_away: Annotated[
         float | None, typer.Option(help="Hold hanging arms this many degrees away from the torso. Default: 0.")
     ] = None,
+    as_recorded: Annotated[
+        bool | None,
+        typer.Option(
+            "--as-recorded/--retargeted",
+            help="Play an SMPL recording (.pkl, AMASS .npz) as it is, on the shape, place and height that it has; "
+            "--arms-away 20 is the released code's separate_arms. Default: retargeted.",
+        ),
+    ] = None,
+    omitted: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE", help="Body vertices left out of contact: smpl_aux.pkl, or a list. Default: the body's own."
+        ),
+    ] = None,
     pins: Annotated[
         list[GarmentValue] | None,
         typer.Option(
@@ -149,7 +173,8 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="solver, skinning, newton, or a network by name or .safetensors file. Default: pb4u-small.",
+            help="solver, skinning, newton, or a network by name, .safetensors file or .pth of the released code. "
+            "Default: pb4u-small.",
         ),
     ] = None,
     propagation_steps: Annotated[
@@ -170,6 +195,13 @@ def simulate(
     contact: Annotated[
         Switch | None, typer.Option(help="Push the garment out of the body after each step. Default: on.")
     ] = None,
+    self_contact: Annotated[
+        Switch | None,
+        typer.Option(
+            help="Cloth feels cloth, within a garment and between garments. Default: on for the solver and networks; "
+            "skinning and newton cannot."
+        ),
+    ] = None,
     device: Annotated[
         Device | None,
         typer.Option(help="Where a network or newton computes; the solver always runs on the CPU. Default: auto."),
@@ -177,8 +209,11 @@ def simulate(
     first_frame: Annotated[
         FirstFrameChoice | None,
         typer.Option(
-            help="How frame 0 is made: settled by the solver, or in one long step of the method itself, as in the "
-            "paper. Default: auto, which is settled wherever the solver takes part."
+            "--first-frame",
+            "--start",
+            help="How frame 0 is made: settled by the solver, in one long step of the method itself, as in the paper, "
+            "or as the released code begins: release (Pb4U-GNet), hood, mgn, contourcraft. Default: auto, which is "
+            "settled wherever the solver takes part.",
         ),
     ] = None,
     precision: Annotated[
@@ -219,20 +254,23 @@ def simulate(
         described,
         scene=replace(
             described.scene,
-            garments=_dressed(described.scene.garments, garment, material=material, pins=pins, triangles=triangles),
+            garments=_dressed(
+                described.scene.garments, garment, tuck, material=material, pins=pins, triangles=triangles
+            ),
             body_shape={**({} if body else described.scene.body_shape), **BodyShape.of(body_shape)},
             crop=crop or (None if motion else described.scene.crop),
             **_given(
                 body=body, motion=motion, fps=fps, lead_in=lead_in, keep_lead_in=keep_lead_in, arms_away=arms_away,
-                frames=frames, seed=seed,
+                frames=frames, seed=seed, as_recorded=as_recorded, omitted=omitted,
             ),
         ),
         **_given(
             model=model, propagation_steps=propagation_steps, passes=passes, refine=refine,
-            contact=contact and contact == "on", device=device, first_frame=first_frame,
-            precision=precision,
+            contact=contact and contact == "on", self_contact=self_contact and self_contact == "on", device=device,
+            first_frame=first_frame, precision=precision,
         ),
     )  # fmt: skip
+    keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])
     _simulate(run, list(out) if out else _default_targets(run.scene), save_scene, json)
 
 
@@ -241,7 +279,10 @@ def _given(**flags: Any) -> dict[str, Any]:
 
 
 def _dressed(
-    described: Sequence[GarmentSpecification], named: list[str] | None, **flags: list[GarmentValue] | None
+    described: Sequence[GarmentSpecification],
+    named: list[str] | None,
+    tuck: list[str] | None,
+    **flags: list[GarmentValue] | None,
 ) -> tuple[GarmentSpecification, ...]:
     """The garments that the flags name, or those of the scene file, with what else the flags say of each."""
     garments = [GarmentSpecification(name) for name in named] if named else list(described)
@@ -251,7 +292,11 @@ def _dressed(
             garment if value is None else replace(garment, **{field: value})
             for garment, value in zip(garments, values, strict=True)
         ]
-    return tuple(garments)
+    known = [garment.name for garment in garments]
+    for name in tuck or []:
+        if name not in known:
+            raise unknown_name("garment in this scene", name, known)
+    return tuple(replace(garment, tucked=garment.tucked or garment.name in (tuck or [])) for garment in garments)
 
 
 def _one_each(flag: str, given: list[GarmentValue], names: list[str]) -> list[Any]:
@@ -295,6 +340,7 @@ def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | Non
     check_json_target(json)
     if save_scene is not None:
         check_writable(save_scene, "--save-scene")
+    keep_inputs(run.files(), [("--save-scene", save_scene), ("--json", json)], targets)
     simulator = run.simulator()
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
         _warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
@@ -304,7 +350,7 @@ def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | Non
     record = RunRecord()
     left = list(targets)
     trajectory = _trajectory(run, simulator, scene, left, record)
-    _export(trajectory, left)
+    _export(trajectory, left, next((target for target in targets if target not in left), None))
     if json != "-":
         print(wrote(targets, trajectory.frame_count))
     diverged = None
@@ -337,20 +383,29 @@ def _trajectory(
     run: RunSpecification, simulator: Simulator, scene: Scene, targets: list[Path], record: RunRecord
 ) -> Trajectory:
     """Simulate into the first .npz asked for, which is taken off `targets`, else into memory."""
+    from pb4u.scene.trajectory import interrupted_path
+
     file = next((target for target in targets if target.suffix.lower() == ".npz"), None)
+    kept = interrupted_path(file or targets[0])
     if file is not None:
         targets.remove(file)
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with progress_bar(f"{count:,} triangles, {simulator.name}") as progress:
-        return run.roll_out(simulator, scene, file, record, progress)
+        return run.roll_out(simulator, scene, file, record, progress, kept)
 
 
-def _export(trajectory: Trajectory, targets: list[Path]) -> None:
+def _export(trajectory: Trajectory, targets: list[Path], saved: Path | None) -> None:
+    """Write the files asked for; `saved` is the trajectory's, where it has one already."""
     from pb4u.export.registry import export
+    from pb4u.scene.trajectory import interrupted_path
 
-    for target in targets:
-        with progress_bar(f"writing {target.name}") as progress:
-            export(trajectory, target, progress)
+    try:
+        for target in targets:
+            with progress_bar(f"writing {target.name}") as progress:
+                export(trajectory, target, progress)
+    except KeyboardInterrupt as error:
+        kept = saved or trajectory.save(interrupted_path(targets[0]))
+        raise Interrupted(f"all {trajectory.frame_count} frames are in {kept}", getattr(error, "signal", 2)) from error
 
 
 def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, write_json
+from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, write_json
 
 
 def train(
@@ -51,6 +51,7 @@ def train(
     from pb4u.training.session import train as run
 
     check_json_target(json)
+    keep_inputs([pack], [("--json", json)])
     result = run(Request(preset, steps, minutes, out, resume, pack, recordings, tuple(set_ or ()), device))
     if json:
         write_json(result, json)

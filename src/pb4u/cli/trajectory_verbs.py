@@ -9,11 +9,25 @@ from typing import Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import FORMATS, FrameRange, JsonFlag, check_json_target, progress_bar, write_json, wrote
+from pb4u.cli.console import (
+    FORMATS,
+    FrameRange,
+    JsonFlag,
+    check_json_target,
+    keep_inputs,
+    progress_bar,
+    write_json,
+    wrote,
+)
 
 
 def convert(
-    trajectory: Annotated[Path, typer.Argument(help="Trajectory .npz written by `pb4u simulate`.", show_default=False)],
+    trajectory: Annotated[
+        Path,
+        typer.Argument(
+            help="Trajectory .npz written by `pb4u simulate`, or a result .pkl of HOOD's family.", show_default=False
+        ),
+    ],
     out: Annotated[Path, typer.Argument(help=f"File to write: {FORMATS}", show_default=False)],
     every: Annotated[int, typer.Option(help="Keep every N-th frame; the frame rate is divided by N.")] = 1,
     range_: Annotated[
@@ -33,12 +47,13 @@ def convert(
 ) -> None:
     """Write a trajectory in another format."""
     from pb4u.export.registry import check_target, export
+    from pb4u.export.result_pickle import open_trajectory
     from pb4u.export.selection import on_source, select_frames
-    from pb4u.scene.trajectory import Trajectory
 
     check_target(out)
     check_json_target(json)
-    opened = Trajectory.open(trajectory)
+    keep_inputs([trajectory], [("--json", json)], [out])
+    opened = open_trajectory(trajectory)
     chosen = select_frames(opened, range_, every)
     if on == "source":
         chosen = on_source(chosen)
@@ -53,22 +68,28 @@ def convert(
 
 def view(
     trajectory: Annotated[
-        Path | None, typer.Argument(help="Trajectory .npz written by `pb4u simulate`.", show_default=False)
+        Path | None,
+        typer.Argument(
+            help="Trajectory .npz of `pb4u simulate`, or a result .pkl of HOOD's family.", show_default=False
+        ),
     ] = None,
     other: Annotated[Path | None, typer.Argument(help="Another one, shown beside it.", show_default=False)] = None,
     host: Annotated[
-        str, typer.Option(help="Address to listen on; 0.0.0.0 lets everyone on the network in.")
+        str,
+        typer.Option(
+            help="Address to listen on; 0.0.0.0 lets in who comes by the network with the token of its address."
+        ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8094,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
     out: Annotated[Path | None, typer.Option(help="Folder that exports are kept in, besides being downloaded.")] = None,
 ) -> None:
     """Play, compare, simulate live and export, in the browser."""
-    from pb4u.scene.trajectory import Trajectory
+    from pb4u.export.result_pickle import open_trajectory
     from pb4u.viewer.clip import RecordedClip
     from pb4u.viewer.studio import Studio
 
-    clips = tuple(RecordedClip(Trajectory.open(path), path.name) for path in (trajectory, other) if path is not None)
+    clips = tuple(RecordedClip(open_trajectory(path), path.name) for path in (trajectory, other) if path is not None)
     studio = Studio(clips, host, port, out)
     try:
         print(f"The studio is at {studio.url} (Ctrl-C ends it).", flush=True)

@@ -283,7 +283,7 @@ def _models(request: EvaluationRequest, protocol: Protocol, device: str) -> tupl
 def _model(name: str, label: str, device: str) -> ModelRecord:
     if Path(name).suffix and not Path(name).is_file():
         raise InputError(f"There is no model file {name}.")
-    simulator = load_simulator(name, contact=False, refine=0, device=device)
+    simulator = load_simulator(name, contact=False, self_contact=False, refine=0, device=device)
     if simulator.fps is not None and not math.isclose(simulator.fps, FPS, rel_tol=1e-3):
         raise InputError(f"{name} runs at {simulator.fps:g} frames per second; the protocols run at {FPS:g}.")
     if not isinstance(simulator, NetworkSimulator):

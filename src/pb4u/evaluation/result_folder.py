@@ -21,6 +21,7 @@ from pb4u import __version__
 from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError, Pb4uError
 from pb4u.evaluation.rollout import PROTOCOL_VERSION, Failure, Rollout, RolloutJob
+from pb4u.reading_limits import read_json
 
 MANIFEST, JOBS, LOCK = "manifest.json", "jobs", ".lock"
 
@@ -60,7 +61,7 @@ class ResultFolder:
             return
         again = "give another --out."
         try:
-            manifest = json.loads(file.read_text(encoding="utf-8"))
+            manifest = read_json(file)
             version, made_by, held = manifest["protocol_version"], manifest["pb4u"], manifest["protocol"]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{file} is not the manifest of an evaluation; {again}") from error
@@ -127,7 +128,7 @@ class ResultFolder:
     def result(self, job: RolloutJob) -> dict[str, Any] | None:
         """The result of a job; None where there is none, or none that is whole."""
         try:
-            envelope = json.loads((self._jobs / f"{job.key}.json").read_text(encoding="utf-8"))
+            envelope = read_json(self._jobs / f"{job.key}.json")
             result = envelope["result"]
             whole = envelope["key"] == job.key and envelope["checksum"] == _checksum(result)
         except (OSError, ValueError, KeyError, TypeError):
@@ -154,7 +155,7 @@ class ResultFolder:
     def failure(self, job: RolloutJob) -> Failure | None:
         """Reason why a job has no result; None where it was not tried, or came off."""
         try:
-            record = json.loads(self._failed(job).read_text(encoding="utf-8"))
+            record = read_json(self._failed(job))
             return Failure(str(record["sentence"]), str(record["trace"]))
         except (OSError, ValueError, KeyError, TypeError):
             return None

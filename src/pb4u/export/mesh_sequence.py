@@ -9,6 +9,7 @@ rate of the scene has to be set to that of the trajectory: PC2 holds none, and B
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
 
@@ -31,6 +32,27 @@ def frame_files(path: Path, frames: int) -> tuple[Path, ...]:
         frames: number of frames.
     """
     return tuple(path.with_name(f"{path.stem}_{t:04d}{path.suffix}") for t in range(frames))
+
+
+def later_frame_files(path: Path, frames: int) -> tuple[Path, ...]:
+    """Files of an OBJ sequence that was written here before and had more frames.
+
+    Args:
+        path: name that the files are derived from.
+        frames: number of frames of the sequence.
+    """
+    numbered = re.compile(re.escape(path.stem) + r"_(\d{4,})" + re.escape(path.suffix))
+    found = [(file, numbered.fullmatch(file.name)) for file in path.parent.iterdir()]
+    later = [file for file, match in found if match and int(match.group(1)) >= frames and is_own(file)]
+    return tuple(sorted(later))
+
+
+def is_own(mesh: Path) -> bool:
+    """Whether an OBJ file was written here."""
+    if not mesh.is_file():
+        return False
+    with mesh.open("rb") as file:
+        return file.read(len(SIGNATURE)) == SIGNATURE.encode()
 
 
 def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
@@ -65,11 +87,7 @@ def check_companion(path: Path) -> None:
         InputError: such a mesh lies beside it.
     """
     mesh = path.with_suffix(".obj")
-    if not mesh.exists():
-        return
-    with mesh.open("rb") as file:
-        ours = mesh.is_file() and file.read(len(SIGNATURE)) == SIGNATURE.encode()
-    if not ours:
+    if mesh.exists() and not is_own(mesh):
         raise InputError(f"{mesh} exists and is not from pb4u, and {path.name} needs that name: choose another name.")
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
+from pb4u.atomic_file import move_into_place, working_folder
 from pb4u.errors import InputError
 from pb4u.progress import Progress, unheard
 
@@ -28,6 +29,7 @@ class Format:
             one file, all of them in the folder of the path.
         check: called with the path before any work is done; raises where the format cannot be written there.
         files: called with the path and the number of frames; the files written, where that is more than the path.
+        stale: called with the path and the number of frames; files of a longer one before it, deleted once it is there.
         finite: whether frames that are not finite are held first (`finite_frames`).
     """
 
@@ -36,6 +38,7 @@ class Format:
     writer: str
     check: str = ""
     files: str = ""
+    stale: str = ""
     finite: bool = True
 
 
@@ -46,6 +49,7 @@ FORMATS = (
         "OBJ is exact, one file a frame, the garment alone",
         "pb4u.export.mesh_sequence:write_obj_sequence",
         files="pb4u.export.mesh_sequence:frame_files",
+        stale="pb4u.export.mesh_sequence:later_frame_files",
     ),
     Format(
         (".pc2",),
@@ -62,6 +66,11 @@ FORMATS = (
         "pb4u.export.mesh_sequence:cache_files",
     ),
     Format((".usdc", ".usda", ".usdz"), "USD is exact", "pb4u.export.usd:write_usd", "pb4u.export.usd:check_usd"),
+    Format(
+        (".pkl",),
+        "PKL is the result layout of HOOD's family, for their viewers",
+        "pb4u.export.result_pickle:write_result",
+    ),
     Format((".glb",), "GLB is within 1 mm (else a warning says how far off)", "pb4u.export.gltf:write_glb"),
     Format((".png", ".jpg"), "PNG and JPG show five moments side by side", "pb4u.export.picture:write_still"),
     Format((".gif",), "GIF leaves frames out, down to about 15 a second", "pb4u.export.picture:write_gif"),
@@ -112,6 +121,32 @@ def written_files(path: Path, frames: int) -> tuple[Path, ...]:
     return _function(form.files)(path, frames) if form.files else (path,)
 
 
+def would_overwrite(path: Path, file: Path) -> bool:
+    """Whether writing `path` replaces, or joins, what is read from `file`, a file or a folder of frames.
+
+    Args:
+        path: file to write, of a suffix in `WRITERS`.
+        file: file or folder that is read.
+    """
+    written = written_files(path, _COUNTED_FRAMES)
+    if file.is_dir():
+        return path.suffix.lower() in (".obj", ".ply") and is_same_file(path.parent, file)
+    # Frames are numbered from 0: the file is one of theirs where its name is their first one's with another number.
+    names = {re.sub(r"\d{4,}$", "0000", name.stem) + name.suffix for name in written if len(written) > 2}
+    if names:
+        return is_same_file(path.parent, file.parent) and re.sub(r"\d{4,}$", "0000", file.stem) + file.suffix in names
+    return any(is_same_file(name, file) for name in written)
+
+
+_COUNTED_FRAMES = 3
+"""Frames that tell a sequence of files from a file with a companion."""
+
+
+def is_same_file(one: Path, other: Path) -> bool:
+    """Whether two paths are of one file, be it there already or not."""
+    return one.samefile(other) if one.exists() and other.exists() else one.resolve() == other.resolve()
+
+
 def export(trajectory: Trajectory, path: str | Path, progress: Progress | None = None) -> Path:
     """Write a trajectory in the format its suffix names; files appear when they are complete, or not at all.
 
@@ -131,10 +166,12 @@ def export(trajectory: Trajectory, path: str | Path, progress: Progress | None =
     shown = _function("pb4u.export.finite_frames:hold_finite")(trajectory) if form.finite else trajectory
     writer = _function(form.writer)
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder:
-            writer(shown, Path(folder) / path.name, progress or unheard)
-            for written in sorted(Path(folder).iterdir()):
-                os.replace(written, path.with_name(written.name))
+        with working_folder(path) as folder:
+            writer(shown, folder / path.name, progress or unheard)
+            for written in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
+                move_into_place(written, path.with_name(written.name))
+        for stale in _function(form.stale)(path, shown.frame_count) if form.stale else ():
+            stale.unlink()
     except OSError as error:
         raise InputError(f"Cannot write {path}: {error.strerror or error}.") from error
     return path

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pb4u.body.skinning import SkinningWeights, strongest_influences
 from pb4u.garment.material import Material
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
@@ -29,6 +30,49 @@ class SourceMap:
 
 
 @dataclass(frozen=True, eq=False)
+class GarmentSkinning:
+    """How a garment rides on an SMPL-family body, where its file says so; in the model's own axes and height.
+
+    Args:
+        vertices: (vertices, 3) float64 in the body's rest pose, average shape [m].
+        shape_directions: (vertices, 3, shape parameters) float64 displacement a shape parameter [m].
+        pose_directions: (vertices, 3, pose features) float64 displacement a pose feature [m]; the features are the
+            entries of the local rotations minus identity of all bones but the root.
+        weights: bones of each vertex.
+        bone_count: bones of the body that it is meant for.
+    """
+
+    vertices: np.ndarray
+    shape_directions: np.ndarray
+    pose_directions: np.ndarray
+    weights: SkinningWeights
+    bone_count: int
+
+    def at(self, corners: np.ndarray, barycentric: np.ndarray) -> GarmentSkinning:
+        """Skinning of other vertices, mixed from those of a triangle each.
+
+        Args:
+            corners: (vertices, 3) int64, corners of the triangle that each lies on.
+            barycentric: (vertices, 3) its coordinates there, rows sum to 1.
+        """
+        dense = np.zeros((len(self.vertices), self.bone_count))
+        np.add.at(dense, (np.arange(len(dense))[:, None], self.weights.bones), self.weights.weights)
+
+        def mixed(values: np.ndarray) -> np.ndarray:
+            return np.einsum("vc,vc...->v...", barycentric, values[corners])
+
+        weights = np.maximum(mixed(dense), 0.0)
+        bones = np.broadcast_to(np.arange(self.bone_count), weights.shape)
+        return GarmentSkinning(
+            mixed(self.vertices),
+            mixed(self.shape_directions),
+            mixed(self.pose_directions),
+            strongest_influences(bones, weights, self.bone_count),
+            self.bone_count,
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Garment:
     """A single-layer triangle mesh in its rest shape, worn by a body in its rest pose.
 
@@ -42,6 +86,8 @@ class Garment:
         uv_faces: (faces, 3) int64 into `uvs`, or None.
         source: map to the author's mesh, or None where that is the simulated mesh itself.
         loose: whether it hangs free of the nearest limb (dresses, skirts): skinning weights are then averaged widely.
+        coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, where its file brings them.
+        skinning: how it rides on the body, where its file says so; None borrows from the body.
     """
 
     name: str
@@ -53,6 +99,8 @@ class Garment:
     uv_faces: np.ndarray | None = None
     source: SourceMap | None = None
     loose: bool = False
+    coarse_edges: tuple[np.ndarray, ...] = ()
+    skinning: GarmentSkinning | None = None
 
     def __post_init__(self) -> None:
         if not len(self.pinned):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from pb4u.errors import InputError, unknown_name
+from pb4u.reading_limits import read_json
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,15 @@ def load_material(name_or_path: str | Path) -> Material:
 
 def _read_material(path: Path) -> Material:
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = read_json(path)
     except FileNotFoundError:
         raise InputError(f"There is no material file {path}.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"The material file {path} cannot be read: {error}.") from None
-    except json.JSONDecodeError as error:
-        raise InputError(f"The material file {path} is not JSON: {error.msg} in line {error.lineno}.") from None
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(f"The material file {path} is not JSON: {error}.") from None
     known = [entry.name for entry in fields(Material)]
     if not isinstance(record, dict):
         raise InputError(f"The material file {path} must hold one object with the numbers {', '.join(known)}.")

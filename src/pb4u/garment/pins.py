@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
+from pb4u.reading_limits import parse_json, read_text
 
 NAMES = ("none", "waist", "hem")
 
@@ -75,10 +75,13 @@ def _loops(garment: Garment) -> tuple[np.ndarray, ...]:
 
 def _read_indices(path: Path) -> np.ndarray:
     try:
-        text = path.read_text(encoding="utf-8")
-        values = json.loads(text) if text.lstrip().startswith("[") else [int(t) for t in text.replace(",", " ").split()]
+        text = read_text(path, "a list of vertices")
+        is_json = text.lstrip().startswith("[")
+        values = parse_json(text, path) if is_json else [int(word) for word in text.replace(",", " ").split()]
         indices = np.array(values)
-    except (OSError, ValueError, RecursionError):
+    except InputError:
+        raise
+    except (OSError, ValueError):
         raise InputError(
             f"{path} is no list of vertex indices; write one index a line, or a JSON list of whole numbers."
         ) from None

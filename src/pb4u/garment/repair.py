@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
@@ -13,7 +12,7 @@ from pb4u.garment.diagnosis import is_inside_out
 from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.topology import Topology
+from pb4u.geometry.topology import Topology, neighbour_mean
 
 # A garment with more of its vertices inside the body than this is of another size, not in want of a push.
 _DEEPEST_SHARE = 0.6
@@ -52,12 +51,17 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     fit = find_fit(source.vertices[used], body)
     if fit.is_identity:
         return source
+    if fit.is_unsure:
+        said.append("Left where it is: it cannot be told where on the body it belongs.")
+        return source
     if fit.unit != "metres":
         said.append(f"Scaled by {UNITS[fit.unit]:g}, from {fit.unit} to metres.")
     if fit.axes != UPRIGHT:
         said.append(f"Turned from {fit.axes} to {UPRIGHT}.")
     if fit.shift.any():
-        said.append(f"Moved by {fit.shift[1]:+.4f} m in height on to the body.")
+        said.append(f"Moved by {fit.move} on to the body, {1000 * fit.misfit:.0f} mm off on average.")
+    if fit.front_alike:
+        said.append(f"Taken as {fit.axes}: its shape does not tell its front, and {fit.front_alike[0]} fits alike.")
     return replace(source, vertices=fit.apply(source.vertices))
 
 
@@ -155,7 +159,7 @@ def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.nda
     Returns:
         (vertices, 3) [m].
     """
-    spread = _neighbour_mean(topology)
+    spread = neighbour_mean(topology)
     distances = body.signed_distances(vertices)
     # Only cloth this near can be reached by what is pushed; the rest need not be asked about again and again.
     near = distances < 2.0 * max(0.0, -float(distances.min())) + 2.0 * CLEARANCE
@@ -189,12 +193,3 @@ def _push(points: np.ndarray, body: RestBody, clearance: float) -> np.ndarray:
     depth = clearance - near.signed_distance.numpy()
     asked: np.ndarray = np.where(depth > 1e-6, depth, 0.0)[:, None] * near.normals.numpy()
     return asked
-
-
-def _neighbour_mean(topology: Topology) -> csr_matrix:
-    """(vertices, vertices) matrix that takes the mean over a vertex's neighbours; itself where it has none."""
-    count = topology.vertex_count
-    rows, columns = np.concatenate([topology.edges, topology.edges[:, ::-1]]).T
-    adjacency = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
-    degree = np.asarray(adjacency.sum(axis=1)).reshape(-1)
-    return diags(1.0 / np.maximum(degree, 1.0)) @ adjacency + diags((degree == 0).astype(np.float64))

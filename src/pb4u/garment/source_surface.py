@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pb4u.errors import InputError
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, connected_labels, faces_to_flip
 from pb4u.geometry.triangle_mesh import face_areas, face_cross_products
@@ -17,6 +18,9 @@ from pb4u.geometry.triangulation import triangulate
 _FLATTEST = 1e-6
 # Border vertices within this distance [m] are one seam: far below any edge, far above the rounding of a file.
 _SAME_PLACE = 1e-4
+# Border vertices in one place, on average, above which their pairs would fill the memory; in a soup of triangles six
+# corners meet.
+_MOST_COINCIDENT = 64
 # Layers within this distance [m] are one shell or lining: a solidify modifier rarely adds more, and garments are worn
 # farther from themselves. Of so many nearest faces one is across, not beside, where layers are meshed alike.
 _LAYER_GAP, _LAYER_NEIGHBOURS = 8e-3, 12
@@ -95,14 +99,21 @@ class SourceSurface:
     def weld_target(self) -> np.ndarray:
         """Indices (vertices,) int64 of the vertices welded to: of a border vertex the lowest in its place, else itself.
 
-        Vertices that share an edge are never joined, however short the edge is.
+        Vertices that share an edge are never joined, however short the edge is. Raises InputError where so many lie in
+        one place that their pairs cannot be gone through.
         """
         vertices, topology = self.source.vertices, self.topology
         border = np.flatnonzero(topology.border_vertices)
         target = np.arange(len(vertices))
         if not len(border):
             return target
-        pairs = np.sort(border[cKDTree(vertices[border]).query_pairs(_SAME_PLACE, output_type="ndarray")], axis=1)
+        tree = cKDTree(vertices[border])
+        if (count := int(tree.count_neighbors(tree, _SAME_PLACE))) > _MOST_COINCIDENT * len(border):
+            raise InputError(
+                f"{len(border)} border vertices lie in the same places, {count // len(border)} in each on average; "
+                "merge vertices by distance in the program it comes from."
+            )
+        pairs = np.sort(border[tree.query_pairs(_SAME_PLACE, output_type="ndarray")], axis=1)
         pairs = pairs[~np.isin(pairs @ np.array([len(vertices), 1]), topology.edge_keys)]
         labels = connected_labels(len(vertices), *pairs.T)
         lowest = np.full(len(vertices), len(vertices))

@@ -14,7 +14,9 @@ import numpy as np
 from pb4u.atomic_file import replace_file
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skinning import SkinningWeights
+from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
+from pb4u.reading_limits import read_arrays
 
 ALGORITHM = 1
 """To be raised whenever `borrow_weights` gives different numbers."""
@@ -62,9 +64,9 @@ def _key(garment: Garment, body: ShapedBody) -> str:
 def _read(path: Path, vertices: int, bones: int) -> SkinningWeights | None:
     """Weights in `path`, or None when there are none that fit."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            kept = SkinningWeights(stored["bones"].astype(np.int64), stored["weights"].astype(np.float32))
-    except Exception:  # np.load raises many kinds on a damaged file; all mean the same here
+        stored = read_arrays(path, ("bones", "weights"))
+        kept = SkinningWeights(stored["bones"].astype(np.int64), stored["weights"].astype(np.float32))
+    except (InputError, KeyError, ValueError, TypeError):
         return None
     fits = (
         kept.bones.shape == kept.weights.shape

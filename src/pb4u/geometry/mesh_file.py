@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.reading_limits import MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, parse_json, read_text, require_size
 
 _TRIMESH = "pb4u.geometry.mesh_file:read_with_trimesh"
 READERS = {
@@ -22,6 +24,7 @@ READERS = {
 
 MOST_READ = 4_000_000
 """Triangles that a file may have to be read at all, which bounds time and memory; larger ones are refused unparsed."""
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # Bytes of an OBJ that are counted at a time.
 _BLOCK = 1 << 24
 
@@ -121,7 +124,55 @@ def least_triangles(path: Path, enough: int) -> int:
         return int(declared.group(1))
     if suffix == ".stl" and not head.lstrip().startswith(b"solid"):
         return max(0, path.stat().st_size - 84) // 50
+    if suffix in (".glb", ".gltf"):
+        return _gltf_triangles(path)
+    if suffix in (".stl", ".off") or b"format ascii" in head:
+        require_size(path, MOST_NUMBERS_TEXT // 4, "a mesh written as text")
     return 0
+
+
+def _gltf_triangles(path: Path) -> int:
+    """Triangles of a glTF scene, a mesh counted for each of its nodes. Refuses more data than the file may take."""
+    try:
+        header = _gltf_header(path)
+        allowance = Allowance(path)
+        accessors = [_counts(entry) for entry in header.get("accessors", [])]
+        for entry, count in zip(header.get("accessors", []), accessors, strict=True):
+            allowance.take(count * _COMPONENTS.get(entry["type"], 16) * 8, "its arrays")
+        sizes = [
+            sum(
+                accessors[primitive["indices"] if "indices" in primitive else primitive["attributes"]["POSITION"]]
+                for primitive in mesh["primitives"]
+            )
+            for mesh in header.get("meshes", [])
+        ]
+        return sum(sizes[node["mesh"]] for node in header.get("nodes", []) if "mesh" in node) // 3
+    except InputError:
+        raise
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path} cannot be read as glTF: {error!r}.") from None
+
+
+def _counts(accessor: dict[str, Any]) -> int:
+    if not isinstance(accessor["count"], int) or accessor["count"] < 0:
+        raise ValueError(f"an accessor of {accessor['count']!r} entries")
+    return accessor["count"]
+
+
+def _gltf_header(path: Path) -> dict[str, Any]:
+    """The JSON of a .glb or .gltf, embedded data left out."""
+    if path.suffix.lower() == ".glb":
+        with path.open("rb") as stream:
+            magic, _, _, length, _ = struct.unpack("<4sIIII", stream.read(20))
+            if magic != b"glTF":
+                raise ValueError("it does not begin with glTF")
+            text = stream.read(min(length, MOST_TEXT + 1))
+    else:
+        text = read_text(path, "a glTF text", MOST_NUMBERS_TEXT).encode()
+    header = parse_json(re.sub(rb'"data:[^"]*"', b'""', text), path)
+    if not isinstance(header, dict):
+        raise ValueError("its header is no object")
+    return header
 
 
 def _obj_lines(path: Path) -> Iterator[bytes]:

@@ -6,20 +6,35 @@ give the author's mesh back; what is needed of OBJ (v, vt, f) is read here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
-from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.mesh_file import MOST_READ, PolygonMesh
 
 _KINDS = {b"v ", b"f ", b"vt"}
+_BLOCK = 1 << 22
+"""Bytes of a file that are parsed at once: their lines take some twenty times as much while they are."""
+_MOST_LINE = 1 << 22
+"""Bytes of a line, its continuations included."""
+_LARGEST = 1e9
+"""Coordinates beyond which products of areas lose all digits; no unit of length makes a garment so large."""
+_MOST_VERTICES = 2 * MOST_READ
 Lines = list[tuple[int, bytes]]
 """Lines of a file with their numbers, from 1."""
-FaceLine = tuple[int, bytes, int, int]
-"""A face line with its number, and the vertices and texture coordinates before it."""
+
+
+class _Block(NamedTuple):
+    """Lines of a part of a file; of a face also the vertices and texture coordinates before it in the part."""
+
+    vertices: Lines
+    uvs: Lines
+    faces: list[tuple[int, bytes, int, int]]
 
 
 def read_obj(path: Path) -> PolygonMesh:
@@ -30,53 +45,126 @@ def read_obj(path: Path) -> PolygonMesh:
 
     Raises:
         InputError: a number cannot be read, a vertex is not finite, an index is out of range (naming the line), or the
-            file has no faces.
+            file has no faces or too many vertices.
         OSError: the file cannot be read.
     """
-    vertex_lines, uv_lines, face_lines = _scan(path)
-    if not face_lines:
-        raise InputError(f"{path} has no faces ({len(vertex_lines)} vertices): export it as a polygon mesh.")
-    vertices = _numbers(path, vertex_lines, 3, "vertex")
-    uvs = _numbers(path, uv_lines, 2, "texture coordinate") if uv_lines else None
-    polygons, polygon_uvs = _polygons(path, face_lines, len(vertices), 0 if uvs is None else len(uvs))
-    return PolygonMesh(vertices, polygons, None if polygon_uvs is None else uvs, polygon_uvs)
+    vertices, uvs = _Table(path, 3, "vertex"), _Table(path, 2, "texture coordinate")
+    faces = _Faces(path)
+    for block in _blocks(path):
+        faces.add(block.faces, vertices.count, uvs.count)
+        vertices.add(block.vertices)
+        uvs.add(block.uvs)
+    if not faces.count:
+        raise InputError(f"{path} has no faces ({vertices.count} vertices): export it as a polygon mesh.")
+    polygons, polygon_uvs = faces.polygons(vertices.count, uvs.count)
+    return PolygonMesh(vertices.rows(), polygons, None if polygon_uvs is None else uvs.rows(), polygon_uvs)
 
 
-def read_obj_vertices(path: Path) -> tuple[np.ndarray, list[bytes]]:
-    """Vertices of an OBJ file with its faces as text: much quicker than `read_obj`, which parses every face.
+def read_obj_vertices(path: Path) -> tuple[np.ndarray, bytes]:
+    """Vertices of an OBJ file with a digest of its faces: much quicker than `read_obj`, which parses every face.
 
     Args:
         path: the file.
 
     Returns:
-        Vertices (vertices, 3) float64 [m], and the text of the faces, equal where two files have the same ones.
+        Vertices (vertices, 3) float64 [m], and a digest of the text of the faces, equal where two files have the same.
 
     Raises:
         InputError: a number of a vertex cannot be read or is not finite.
         OSError: the file cannot be read.
     """
-    vertex_lines, _, face_lines = _scan(path)
-    return _numbers(path, vertex_lines, 3, "vertex"), [line for _, line, _, _ in face_lines]
+    vertices, digest = _Table(path, 3, "vertex"), hashlib.sha256()
+    for block in _blocks(path):
+        vertices.add(block.vertices)
+        digest.update(b"\n".join([line for _, line, _, _ in block.faces] + [b""]))
+    return vertices.rows(), digest.digest()
 
 
-def _scan(path: Path) -> tuple[Lines, Lines, list[FaceLine]]:
-    """Lines of vertices, texture coordinates and faces."""
-    vertex_lines: Lines = []
-    uv_lines: Lines = []
-    face_lines: list[FaceLine] = []
-    for number, line in enumerate(path.read_bytes().replace(b"\\\n", b" ").replace(b"\\\r\n", b" ").split(b"\n"), 1):
-        kind = line[:2]
-        if kind not in _KINDS:
-            line = line.lstrip()
+def _blocks(path: Path) -> Iterator[_Block]:
+    """Lines of vertices, texture coordinates and faces, some at a time; continued lines count as one."""
+    number = 0
+    for text in _whole_lines(path):
+        block = _Block([], [], [])
+        for line in text.split(b"\n"):
+            number += 1
             kind = line[:2]
-        if kind == b"v " or kind == b"v\t":
-            vertex_lines.append((number, line))
-        elif kind == b"f " or kind == b"f\t":
-            # Negative indices count back from what has been read so far.
-            face_lines.append((number, line, len(vertex_lines), len(uv_lines)))
-        elif kind == b"vt":
-            uv_lines.append((number, line))
-    return vertex_lines, uv_lines, face_lines
+            if kind not in _KINDS:
+                line = line.lstrip()
+                kind = line[:2]
+            if kind == b"v " or kind == b"v\t":
+                block.vertices.append((number, line))
+            elif kind == b"f " or kind == b"f\t":
+                # Negative indices count back from what has been read so far.
+                block.faces.append((number, line, len(block.vertices), len(block.uvs)))
+            elif kind == b"vt":
+                block.uvs.append((number, line))
+        yield block
+
+
+def _whole_lines(path: Path) -> Iterator[bytes]:
+    """The file in blocks of whole lines, continued lines joined, without the last line break of each."""
+    with path.open("rb") as stream:
+        rest = b""
+        while block := stream.read(_BLOCK):
+            text = rest + block
+            end = text.rfind(b"\n")
+            while end > 0 and text[max(0, end - 2) : end].rstrip(b"\r").endswith(b"\\"):
+                end = text.rfind(b"\n", 0, end)
+            if end >= 0:
+                yield text[:end].replace(b"\\\n", b" ").replace(b"\\\r\n", b" ")
+            rest = text[end + 1 :]
+            if len(rest) > _MOST_LINE:
+                raise InputError(f"{path} has a line of over {_MOST_LINE:,} bytes, which no OBJ has; export it again.")
+        yield rest.replace(b"\\\n", b" ").replace(b"\\\r\n", b" ")
+
+
+class _Table:
+    """Rows of numbers, added some at a time.
+
+    Args:
+        path: the file, for messages.
+        width: numbers of a row.
+        what: what a row is.
+    """
+
+    def __init__(self, path: Path, width: int, what: str) -> None:
+        self.path, self.width, self.what = path, width, what
+        self.count = 0
+        self._parts: list[np.ndarray] = []
+
+    def add(self, lines: Lines) -> None:
+        """Add the rows of some lines. Raises InputError naming the first bad line."""
+        if not lines:
+            return
+        self._parts.append(self._numbers(lines))
+        self.count += len(lines)
+        if self.count > _MOST_VERTICES:
+            raise InputError(
+                f"{self.path} has over {_MOST_VERTICES:,} lines of a {self.what}, more than can be read; decimate it "
+                "in the program it comes from."
+            )
+
+    def rows(self) -> np.ndarray:
+        """(rows, width) float64."""
+        return np.concatenate(self._parts) if self._parts else np.zeros((0, self.width))
+
+    def _numbers(self, lines: Lines) -> np.ndarray:
+        path, what, width = self.path, self.what, self.width
+        try:
+            values = np.array([line.split(None, width + 1)[1 : width + 1] for _, line in lines], dtype=bytes)
+            table = values.reshape(len(lines), width).astype(np.float64)
+        except ValueError:
+            number = next(number for number, line in lines if not _readable(line, width))
+            raise InputError(
+                f"{path} line {number}: a {what} needs {width} numbers; mend or export it again."
+            ) from None
+        bad = np.flatnonzero(~(np.abs(table) <= _LARGEST).all(axis=1))
+        if len(bad):
+            raise InputError(
+                f"{path}: {len(bad)} {what} line(s) hold NaN or infinite numbers, or such above {_LARGEST:g}, first at "
+                f"line {lines[bad[0]][0]} ({what} {self.count + bad[0] + 1}); delete or mend them and export again."
+            )
+        return table
 
 
 def write_obj(path: Path, mesh: PolygonMesh) -> None:
@@ -103,23 +191,6 @@ def write_obj(path: Path, mesh: PolygonMesh) -> None:
         raise InputError(f"{path} cannot be written: {error.strerror or error}.") from None
 
 
-def _numbers(path: Path, lines: Lines, width: int, what: str) -> np.ndarray:
-    """(lines, width) float64, the first numbers of each line. Raises InputError naming the first bad line."""
-    try:
-        values = np.array([line.split(None, width + 1)[1 : width + 1] for _, line in lines], dtype=bytes)
-        table = values.reshape(len(lines), width).astype(np.float64)
-    except ValueError:
-        number = next(number for number, line in lines if not _readable(line, width))
-        raise InputError(f"{path} line {number}: a {what} needs {width} numbers; mend or export it again.") from None
-    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
-    if len(bad):
-        raise InputError(
-            f"{path}: {len(bad)} {what} line(s) hold NaN or infinite numbers, first at line {lines[bad[0]][0]} "
-            f"({what} {bad[0] + 1}); delete or mend them and export again."
-        )
-    return table
-
-
 def _readable(line: bytes, width: int) -> bool:
     try:
         return len([float(token) for token in line.split()[1 : width + 1]]) == width
@@ -127,56 +198,91 @@ def _readable(line: bytes, width: int) -> bool:
         return False
 
 
-def _polygons(
-    path: Path, lines: Sequence[FaceLine], vertex_count: int, uv_count: int
-) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...] | None]:
-    """Vertex indices of each polygon, and UV indices where every corner has one."""
-    vertex_index: list[int] = []
-    uv_index: list[int] = []
-    sizes: list[int] = []
-    for number, line, vertices_so_far, uvs_so_far in lines:
-        tokens = line.split(b"#", 1)[0].split()[1:]
-        sizes.append(len(tokens))
+class _Faces:
+    """Corners of polygons, added some at a time.
+
+    Args:
+        path: the file, for messages.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.count = 0
+        self._vertices: list[np.ndarray] = []
+        self._uvs: list[np.ndarray] = []
+        self._sizes: list[np.ndarray] = []
+        self._lines: list[np.ndarray] = []
+
+    def add(self, lines: Sequence[tuple[int, bytes, int, int]], vertices_before: int, uvs_before: int) -> None:
+        """Add the polygons of some lines.
+
+        Args:
+            lines: number and text of each, and the vertices and texture coordinates before it in its block.
+            vertices_before: vertices before the block.
+            uvs_before: texture coordinates before the block.
+
+        Raises:
+            InputError: an index is no whole number, or a face has too few corners.
+        """
+        vertex_index: list[int] = []
+        uv_index: list[int] = []
+        sizes: list[int] = []
+        for number, line, vertices, uvs in lines:
+            tokens = line.split(b"#", 1)[0].split()[1:]
+            sizes.append(len(tokens))
+            try:
+                for token in tokens:
+                    fields = token.split(b"/", 2)
+                    v = int(fields[0])
+                    vertex_index.append(v - 1 if v > 0 else v + vertices_before + vertices if v < 0 else -1)
+                    t = int(fields[1]) if len(fields) > 1 and fields[1] else 0
+                    uv_index.append(t - 1 if t > 0 else t + uvs_before + uvs if t < 0 else -1)
+            except ValueError:
+                raise InputError(
+                    f"{self.path} line {number}: the face index {_shown(token)} is not a whole number."
+                ) from None
+            if len(tokens) < 3:
+                raise InputError(f"{self.path} line {number}: a face needs 3 corners or more, not {len(tokens)}.")
         try:
-            for token in tokens:
-                fields = token.split(b"/", 2)
-                v = int(fields[0])
-                vertex_index.append(v - 1 if v > 0 else v + vertices_so_far if v < 0 else -1)
-                t = int(fields[1]) if len(fields) > 1 and fields[1] else 0
-                uv_index.append(t - 1 if t > 0 else t + uvs_so_far if t < 0 else -1)
-        except ValueError:
-            raise InputError(f"{path} line {number}: the face index {_shown(token)} is not a whole number.") from None
-        if len(tokens) < 3:
-            raise InputError(f"{path} line {number}: a face needs 3 corners or more, not {len(tokens)}.")
-    ends = np.cumsum(sizes)
-    try:
-        corners, uv_corners = (np.array(index, dtype=np.int64) for index in (vertex_index, uv_index))
-    except OverflowError:
-        raise InputError(f"{path}: a face index has 19 digits or more; export it again.") from None
-    _refuse_out_of_range(path, corners, vertex_count, ends, lines, "vertex")
-    polygons = _split(corners, ends)
-    # Faces without a texture beside faces with one: there is no UV map of the whole garment then.
-    if not uv_count or (uv_corners == -1).any():
-        return polygons, None
-    _refuse_out_of_range(path, uv_corners, uv_count, ends, lines, "texture coordinate")
-    return polygons, _split(uv_corners, ends)
+            self._vertices.append(np.array(vertex_index, dtype=np.int64))
+            self._uvs.append(np.array(uv_index, dtype=np.int64))
+        except OverflowError:
+            raise InputError(f"{self.path}: a face index has 19 digits or more; export it again.") from None
+        self._sizes.append(np.array(sizes, dtype=np.int64))
+        self._lines.append(np.array([number for number, *_ in lines], dtype=np.int64))
+        self.count += len(sizes)
 
+    def polygons(
+        self, vertex_count: int, uv_count: int
+    ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...] | None]:
+        """Vertex indices of each polygon, and UV indices where every corner has one.
 
-def _refuse_out_of_range(
-    path: Path,
-    corners: np.ndarray,
-    count: int,
-    ends: np.ndarray,
-    lines: Sequence[FaceLine],
-    what: str,
-) -> None:
-    bad = np.flatnonzero((corners < 0) | (corners >= count))
-    if len(bad):
-        line = lines[int(np.searchsorted(ends, bad[0], side="right"))]
-        raise InputError(
-            f"{path} line {line[0]}: face {_shown(line[1])} names a {what} out of range, the file has {count}; "
-            "export it again."
-        )
+        Args:
+            vertex_count: vertices of the file.
+            uv_count: texture coordinates of the file.
+
+        Raises:
+            InputError: an index is out of range.
+        """
+        corners, uv_corners = np.concatenate(self._vertices), np.concatenate(self._uvs)
+        ends = np.cumsum(np.concatenate(self._sizes))
+        self._refuse_out_of_range(corners, vertex_count, ends, "vertex")
+        polygons = _split(corners, ends)
+        # Faces without a texture beside faces with one: there is no UV map of the whole garment then.
+        if not uv_count or (uv_corners == -1).any():
+            return polygons, None
+        self._refuse_out_of_range(uv_corners, uv_count, ends, "texture coordinate")
+        return polygons, _split(uv_corners, ends)
+
+    def _refuse_out_of_range(self, corners: np.ndarray, count: int, ends: np.ndarray, what: str) -> None:
+        bad = np.flatnonzero((corners < 0) | (corners >= count))
+        if len(bad):
+            number = np.concatenate(self._lines)[int(np.searchsorted(ends, bad[0], side="right"))]
+            text = next(face[1] for block in _blocks(self.path) for face in block.faces if face[0] == number)
+            raise InputError(
+                f"{self.path} line {number}: face {_shown(text)} names a {what} out of range, the file has {count}; "
+                "export it again."
+            )
 
 
 def _split(corners: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, ...]:

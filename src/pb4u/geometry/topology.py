@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,3 +206,18 @@ def faces_to_flip(topology: Topology) -> tuple[np.ndarray, bool]:
     # The side with more faces as they are wins; on a tie the copy with the lower label does, on both its faces.
     more = (size[turned] > size[as_is]) | ((size[turned] == size[as_is]) & (turned < as_is))
     return more & orientable, bool(orientable.all())
+
+
+def neighbour_mean(topology: Topology) -> csr_matrix:
+    """Matrix (vertices, vertices) that takes the mean over a vertex's neighbours; itself where it has none.
+
+    Args:
+        topology: the mesh.
+    """
+    from scipy.sparse import csr_matrix, diags
+
+    count = topology.vertex_count
+    rows, columns = np.concatenate([topology.edges, topology.edges[:, ::-1]]).T
+    adjacency = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    degree = np.asarray(adjacency.sum(axis=1)).reshape(-1)
+    return diags(1.0 / np.maximum(degree, 1.0)) @ adjacency + diags((degree == 0).astype(np.float64))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from itertools import pairwise
+from typing import Protocol, TypeAlias
 
 import torch
 from torch import Tensor
@@ -15,30 +16,54 @@ from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.garment_graph import GarmentEdges, GarmentGraph
 from pb4u.graph.graph import BODY, GARMENT, EdgeSet, Graph, NodeSet, NodeType
-from pb4u.graph.incidence import both_directions, incidence
-from pb4u.graph.world_edges import WorldEdgeRule, nearest_within
-from pb4u.scene.packed import ColliderFrame
+from pb4u.graph.incidence import Incidence, both_directions, incidence
+from pb4u.graph.pins import PinRule, PinsAtPresent, SeenGarments
+from pb4u.graph.world_edges import NearestFaceRule, WorldEdgeRule
+from pb4u.scene.packed import ColliderFrame, PackedColliders
 from pb4u.scene.state import State
 
 REFERENCE_DT = 1.0 / 30.0
 """Time step [s] whose feature "dt" is 0: that of the training motions."""
 
 
+Columns: TypeAlias = Mapping[str, Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class FoundEdges:
+    """Directed edges of one kind between garment vertices, in ascending order of receiver.
+
+    Args:
+        senders: vertex at the start of each edge.
+        receivers: vertex at the end of each.
+        future: (edges, 1) 1 for edges between where vertices will be, else 0 [1]; None where all are present ones.
+    """
+
+    senders: Incidence
+    receivers: Incidence
+    future: Tensor | None = None
+
+    @classmethod
+    def both_ways(cls, pairs: Tensor, vertex_count: int) -> FoundEdges:
+        """Undirected edges `pairs` (edges, 2) int64 between `vertex_count` vertices, in both directions."""
+        return cls(*both_directions(pairs, vertex_count))
+
+
 class EdgeFinder(Protocol):
     """Finds edges between garment vertices anew at every step, such as those of cloth that comes near itself."""
 
-    def find(self, positions: Tensor) -> Mapping[str, Tensor]:
-        """Undirected edges (edges, 2) int64 vertex indices within one garment, by kind; empty kinds are named as well.
+    def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
+        """Edges by kind; empty kinds are named as well.
 
         Args:
-            positions: (vertices, 3) [m].
+            seen: garments at the start of the step.
         """
 
 
 class NoFoundEdges(EdgeFinder):
     """The finder of a network whose edges are all known beforehand."""
 
-    def find(self, positions: Tensor) -> Mapping[str, Tensor]:
+    def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
         return {}
 
 
@@ -52,13 +77,15 @@ class GraphBuilder:
         world_edges: rule for the body vertices that a garment vertex has edges to.
         finder: finds the edges that change from step to step.
         rest: tensors handed on to every graph (`Graph.rest`), by name.
+        pins: rule for what is seen of pinned vertices.
     """
 
     static: GarmentGraph
     layout: FeatureLayout
-    world_edges: WorldEdgeRule
+    world_edges: WorldEdgeRule | NearestFaceRule
     finder: EdgeFinder = field(default_factory=NoFoundEdges)
     rest: Mapping[str, Tensor] = field(default_factory=dict)
+    pins: PinRule = field(default_factory=PinsAtPresent)
 
     @property
     def dtype(self) -> torch.dtype:
@@ -72,6 +99,7 @@ class GraphBuilder:
         dt: float,
         origin: Tensor | None = None,
         extra: Mapping[str, Tensor] | None = None,
+        pin_positions: Tensor | None = None,
     ) -> Graph:
         """Graph of the time step that leaves `state`.
 
@@ -81,34 +109,54 @@ class GraphBuilder:
             dt: time step [s].
             origin: (3,) subtracted from all positions before they are rounded to the graph's precision [m].
             extra: (vertices, width) node features that the layout names as `extra`, each in the unit of its `Feature`.
+            pin_positions: (vertices, 3) where pinned vertices will be after the step [m], or None where that is open;
+                other rows are not read.
 
         Raises:
             InputError: an extra feature of the layout is absent or of another width.
         """
         positions = self._localise(state.positions, origin)
-        step_dt = positions.new_full((1,), math.log(dt / REFERENCE_DT))
         velocities = (state.velocities * dt).to(self.dtype)
-        nodes = {GARMENT: self._garment_nodes(positions, velocities, step_dt, extra or {})}
-        edges = {name: self._garment_edges(name, of, positions, step_dt) for name, of in self.static.edges.items()}
-        for name, pairs in self.finder.find(positions).items():
-            edges[name] = self._found_edges(name, pairs, positions, velocities, step_dt)
+        seen = self._seen(positions, velocities, pin_positions, origin)
+        positions, velocities = seen.positions, seen.velocities
+        duration = {
+            "dt": positions.new_full((1,), math.log(dt / REFERENCE_DT)),
+            "time_step": positions.new_full((1,), dt),
+        }
+        nodes = {GARMENT: self._garment_nodes(positions, velocities, duration, extra or {})}
+        edges = {
+            name: self._garment_edges(name, of, seen.edge_positions, duration) for name, of in self.static.edges.items()
+        }
+        for name, found in self.finder.found(seen).items():
+            edges[name] = self._found_edges(name, found, positions, velocities, duration)
         if collider is not None:
-            self._add_body(nodes, edges, collider, positions, velocities, origin, step_dt)
+            self._add_body(nodes, edges, collider, positions, velocities, origin, duration)
         return Graph(nodes, edges, self.static.vertex_offsets, self.rest)
 
     def _localise(self, positions: Tensor, origin: Tensor | None) -> Tensor:
         return (positions if origin is None else positions - origin.to(positions)).to(self.dtype)
 
+    def _seen(
+        self, positions: Tensor, velocities: Tensor, targets: Tensor | None, origin: Tensor | None
+    ) -> SeenGarments:
+        if targets is None:
+            nobody = torch.zeros(len(positions), 1, dtype=torch.bool, device=positions.device)
+            return PinsAtPresent().seen(positions, velocities, nobody, positions)
+        pinned = (self.static.node_types == int(NodeType.PINNED))[:, None]
+        return self.pins.seen(positions, velocities, pinned, self._localise(targets, origin))
+
     def _garment_nodes(
-        self, positions: Tensor, velocities: Tensor, step_dt: Tensor, extra: Mapping[str, Tensor]
+        self, positions: Tensor, velocities: Tensor, duration: Columns, extra: Mapping[str, Tensor]
     ) -> NodeSet:
         static = self.static
         columns = {
+            **_repeated(duration, len(positions)),
             "velocity": velocities,
+            "velocity_ahead": velocities,
             "normal": vertex_normals(positions, static.faces),
-            "dt": step_dt.expand(len(positions), 1),
             "areal_density": static.areal_density,
             "vertex_mass": static.vertex_mass,
+            "mass": static.mass,
             "material": static.node_material,
         }
         chosen = [columns[name] for name in self.layout.node]
@@ -122,14 +170,14 @@ class GraphBuilder:
             chosen.append(given.to(self.dtype))
         return NodeSet(torch.cat(chosen, dim=1), static.node_types, static.node_world)
 
-    def _garment_edges(self, kind: str, edges: GarmentEdges, positions: Tensor, step_dt: Tensor) -> EdgeSet:
+    def _garment_edges(self, kind: str, edges: GarmentEdges, positions: Tensor, duration: Columns) -> EdgeSet:
         vector = positions.index_select(0, edges.senders.index) - positions.index_select(0, edges.receivers.index)
         length = vector.norm(dim=1, keepdim=True)
         columns = {
+            **_repeated(duration, len(vector)),
             "direction": vector / length.clamp_min(torch.finfo(self.dtype).eps),
             "rest_direction": edges.rest_direction,
             "length_ratio": length * edges.inverse_rest_length,
-            "dt": step_dt.expand(len(vector), 1),
             "material": edges.material,
             "relative_position": vector,
             "length": length,
@@ -139,19 +187,22 @@ class GraphBuilder:
         features = torch.cat([columns[name] for name in self.layout.mesh_edge], dim=1)
         return EdgeSet(kind, GARMENT, GARMENT, edges.senders, edges.receivers, features)
 
-    def _found_edges(self, kind: str, pairs: Tensor, positions: Tensor, velocities: Tensor, step_dt: Tensor) -> EdgeSet:
-        senders, receivers = both_directions(pairs, len(positions))
+    def _found_edges(
+        self, kind: str, found: FoundEdges, positions: Tensor, velocities: Tensor, duration: Columns
+    ) -> EdgeSet:
+        senders, receivers = found.senders, found.receivers
         sender, receiver, material = senders.index, receivers.index, self.static.node_material
         vector = positions.index_select(0, sender) - positions.index_select(0, receiver)
         velocity = velocities.index_select(0, sender) - velocities.index_select(0, receiver)
         columns = {
+            **_repeated(duration, len(vector)),
             "relative_position": vector,
             "length": vector.norm(dim=1, keepdim=True),
             "previous_relative_position": vector - velocity,
             "previous_length": (vector - velocity).norm(dim=1, keepdim=True),
             "relative_velocity": velocity,
             "relative_speed": velocity.norm(dim=1, keepdim=True),
-            "dt": step_dt.expand(len(vector), 1),
+            "future_pinned": vector.new_zeros(len(vector), 1) if found.future is None else found.future,
             "material": 0.5 * (material.index_select(0, sender) + material.index_select(0, receiver)),
         }
         features = torch.cat([columns[name] for name in self.layout.found_edge], dim=1)
@@ -165,38 +216,44 @@ class GraphBuilder:
         positions: Tensor,
         velocities: Tensor,
         origin: Tensor | None,
-        step_dt: Tensor,
+        duration: Columns,
     ) -> None:
         """Add the body vertices that a garment vertex sees, and the edges between them, where there are any."""
         now = self._localise(collider.now.positions, origin)
         following = self._localise(collider.following.positions, origin)
-        garment, body = self._near_pairs(positions, now, collider.colliders.touchable)
+        garment, body = self._near_pairs(positions, now, collider.colliders)
         if len(body) == 0:
             return
         kept, body_node = torch.unique(body, return_inverse=True)
         velocity = (collider.now.positions - collider.previous.positions).to(self.dtype)[kept]
         normal = vertex_normals(now, collider.colliders.faces)[kept]
-        nodes[BODY] = self._body_nodes(velocity, normal, step_dt, collider.colliders.vertex_world[kept])
+        ahead = (collider.following.positions - collider.now.positions).to(self.dtype)[kept]
+        world = collider.colliders.vertex_world[kept]
+        nodes[BODY] = self._body_nodes(velocity, ahead, normal, duration, world)
 
         relative_now = positions.index_select(0, garment) - now.index_select(0, body)
         relative_next = positions.index_select(0, garment) - following.index_select(0, body)
         approach = velocities.index_select(0, garment) - (following - now).index_select(0, body)
         garments, bodies = incidence(garment, len(positions)), incidence(body_node, len(kept))
-        features = self._world_features(relative_now, relative_next, approach, step_dt)
+        features = self._world_features(relative_now, relative_next, approach, duration)
         edges["body_to_garment"] = EdgeSet("world", BODY, GARMENT, bodies, garments, features, "world_edge")
         order = bodies.order
         garments, bodies = incidence(garment[order], len(positions)), incidence(body_node[order], len(kept))
-        features = self._world_features(-relative_now[order], -relative_next[order], -approach[order], step_dt)
+        features = self._world_features(-relative_now[order], -relative_next[order], -approach[order], duration)
         edges["garment_to_body"] = EdgeSet("world", GARMENT, BODY, garments, bodies, features, "world_edge")
 
-    def _body_nodes(self, velocity: Tensor, normal: Tensor, step_dt: Tensor, world: Tensor) -> NodeSet:
+    def _body_nodes(
+        self, velocity: Tensor, velocity_ahead: Tensor, normal: Tensor, duration: Columns, world: Tensor
+    ) -> NodeSet:
         count, absent = len(velocity), velocity.new_full((1,), -1.0)
         columns = {
+            **_repeated(duration, count),
             "velocity": velocity,
+            "velocity_ahead": velocity_ahead,
             "normal": normal,
-            "dt": step_dt.expand(count, 1),
             "areal_density": absent.expand(count, 1),
             "vertex_mass": absent.expand(count, 1),
+            "mass": absent.expand(count, 1),
             "material": absent.expand(count, 3),
         }
         chosen = [columns[name] for name in self.layout.node]
@@ -204,26 +261,32 @@ class GraphBuilder:
         types = torch.full((count,), int(NodeType.BODY), device=velocity.device)
         return NodeSet(torch.cat(chosen, dim=1), types, world)
 
-    def _near_pairs(self, positions: Tensor, body: Tensor, touchable: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    def _near_pairs(self, positions: Tensor, body: Tensor, colliders: PackedColliders) -> tuple[Tensor, Tensor]:
         """Garment vertex and body vertex, (pairs,) int64 each, of all pairs that the rule joins, world by world."""
         garment, near = [], []
         offsets = self.static.world_offsets
-        for start, stop, allowed in zip(offsets, offsets[1:], touchable, strict=False):
-            index, within = nearest_within(positions[start:stop], body[allowed], self.world_edges)
-            rows = torch.arange(start, stop, device=index.device).repeat_interleave(index.shape[1])
-            chosen = within.reshape(-1)
-            garment.append(rows[chosen])
-            near.append(allowed[index.reshape(-1)[chosen]])
+        for world, (start, stop) in enumerate(list(pairwise(offsets))[: len(colliders.surfaces)]):
+            rows, found = self.world_edges.pairs(positions[start:stop], body, colliders, world)
+            allowed = colliders.contact[found]
+            garment.append(rows[allowed] + start)
+            near.append(found[allowed])
         return torch.cat(garment), torch.cat(near)
 
-    def _world_features(self, relative_now: Tensor, relative_next: Tensor, approach: Tensor, step_dt: Tensor) -> Tensor:
+    def _world_features(
+        self, relative_now: Tensor, relative_next: Tensor, approach: Tensor, duration: Columns
+    ) -> Tensor:
         columns = {
+            **_repeated(duration, len(relative_now)),
             "relative_now": relative_now,
             "distance_now": relative_now.norm(dim=1, keepdim=True),
             "relative_next": relative_next,
             "distance_next": relative_next.norm(dim=1, keepdim=True),
             "relative_velocity": approach,
             "relative_speed": approach.norm(dim=1, keepdim=True),
-            "dt": step_dt.expand(len(relative_now), 1),
         }
         return torch.cat([columns[name] for name in self.layout.world_edge], dim=1)
+
+
+def _repeated(duration: Columns, rows: int) -> dict[str, Tensor]:
+    """The length of the step (rows, 1) as every table names it."""
+    return {name: value.expand(rows, 1) for name, value in duration.items()}

@@ -42,13 +42,18 @@ def _index(*features: Feature) -> dict[str, Feature]:
 
 DT = Feature("dt", 1, "1", False, 1.0, "log(dt / (1/30 s)); a constant dt would leave a running spread of zero")
 
+TIME_STEP = Feature("time_step", 1, "s", True, 0.1, "dt itself: the released networks")
+
 NODE_FEATURES = _index(
     Feature("velocity", 3, "m/step", True, 1e-2, "garment: velocity x dt; body: now - previous frame (reference 1.2)"),
+    Feature("velocity_ahead", 3, "m/step", True, 1e-2, "garment: velocity x dt; body: next frame - now (release)"),
     Feature("normal", 3, "1", True, 0.6, "area-weighted unit vertex normal (reference 1.2)"),
     Feature("areal_density", 1, "1", False, 1.0, "log areal density, [0, 1] over the training range; -1 on the body"),
     Feature("vertex_mass", 1, "log kg", True, 2.0, "log vertex mass, -1 on the body: released form (reference 1.2)"),
     Feature("material", 3, "1", False, 1.0, "bending, mu, lambda, [0, 1] over the training range; -1 on the body"),
     DT,
+    TIME_STEP,
+    Feature("mass", 1, "kg", True, 1e-4, "vertex mass, -1 on the body: the released ContourCraft"),
 )
 
 MESH_EDGE_FEATURES = _index(
@@ -61,6 +66,7 @@ MESH_EDGE_FEATURES = _index(
     Feature("length", 1, "m", True, 1e-2, "its norm: fine15 and HOOD"),
     Feature("rest_relative_position", 3, "m", True, 1e-2, "sender - receiver at rest: fine15 and HOOD"),
     Feature("rest_length", 1, "m", True, 1e-2, "its norm: fine15 and HOOD"),
+    TIME_STEP,
 )
 
 WORLD_EDGE_FEATURES = _index(
@@ -71,6 +77,7 @@ WORLD_EDGE_FEATURES = _index(
     Feature("relative_velocity", 3, "m/step", True, 1e-2, "garment's velocity - body's next one (reference 6.1)"),
     Feature("relative_speed", 1, "m/step", True, 1e-2, "its norm: ContourCraft"),
     DT,
+    TIME_STEP,
 )
 
 FOUND_EDGE_FEATURES = _index(
@@ -81,6 +88,7 @@ FOUND_EDGE_FEATURES = _index(
     Feature("relative_velocity", 3, "m/step", True, 1e-2, "sender's velocity - receiver's"),
     Feature("relative_speed", 1, "m/step", True, 1e-2, "its norm"),
     DT,
+    Feature("future_pinned", 1, "1", False, 1.0, "1 between where pinned and other vertices will be (release)"),
     Feature("material", 3, "1", False, 1.0, "mean of both ends' bending, mu, lambda"),
 )
 
@@ -112,12 +120,14 @@ class MaterialRange:
         lame_mu: lowest and highest [Pa].
         lame_lambda: lowest and highest [Pa].
         bending: lowest and highest [J].
+        margin: how far beyond [0, 1] values may lie before they are clamped; None never clamps, as the released code.
     """
 
     density: tuple[float, float] = (0.0434, 0.7)
     lame_mu: tuple[float, float] = (15909.0, 63636.0)
     lame_lambda: tuple[float, float] = (3535.41, 93333.74)
     bending: tuple[float, float] = (6.3708e-8, 1.31397e-3)
+    margin: float | None = 1.0
 
 
 @dataclass(frozen=True)
@@ -161,22 +171,31 @@ def total_width(columns: tuple[Feature, ...]) -> int:
     return sum(feature.width for feature in columns)
 
 
-def map_log(values: Tensor, limits: tuple[float, float]) -> Tensor:
-    """Dimensionless values (...) on a log scale, limits[0] -> 0 and limits[1] -> 1, clamped to [-1, 2].
+def map_log(values: Tensor, limits: tuple[float, float], margin: float | None = 1.0) -> Tensor:
+    """Dimensionless values (...) on a log scale, limits[0] -> 0 and limits[1] -> 1, clamped.
 
     Args:
         values: (...) of any unit, 0 or more.
         limits: both above 0, in the unit of the values.
+        margin: how far beyond [0, 1] values may lie before they are clamped; None for no clamping.
     """
     low, high = (float(torch.tensor(limit, dtype=torch.float64).log()) for limit in limits)
-    return ((values.clamp_min(torch.finfo(values.dtype).tiny).log() - low) / (high - low)).clamp(-1.0, 2.0)
+    return _mapped(values.clamp_min(torch.finfo(values.dtype).tiny).log(), low, high, margin)
 
 
-def map_linear(values: Tensor, limits: tuple[float, float]) -> Tensor:
-    """Dimensionless values (...) on a linear scale, limits[0] -> 0 and limits[1] -> 1, clamped to [-1, 2].
+def map_linear(values: Tensor, limits: tuple[float, float], margin: float | None = 1.0) -> Tensor:
+    """Dimensionless values (...) on a linear scale, limits[0] -> 0 and limits[1] -> 1, clamped.
 
     Args:
         values: (...) of any unit.
         limits: in the unit of the values.
+        margin: how far beyond [0, 1] values may lie before they are clamped; None for no clamping.
     """
-    return ((values - limits[0]) / (limits[1] - limits[0])).clamp(-1.0, 2.0)
+    return _mapped(values, *limits, margin)
+
+
+def _mapped(values: Tensor, low: float, high: float, margin: float | None) -> Tensor:
+    if low == high:
+        return torch.zeros_like(values)
+    shares = (values - low) / (high - low)
+    return shares if margin is None else shares.clamp(-margin, 1.0 + margin)

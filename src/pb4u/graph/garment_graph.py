@@ -48,6 +48,7 @@ class GarmentGraph:
         node_world: (vertices,) int64 world.
         areal_density: (vertices, 1) log areal density mapped to [0, 1].
         vertex_mass: (vertices, 1) log of the vertex mass [kg].
+        mass: (vertices, 1) vertex mass [kg].
         node_material: (vertices, 3) bending, mu, lambda mapped to [0, 1].
         incident_length: (vertices,) mean rest length of the mesh edges at each vertex [m].
         mean_edge_lengths: mean rest edge length of each garment [m].
@@ -62,6 +63,7 @@ class GarmentGraph:
     node_world: Tensor
     areal_density: Tensor
     vertex_mass: Tensor
+    mass: Tensor
     node_material: Tensor
     incident_length: Tensor
     mean_edge_lengths: tuple[float, ...]
@@ -94,8 +96,9 @@ def garment_graph(
         node_types=torch.where(garments.pinned, int(NodeType.PINNED), int(NodeType.GARMENT)),
         node_owner=garments.vertex_garment,
         node_world=garments.vertex_world,
-        areal_density=map_log(density, material_range.density)[:, None].to(dtype),
+        areal_density=map_log(density, material_range.density, material_range.margin)[:, None].to(dtype),
         vertex_mass=_known_or_mean(mass.log(), garments)[:, None].to(dtype),
+        mass=mass[:, None].to(dtype),
         node_material=material.to(dtype),
         incident_length=_mean_at(garments.edges.reshape(-1), lengths, garments).to(dtype),
         mean_edge_lengths=garments.mean_edge_lengths,
@@ -128,8 +131,14 @@ def _vertex_material(garments: PackedGarments, limits: MaterialRange) -> Tensor:
     mu = _mean_at(corners, garments.lame_mu.repeat_interleave(3), garments)
     lam = _mean_at(corners, garments.lame_lambda.repeat_interleave(3), garments)
     bending = _mean_at(garments.hinges[:, :2].reshape(-1), garments.bending.repeat_interleave(2), garments)
-    mapped = [map_log(bending, limits.bending), map_log(mu, limits.lame_mu), map_linear(lam, limits.lame_lambda)]
-    return torch.stack(mapped, dim=1)
+    return torch.stack(
+        [
+            map_log(bending, limits.bending, limits.margin),
+            map_log(mu, limits.lame_mu, limits.margin),
+            map_linear(lam, limits.lame_lambda, limits.margin),
+        ],
+        dim=1,
+    )
 
 
 def _mean_at(vertices: Tensor, values: Tensor, garments: PackedGarments) -> Tensor:

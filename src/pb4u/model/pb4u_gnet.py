@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from pb4u.graph.garment_graph import GarmentGraph
 from pb4u.graph.graph import GARMENT, Graph
 from pb4u.model.propagation import Propagation, PropagationForm
-from pb4u.model.propagation_control import ConstantDistance, FixedSteps, PropagationControl
+from pb4u.model.propagation_control import ConstantDistance, FixedSteps, PropagationControl, TruncatedDistance
 from pb4u.model.update_scaling import MeanScaling, NoScaling, PerVertexScaling, UpdateScaling
 from pb4u.nn.acceleration_model import NetworkConfiguration
 from pb4u.nn.encode_process_decode import EncodeProcessDecode
@@ -31,7 +31,7 @@ class Pb4uConfiguration(NetworkConfiguration):
 
     blocks: int = 15
     propagation: PropagationForm = field(default_factory=PropagationForm)
-    control: ConstantDistance | FixedSteps = field(default_factory=ConstantDistance)
+    control: ConstantDistance | TruncatedDistance | FixedSteps = field(default_factory=ConstantDistance)
     scaling: PerVertexScaling | MeanScaling | NoScaling = field(default_factory=PerVertexScaling)
 
     def network(self) -> Pb4uGNet:

@@ -41,6 +41,26 @@ class ConstantDistance:
 
 
 @dataclass(frozen=True)
+class TruncatedDistance:
+    """The released form of `ConstantDistance`: K = max(1, int(D / L)) with L rounded to single precision.
+
+    Args:
+        distance: D [m].
+
+    Raises:
+        InputError: a distance that is not above 0 and finite.
+    """
+
+    distance: float = 0.225
+
+    def __post_init__(self) -> None:
+        ConstantDistance(self.distance)
+
+    def steps(self, mean_edge_length: float) -> int:
+        return max(1, int(self.distance / np.float32(mean_edge_length)))
+
+
+@dataclass(frozen=True)
 class FixedSteps:
     """The same number of steps at every resolution: propagation without control.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, from_euler, multiply, rotate
 from pb4u.motion.correspondences import CMU
 from pb4u.motion.recording import Recording, finite_frames
+from pb4u.reading_limits import MOST_JOINTS, Allowance, read_lines, read_text
 
 # The database names no rate; its trials were captured at 120 Hz.
 CAPTURE_RATE = 120.0
@@ -135,7 +137,7 @@ def _sections(path: Path) -> dict[str, list[str]]:
     """The lines under each `:keyword`, comments dropped."""
     sections: dict[str, list[str]] = {}
     current: list[str] = []
-    for line in path.read_text(encoding="latin-1").splitlines():
+    for line in read_text(path, "an ASF skeleton", encoding="latin-1").splitlines():
         text = line.split("#")[0].strip()
         if text.startswith(":"):
             keyword, _, rest = text[1:].partition(" ")
@@ -170,11 +172,15 @@ def _bones(path: Path, lines: list[str]) -> dict[str, _Bone]:
             direction = _numbers(path, fields["direction"], 3, f"direction of bone {name}")
             length = _numbers(path, fields["length"], 1, f"length of bone {name}")
             angles = _numbers(path, fields["axis"], 3, f"axis of bone {name}")
-            order = fields["axis"][3].lower() if len(fields["axis"]) > 3 else "xyz"
+            order = _axis_order(path, fields["axis"][3] if len(fields["axis"]) > 3 else "xyz", f"bone {name}")
+            if length <= 0.0 or not direction.any():
+                raise InputError(f"{path}: bone {name} has no length or no direction; every bone needs both.")
             channels = tuple(word.lower() for word in fields.get("dof", []))
             if not set(channels) <= set(_DEGREES_OF_FREEDOM):
                 raise InputError(f'{path}: bone {name} has an unknown degree of freedom in "{" ".join(channels)}".')
-            direction /= max(float(np.linalg.norm(direction)), 1e-12)
+            direction /= float(np.linalg.norm(direction))
+            if name in bones or len(bones) == MOST_JOINTS:
+                raise InputError(f"{path} describes the bone {name} twice, or more than {MOST_JOINTS} bones.")
             bones[name] = _Bone(direction * length, angles, order, channels)
             fields = None
         elif fields is not None:
@@ -185,10 +191,19 @@ def _bones(path: Path, lines: list[str]) -> dict[str, _Bone]:
 
 
 def _root(path: Path, lines: list[str]) -> _Bone:
-    fields = {words[0].lower(): words[1:] for words in (line.split() for line in lines)}
+    fields = {words[0].lower(): words[1:] for words in map(str.split, lines) if words}
     channels = tuple(word.lower() for word in fields.get("order", ["tx", "ty", "tz", "rx", "ry", "rz"]))
     orientation = _numbers(path, fields.get("orientation", ["0", "0", "0"]), 3, "orientation of the root")
-    return _Bone(np.zeros(3), orientation, fields.get("axis", ["xyz"])[0].lower(), channels)
+    if not set(channels) <= set(_DEGREES_OF_FREEDOM):
+        raise InputError(f'{path}: the root has an unknown degree of freedom in "{" ".join(channels)[:80]}".')
+    order = _axis_order(path, (fields.get("axis") or ["xyz"])[0], "the root")
+    return _Bone(np.zeros(3), orientation, order, channels)
+
+
+def _axis_order(path: Path, text: str, what: str) -> str:
+    if sorted(text.lower()) != ["x", "y", "z"]:
+        raise InputError(f'{path}: the axis order of {what} should be one such as XYZ, found "{text[:20]}".')
+    return text.lower()
 
 
 def _parents(path: Path, lines: list[str], bones: dict[str, _Bone]) -> dict[str, str]:
@@ -201,6 +216,8 @@ def _parents(path: Path, lines: list[str], bones: dict[str, _Bone]) -> dict[str,
         for name in (parent, *children):
             if name not in bones:
                 raise InputError(f'{path}: the hierarchy names a bone "{name}" without data; the file is cut short.')
+        if twice := [child for child in children if child in parents]:
+            raise InputError(f'{path}: the hierarchy gives the bone "{twice[0]}" a second parent, or one below itself.')
         if parent not in parents:
             raise InputError(f'{path}: bone "{parent}" has children before it has a parent.')
         parents |= {child: parent for child in children}
@@ -209,46 +226,53 @@ def _parents(path: Path, lines: list[str], bones: dict[str, _Bone]) -> dict[str,
 
 def _read_frames(path: Path, rest: AcclaimSkeleton, asf: Path) -> tuple[list[str], np.ndarray, bool]:
     """Bone names in file order, channel values (frames, channels), and whether angles are in degrees."""
-    lines = path.read_text(encoding="latin-1").splitlines()
-    degrees, first = True, len(lines)
-    for i, line in enumerate(lines):
-        text = line.strip()
-        if text.upper() == ":RADIANS":
+    lines = (line.split() for line in read_lines(path, "a recording"))
+    degrees = True
+    for words in lines:
+        if [word.upper() for word in words] == [":RADIANS"]:
             degrees = False
-        if text.isdigit():
-            first = i
+        if len(words) == 1 and words[0].isdigit():
             break
-    tokens = [line.split() for line in lines[first:] if line.strip()]
-    if not tokens:
+    else:
         raise InputError(f"{path} holds no frames.")
-    height = next((i for i, words in enumerate(tokens) if i and len(words) == 1), len(tokens))
-    names = [words[0] for words in tokens[1:height]]
     known = dict(zip(rest.skeleton.names, rest.channels, strict=True))
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise InputError(
-            f'{path} moves a bone "{unknown[0]}" that {asf.name} does not have; give the skeleton it was recorded with.'
-        )
     moving = {name for name, channels in known.items() if channels}
+    names: list[str] = []
+    values = array("d")
+    frames, row = 1, 0
+    for words in filter(None, lines):
+        if frames == 1 and len(words) > 1:
+            if words[0] not in known:
+                raise InputError(
+                    f'{path} moves a bone "{words[0]}" that {asf.name} does not have; give the skeleton it was '
+                    "recorded with."
+                )
+            names.append(words[0])
+        elif row == len(names):
+            _require_bones(path, moving, names, asf)
+            if len(words) != 1:
+                raise _damaged(path, frames + 1, words, "a frame number")
+            frames, row = frames + 1, 0
+            continue
+        if words[0] != names[row] or len(words) != 1 + len(known[names[row]]):
+            raise _damaged(path, frames, words, f"{names[row]} with {len(known[names[row]])} number(s)")
+        try:
+            values.extend(map(float, words[1:]))
+        except ValueError as problem:
+            raise InputError(f"{path} has a word where a number should be: {problem}.") from None
+        row += 1
+    _require_bones(path, moving, names, asf)
+    if row < len(names):
+        raise InputError(f"{path} is cut short: frame {frames} has {row} of its {len(names)} bones.")
+    Allowance(path).take(32 * frames * rest.skeleton.bone_count, "rotations of its bones")
+    return names, finite_frames(np.frombuffer(values).reshape(frames, -1), path), degrees
+
+
+def _require_bones(path: Path, moving: set[str], names: list[str], asf: Path) -> None:
     if missing := sorted(moving - set(names)):
         raise InputError(f"{path} is cut short: the first frame lacks the bones {', '.join(missing)} of {asf.name}.")
-    widths = [1] + [1 + len(known[name]) for name in names]
-    frames, odd = divmod(len(tokens), height)
-    for row in range(height):
-        column, name = tokens[row::height], names[row - 1] if row else ""
-        if list(map(len, column)).count(widths[row]) == len(column) and (
-            not row or [words[0] for words in column].count(name) == len(column)
-        ):
-            continue
-        wanted = f"{name} with {widths[row] - 1} number(s)" if row else "a frame number"
-        frame = next(i for i, words in enumerate(column) if len(words) != widths[row] or (row and words[0] != name))
-        raise InputError(
-            f'{path} is damaged or cut short: frame {frame + 1} reads "{" ".join(column[frame])}" instead of {wanted}.'
-        )
-    if odd:
-        raise InputError(f"{path} is cut short: frame {frames + 1} has {odd - 1} of its {height - 1} bones.")
-    try:
-        flat = np.array([float(word) for i, words in enumerate(tokens) if i % height for word in words[1:]])
-    except ValueError as problem:
-        raise InputError(f"{path} has a word where a number should be: {problem}.") from None
-    return names, finite_frames(flat.reshape(frames, -1), path), degrees
+
+
+def _damaged(path: Path, frame: int, words: list[str], wanted: str) -> InputError:
+    found = " ".join(words)[:80]
+    return InputError(f'{path} is damaged or cut short: frame {frame} reads "{found}" instead of {wanted}.')

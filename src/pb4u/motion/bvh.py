@@ -12,7 +12,10 @@ from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_euler
 from pb4u.motion.correspondences import BVH_SOURCES, SkeletonRoles
 from pb4u.motion.recording import Recording, finite_frames
+from pb4u.reading_limits import MOST_JOINTS, MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, parse_numbers, read_text
 
+_HEADING = 200
+"""Characters of the MOTION section that hold its number of frames and its frame time."""
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -35,15 +38,18 @@ def read_bvh(path: Path) -> Recording:
         InputError: it is cut short or malformed (naming the joint or frame), has no frames or no frame time, or its
             joints are not of a known skeleton.
     """
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = read_text(path, "a recording", MOST_NUMBERS_TEXT, errors="replace")
     head, motion, tail = text.partition("MOTION")
     if not motion or not head.lstrip().upper().startswith("HIERARCHY"):
         missing = "MOTION section; it is cut short" if "HIERARCHY" in head else "HIERARCHY; it is not a BVH recording"
         raise InputError(f"{path} has no {missing}.")
+    if len(head) > MOST_TEXT:
+        raise InputError(f"{path}: its HIERARCHY has {len(head):,} characters; {MOST_TEXT:,} are the most.")
     joints = _hierarchy(path, head)
     source = _source(path, joints)
     values, fps = _motion(path, tail, sum(len(joint.channels) for joint in joints))
 
+    Allowance(path).take(32 * len(values) * len(joints), "rotations of its joints")
     local = np.empty((len(values), len(joints), 4))
     rest = np.zeros((len(joints), 3))
     for i, joint in enumerate(joints):
@@ -94,6 +100,8 @@ def _hierarchy(path: Path, text: str) -> list[_Joint]:
             if not end_site:
                 parent = open_joints[-1] if open_joints else -1
                 joints.append(_Joint(name, parent, np.zeros(3), (), count))
+                if len(joints) > MOST_JOINTS:
+                    raise InputError(f"{path} has over {MOST_JOINTS} joints, which no recording of a person has.")
             open_joints.append(-2 if end_site else len(joints) - 1)
         elif keyword == "}":
             if not open_joints:
@@ -146,9 +154,10 @@ def _source(path: Path, joints: list[_Joint]) -> SkeletonRoles:
 
 def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
     """Channel values (frames, channels) and frames per second."""
-    words = text.replace(":", ": ").split()
-    lower = [word.lower() for word in words[:5]]
-    if len(words) < 5 or lower[0] != "frames:" or lower[2:4] != ["frame", "time:"]:
+    heading = text[:_HEADING].replace(":", ": ")
+    *words, following = (heading.split(None, 5) + [""] * 6)[:6]
+    lower = [word.lower() for word in words]
+    if not words[4] or lower[0] != "frames:" or lower[2:4] != ["frame", "time:"]:
         raise InputError(f'{path}: MOTION does not begin with "Frames:" and "Frame Time:"; the file is cut short.')
     frames = int(_number(path, words[1], "Frames"))
     frame_time = _number(path, words[4], "Frame Time")
@@ -156,7 +165,11 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         raise InputError(f"{path} holds no frames.")
     if frame_time <= 0.0:
         raise InputError(f"{path}: the frame time is {frame_time:g} s; it should be positive, such as 0.00833333.")
-    count = len(words) - 5
+    try:
+        values = parse_numbers(following + text[_HEADING:])
+    except ValueError as problem:
+        raise InputError(f"{path} has a word where a number should be: {problem}.") from None
+    count = len(values)
     if count < frames * channels:
         raise InputError(
             f"{path} is cut short: it should have {frames} frames of {channels} numbers, and ends in frame "
@@ -164,8 +177,4 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         )
     if count > frames * channels:
         raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
-    try:
-        values = np.array(list(map(float, words[5:])))
-    except ValueError as problem:
-        raise InputError(f"{path} has a word where a number should be: {problem}.") from None
     return finite_frames(values.reshape(frames, channels), path), 1.0 / frame_time

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames
+from pb4u.reading_limits import member_names, read_arrays, told_names
 from pb4u.restricted_pickle import load_pickle
 
 _FAMILY_OF_WIDTH = {3 * len(names): family for family, names in JOINT_NAMES.items()}
@@ -55,31 +55,27 @@ def read_amass(path: Path) -> Recording:
     Raises:
         InputError: a key is missing, a shape is wrong, or it is no .npz of plain arrays.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = [key for key in ("poses", "trans") if key not in file]
-            if missing and "faces" in file and {"positions", "vertices"} & set(file):
-                raise InputError(f"{path} is a body that moves, not a recording; give it as --body {path}.")
-            rate_key = next((key for key in _RATE_KEYS if key in file), None)
-            if missing or rate_key is None:
-                wanted = missing or [" or ".join(_RATE_KEYS[:2])]
-                raise InputError(f"{path} has no {' and no '.join(wanted)}; it holds {', '.join(sorted(file)[:10])}.")
-            poses, translations, rate = file["poses"], file["trans"], file[rate_key]
-            betas, gender = (_optional(file, key) for key in ("betas", "gender"))
-    except InputError:
-        raise
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise InputError(f"{path} cannot be read as an .npz of plain arrays ({error}).") from None
-    if rate.size != 1 or not all(np.issubdtype(a.dtype, np.number) for a in (poses, translations, rate)):
+    names = set(member_names(path))
+    missing = [key for key in ("poses", "trans") if key not in names]
+    if missing and "faces" in names and {"positions", "vertices"} & names:
+        raise InputError(f"{path} is a body that moves, not a recording; give it as --body {path}.")
+    rate_key = next((key for key in _RATE_KEYS if key in names), None)
+    if missing or rate_key is None:
+        wanted = missing or [" or ".join(_RATE_KEYS[:2])]
+        raise InputError(f"{path} has no {' and no '.join(wanted)}; it holds {told_names(names)}.")
+    file = read_arrays(path, ("poses", "trans", rate_key))
+    poses, translations, rate = file["poses"], file["trans"], file[rate_key]
+    betas, gender = (_optional(path, key) for key in ("betas", "gender"))
+    if rate.size != 1 or not all(a.dtype.kind in "iuf" for a in (poses, translations, rate)):
         raise InputError(f"{path}: poses, trans and {rate_key} should be numbers, the last a single one.")
     recording = _recording(path, poses, translations, float(rate.reshape(-1)[0]), z_up=True)
     return replace(recording, notes=(*recording.notes, *_shape_note(path, betas, gender)))
 
 
-def _optional(file: np.lib.npyio.NpzFile, key: str) -> np.ndarray | None:
+def _optional(path: Path, key: str) -> np.ndarray | None:
     try:
-        return np.asarray(file[key])
-    except (KeyError, ValueError):  # absent, or a pickled object: a recording is used without
+        return read_arrays(path, (key,)).get(key)
+    except InputError:  # a pickled object: a recording is used without
         return None
 
 
@@ -118,7 +114,7 @@ def read_vto(path: Path) -> Recording:
     translation_key = next((key for key in _TRANSLATION_KEYS if key in content), None)
     if pose_key is None or translation_key is None:
         wanted = "poses" if pose_key is None else "trans"
-        raise InputError(f"{path} has no {wanted}; it holds {', '.join(sorted(map(str, content))[:10])}.")
+        raise InputError(f"{path} has no {wanted}; it holds {told_names(content)}.")
     poses, translations = _numbers(path, content[pose_key], pose_key), _numbers(path, content[translation_key], "trans")
     if poses.ndim == 2 and poses.shape[1] == 69 and "global_orient" in content:
         root = _numbers(path, content["global_orient"], "global_orient")

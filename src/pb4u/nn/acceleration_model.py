@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Protocol
 
 import torch
@@ -16,7 +16,8 @@ from pb4u.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges
 from pb4u.graph.features import Feature, FeatureLayout
 from pb4u.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.graph.graph import EdgeSet, Graph
-from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.graph.pins import PinsAtPresent, PinsAtTarget, PinsAtTargetInEdges
+from pb4u.graph.world_edges import NearestFaceRule, WorldEdgeRule
 from pb4u.nn.mlp import MLP
 from pb4u.nn.normaliser import Normaliser
 from pb4u.scene.packed import PackedGarments
@@ -24,6 +25,10 @@ from pb4u.scene.packed import PackedGarments
 ACCELERATION = Feature("acceleration", 3, "m/step^2", True, 3e-3, "x(t+1) - 2 x(t) + x(t-1), in displacement units")
 MOST_PROPAGATION_STEPS = 500
 """Limit against mistyped numbers, far above the 31 that the rule gives at 38,000 triangles."""
+
+
+MOST_COUNTED = 1024
+"""Columns, blocks or layers that a network may have, eight times the largest published."""
 
 
 class FurtherLoss(Protocol):
@@ -69,22 +74,31 @@ class NetworkConfiguration(ABC):
         width: number of columns of all latents and hidden layers.
         layout: the columns read.
         world_edges: rule for the body vertices that a garment vertex has edges to.
+        pins: rule for what is seen of pinned vertices.
         passes: evaluations of the network in one time step, each adding to the accelerations of the one before; 1 in
             the paper. Above 1 the layout should name "descent" and "advance".
         carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
             flight, is taken; none in the paper. With any the layout should name the same two.
 
     Raises:
-        InputError: less than 1 pass, or a share that is not above 0 and up to 1.
+        InputError: less than 1 pass, a width below 1, a count below 0 or above `MOST_COUNTED`, or a share that is not
+            above 0 and up to 1.
     """
 
     width: int = 128
     layout: FeatureLayout = field(default_factory=FeatureLayout)
-    world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
+    world_edges: WorldEdgeRule | NearestFaceRule = field(default_factory=WorldEdgeRule)
+    pins: PinsAtPresent | PinsAtTarget | PinsAtTargetInEdges = field(default_factory=PinsAtPresent)
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.width < 1:
+            raise InputError(f"network.width must be 1 or more, not {self.width}.")
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if isinstance(value, int) and not 0 <= value <= MOST_COUNTED:
+                raise InputError(f"network.{entry.name} must be from 0 to {MOST_COUNTED}, not {value}.")
         if self.passes < 1:
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
         if not all(0.0 < share <= 1.0 for share in self.carried_shares):
@@ -106,6 +120,7 @@ class GraphNetwork(nn.Module, ABC):
         super().__init__()
         self.layout = configuration.layout
         self.world_edges = configuration.world_edges
+        self.pins = configuration.pins
         self.passes = configuration.passes
         self.carried_shares = configuration.carried_shares
 
@@ -221,7 +236,7 @@ class AccelerationModel(nn.Module):
         network, layout = self.network, self.network.layout
         derived = network.derive(garments)
         static = garment_graph(garments, layout.material_range, dtype, derived.edges)
-        builder = GraphBuilder(static, layout, network.world_edges, derived.finder, derived.rest)
+        builder = GraphBuilder(static, layout, network.world_edges, derived.finder, derived.rest, network.pins)
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
         prepared = PreparedGarments(builder, steps, network.update_scale(static), derived.losses)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)

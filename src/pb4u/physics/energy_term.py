@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from pb4u.physics.contact.planes import ContactSet
+from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 
@@ -56,6 +57,16 @@ class EnergyTerm(ABC):
 
         One symmetric matrix for each of the `elements`, as a 3x3 block for each of the `corner_pairs`; those of (j, i)
         are those of (i, j) with their axes exchanged. Elements come last, which is fastest.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+        """
+        return None
+
+    def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
+        """Positive semi-definite second derivative over pairs of cloth elements that change with `x`; None where zero.
 
         Args:
             step: the time step.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from pb4u.physics.bending import Bending
+from pb4u.physics.contact.cloth_contact import ClothContact, ClothFriction
 from pb4u.physics.contact.collision import Collision, ReleasedCollision
 from pb4u.physics.contact.friction import Friction, ReleasedFriction
 from pb4u.physics.contact.planes import (
@@ -18,9 +19,11 @@ from pb4u.physics.contact.planes import (
     nearest_face_centres,
     nearest_planes,
 )
+from pb4u.physics.contact.self_contact import ClothPairs, CollisionFree, NoSelfContact, SelfContact
 from pb4u.physics.energy_term import EnergyTerm
 from pb4u.physics.gravity import Gravity
 from pb4u.physics.inertia import Inertia
+from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.physics.stretch import Stretch
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
@@ -67,6 +70,9 @@ class Energies:
 TERMS: tuple[EnergyTerm, ...] = (Stretch(), Bending(), Gravity(), Inertia(), Collision(), Friction(load=Collision()))
 """The energies of a time step. Everything downstream takes their names from here."""
 
+SELF_CONTACT: tuple[EnergyTerm, ...] = (ClothContact(), ClothFriction())
+"""The energies of contact between cloth elements, which a simulation adds and tables of the six leave out."""
+
 RELEASED_FORMS: tuple[EnergyTerm, ...] = (Gravity(absolute=True), ReleasedCollision(), ReleasedFriction())
 """Terms that the family's released convention has otherwise: absolute height, collision per vertex, wide friction."""
 
@@ -78,10 +84,12 @@ class IncrementalPotential:
     Args:
         terms: the energies, each under a name of its own.
         search: finds the planes of the body: its exact nearest points, or the family's nearest face centres.
+        self_contact: keeps cloth from passing through cloth, or does not.
     """
 
     terms: tuple[EnergyTerm, ...] = TERMS
     search: PlaneSearch = nearest_planes
+    self_contact: SelfContact = field(default_factory=NoSelfContact)
 
     @staticmethod
     def paper_release() -> IncrementalPotential:
@@ -90,6 +98,10 @@ class IncrementalPotential:
         for term in RELEASED_FORMS:
             potential = potential.with_term(term)
         return potential
+
+    def with_self_contact(self) -> IncrementalPotential:
+        """This potential with contact between cloth elements."""
+        return replace(self, terms=(*self.terms, *SELF_CONTACT), self_contact=CollisionFree())
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -108,7 +120,10 @@ class IncrementalPotential:
     def of(self, step: TimeStep) -> StepPotential:
         """The potential of `step`, with the contacts at its start looked up."""
         exact = self.search is nearest_planes
-        return StepPotential(self, step, step.contacts if exact else step.contacts_by(self.search))
+        contacts = step.contacts if exact else step.contacts_by(self.search)
+        before = step.state.positions
+        cloth = self.self_contact.pairs(step.garments, before, None, before)
+        return StepPotential(self, step, replace(contacts, cloth_now=None if cloth is None else cloth.touching(before)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +166,38 @@ class StepPotential:
         """
         return replace(self, contacts=replace(self.contacts, next=contact, opposite=opposite))
 
+    def reached(self, x: Tensor, wanted: Tensor) -> tuple[StepPotential, Tensor]:
+        """This potential for a move, and the positions (vertices, 3) [m] to which it leads where cloth stops cloth.
+
+        The cloth elements that the potential compares are fixed to those that meet along the move. The positions are
+        `wanted` itself where nothing touches.
+
+        Args:
+            x: (vertices, 3) [m] from where, crossing nowhere.
+            wanted: (vertices, 3) [m].
+        """
+        met = self._along(x, wanted - x)
+        carried = self.potential.self_contact.carried(self.step.garments, x, wanted, met.contacts.cloth)
+        return (met if carried is wanted else self._along(x, carried - x)), carried
+
+    def as_far_as_free(self, x: Tensor, moves: Tensor) -> tuple[StepPotential, Tensor]:
+        """This potential for a move, as `reached` gives it, and the shares (worlds,) of it that touch nothing.
+
+        Args:
+            x: (vertices, 3) [m] from where, crossing nowhere.
+            moves: (vertices, 3) [m], linear.
+        """
+        met = self._along(x, moves)
+        return met, met.potential.self_contact.shares(self.step.garments, met.contacts.cloth, x, moves)
+
+    def with_cloth(self, cloth: ClothPairs | None) -> StepPotential:
+        """This potential with the cloth elements that it compares fixed to `cloth`; None looks them up."""
+        return self if cloth is None else replace(self, contacts=replace(self.contacts, cloth=cloth))
+
+    def _along(self, x: Tensor, moves: Tensor) -> StepPotential:
+        before = self.step.state.positions
+        return self.with_cloth(self.potential.self_contact.pairs(self.step.garments, x, moves, before))
+
     def energies(self, x: Tensor) -> Energies:
         """Energies at `x` (vertices, 3) [m]; differentiable by autograd."""
         contacts = self._contacts_at(x)
@@ -186,6 +233,16 @@ class StepPotential:
         blocks = {term.name: term.curvature(self.step, contacts, x) for term in self.potential.terms}
         return {name: block for name, block in blocks.items() if block is not None}
 
+    def pair_stiffness(self, x: Tensor) -> list[PairStiffness]:
+        """Second derivatives over pairs of cloth elements, as in `EnergyTerm.pair_stiffness`.
+
+        Args:
+            x: (vertices, 3) [m] next positions.
+        """
+        contacts = self._contacts_at(x)
+        parts = [term.pair_stiffness(self.step, contacts, x) for term in self.potential.terms]
+        return [part for part in parts if part is not None]
+
     def buckling(self, x: Tensor) -> dict[str, Tensor]:
         """Negative parts of the second derivatives by term, each (3, 3, pairs, elements) [J/m^2].
 
@@ -199,6 +256,11 @@ class StepPotential:
         return {name: block for name, block in blocks.items() if block is not None}
 
     def _contacts_at(self, x: Tensor) -> ContactSet:
-        if self.step.bodies is None or self.contacts.next is not None:
-            return self.contacts
-        return replace(self.contacts, next=self.contact_at(x))
+        contacts = self.contacts
+        if self.step.bodies is not None and contacts.next is None:
+            contacts = replace(contacts, next=self.contact_at(x))
+        if contacts.cloth is None:
+            before = self.step.state.positions
+            cloth = self.potential.self_contact.pairs(self.step.garments, x.detach(), None, before)
+            contacts = contacts if cloth is None else replace(contacts, cloth=cloth)
+        return contacts

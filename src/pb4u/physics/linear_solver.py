@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.scene.packed import PackedGarments
 
 _PATCHES_PER_GARMENT = 40
@@ -116,17 +117,21 @@ class TwoLevelPreconditioner:
     Args:
         basis: patch motions.
         matrix: (3 vertices, 3 vertices) [N/m] stiffness, rows and columns as (vertex, axis).
-        diagonal: (vertices, 3, 3) [N/m] its diagonal blocks.
+        diagonal: (vertices, 3, 3) [N/m] its diagonal blocks, those of `pairs` included.
+        pairs: contacts between cloth elements, to be added to the matrix.
     """
 
-    def __init__(self, basis: PatchBasis, matrix: Any, diagonal: np.ndarray) -> None:
+    def __init__(self, basis: PatchBasis, matrix: Any, diagonal: np.ndarray, pairs: PairStiffness) -> None:
         self._basis = basis
-        self.refresh_patches(matrix)
+        self.refresh_patches(matrix, pairs)
         self.refresh_diagonal(diagonal)
 
-    def refresh_patches(self, matrix: Any) -> None:
-        """Recompute the coarse part from the stiffness `matrix` (3 vertices, 3 vertices) [N/m]."""
+    def refresh_patches(self, matrix: Any, pairs: PairStiffness) -> None:
+        """Recompute the coarse part from the stiffness `matrix` (3 vertices, 3 vertices) [N/m] and the `pairs`."""
         coarse = (self._basis.restriction @ (matrix.tocsr() @ self._basis.prolongation)).toarray()
+        if len(pairs):
+            root = (pairs.root(matrix.shape[0] // 3) @ self._basis.prolongation).tocsr()
+            coarse += (root.T @ root).toarray()
         self._coarse_inverse = _inverse(0.5 * (coarse + coarse.T))
 
     def refresh_diagonal(self, diagonal: np.ndarray) -> None:

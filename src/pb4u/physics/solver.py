@@ -18,9 +18,11 @@ import torch
 from torch import Tensor
 
 from pb4u.physics.contact.planes import ContactPlanes
+from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
 from pb4u.physics.linear_solver import LinearSolution, PatchBasis, TwoLevelPreconditioner, conjugate_gradient
+from pb4u.physics.pair_stiffness import PairStiffness, SummedProduct
 from pb4u.physics.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.scene.packed import PackedGarments
@@ -147,12 +149,13 @@ class Solver:
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
-        start = lifted_off_the_body(potential, start)
+        potential, start = potential.reached(potential.step.state.positions, lifted_off_the_body(potential, start))
+        cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
         preconditioner = _StepPreconditioner(self._basis)
         x, inner, iteration, damping_level = start, 0, 0, -1
         while True:
-            frozen = contact.potential_at(x)
+            frozen = contact.potential_at(x).with_cloth(cloth)
             energies, gradient = frozen.energies_and_gradient(x)
             gradient = torch.where(self._pattern.free[:, None], gradient, 0.0)
             residual, total = self._residual(garments, gradient), float(energies.total)
@@ -169,7 +172,7 @@ class Solver:
             moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
                 return Solution(x, energies, residual, iteration, inner, False, frozen.contacts.next)
-            x = moved
+            x, cloth = moved
             iteration += 1
 
     def _prepare(self, potential: StepPotential) -> None:
@@ -209,7 +212,8 @@ class Solver:
         """Newton direction, a direction of negative curvature where there is one, and the damping level taken."""
         right = -gradient.reshape(-1).numpy()
         positive = self._pattern.assemble(frozen.curvature(x))
-        preconditioner.update(self._pattern, positive)
+        pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free.numpy())
+        preconditioner.update(self._pattern, positive, pairs)
         missing = self._pattern.assemble(frozen.buckling(x)) if damping_level else positive
         negative, spent = None, 0
         own = self._pattern.own_entries
@@ -218,7 +222,9 @@ class Solver:
             compression, extra_mass = _DAMPING_LEVELS[damping_level]
             entries = positive + compression * missing
             entries[own] += extra_mass * mass
-            solved = conjugate_gradient(self._pattern.product(entries), right, preconditioner, self.forcing, 300)
+            matrix = self._pattern.product(entries)
+            matrix = SummedProduct(matrix, pairs) if len(pairs) else matrix
+            solved = conjugate_gradient(matrix, right, preconditioner, self.forcing, 300)
             spent += solved.iterations
             if solved.negative is None or damping_level == 0:
                 preconditioner.last_iterations = solved.iterations
@@ -228,11 +234,11 @@ class Solver:
 
     def _line_search(
         self, frozen: StepPotential, x: Tensor, gradient: Tensor, energies: Tensor, solved: LinearSolution
-    ) -> Tensor | None:
+    ) -> tuple[Tensor, ClothPairs | None] | None:
         """Positions at which the energy is low enough along the direction, then along the buckling one; or None.
 
-        Each world decides by its own energy: the `energies` (worlds,) [J] are those at `x` (vertices, 3) [m]. None
-        where no world accepts a step.
+        With the pairs of cloth elements that feel each other there. Each world decides by its own energy: the
+        `energies` (worlds,) [J] are those at `x` (vertices, 3) [m]. None where no world accepts a step.
         """
         garments = frozen.step.garments
         world = garments.vertex_world
@@ -245,8 +251,16 @@ class Solver:
 
         direction = torch.from_numpy(solved.solution.reshape(-1, 3))
         direction = direction * each_vertex(_factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0))
-        slope = _sums(gradient * direction, garments)
-        length = torch.ones_like(slope)
+        wanted = x + direction
+        frozen, free = frozen.reached(x, wanted)
+        slope, length = _sums(gradient * direction, garments), torch.ones(garments.world_count, dtype=x.dtype)
+        if free is not wanted:
+            aside = _sums(gradient * (free - x), garments)
+            falls = aside < 0
+            direction, slope = torch.where(each_vertex(falls), free - x, direction), torch.where(falls, aside, slope)
+            if not bool(falls.all()):
+                # Turned aside it no longer lowers the energy of a world: all of that goes as far as it can.
+                frozen, length = frozen.as_far_as_free(x, direction)
         for _ in range(_HALVINGS):
             candidate = x + each_vertex(length) * direction
             reached = energies_at(candidate)
@@ -260,13 +274,16 @@ class Solver:
             candidate = torch.where(each_vertex(accepted), candidate, x)
             reached = energies_at(candidate)
         if solved.negative is None:
-            return candidate
+            return candidate, frozen.contacts.cloth
         buckling = torch.from_numpy(solved.negative.reshape(-1, 3))
         buckling = buckling * each_vertex(_factors(buckling, _BUCKLING_MOVE, garments))
         buckling = buckling * each_vertex(torch.where(_sums(gradient * buckling, garments) > 0, -1.0, 1.0))
+        longest = 2.0 ** (_BUCKLING_DOUBLINGS - 1)
+        frozen, share = frozen.as_far_as_free(candidate, longest * buckling)
         # Along the buckling direction there is no slope to compare with, so moves are kept while the energy falls.
         result, size, falling = candidate, 1.0, torch.ones_like(accepted)
         for _ in range(_BUCKLING_DOUBLINGS):
+            falling = falling & (size <= longest * share)
             further = torch.where(each_vertex(falling), candidate + size * buckling, result)
             lower = energies_at(further)
             falling = falling & (lower < reached)
@@ -274,7 +291,7 @@ class Solver:
                 break
             result = torch.where(each_vertex(falling), further, result)
             reached, size = torch.where(falling, lower, reached), 2.0 * size
-        return result
+        return result, frozen.contacts.cloth
 
 
 def _factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:
@@ -302,16 +319,17 @@ class _StepPreconditioner:
         self._age = 0
         self.last_iterations = 0
 
-    def update(self, pattern: StiffnessPattern, entries: np.ndarray) -> None:
-        """Recompute what has aged from the `entries` (entries, 3, 3) [N/m] of a new stiffness matrix."""
+    def update(self, pattern: StiffnessPattern, entries: np.ndarray, pairs: PairStiffness) -> None:
+        """Recompute what has aged from the `entries` (entries, 3, 3) [N/m] and `pairs` of a new stiffness matrix."""
         diagonal = pattern.diagonal(entries)
+        pairs.add_diagonal(diagonal)
         self._age += 1
         if self._current is None:
-            self._current = TwoLevelPreconditioner(self._basis, pattern.matrix(entries), diagonal)
+            self._current = TwoLevelPreconditioner(self._basis, pattern.matrix(entries), diagonal, pairs)
             return
         self._current.refresh_diagonal(diagonal)
         if self._age >= 4 and self.last_iterations > 50:
-            self._current.refresh_patches(pattern.matrix(entries))
+            self._current.refresh_patches(pattern.matrix(entries), pairs)
             self._age = 0
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
@@ -331,10 +349,19 @@ def substep_count(step: TimeStep) -> int:
     return max(1, math.ceil(float(motion.norm(dim=1).max()) / LARGEST_MOTION))
 
 
+def free_flight(step: TimeStep) -> Tensor:
+    """Positions (vertices, 3) [m] where every vertex keeps its velocity, pinned ones in their places."""
+    return step.with_pins(step.state.positions + step.dt * step.state.velocities)
+
+
 def implicit_steps(
-    potential: IncrementalPotential, solver: Solver, step: TimeStep, iterations: int | None = None
+    potential: IncrementalPotential,
+    solver: Solver,
+    step: TimeStep,
+    iterations: int | None = None,
+    start: Callable[[TimeStep], Tensor] = free_flight,
 ) -> tuple[State, Solution]:
-    """The state at the end of `step`, started from free flight, and the solution of its last implicit step.
+    """The state at the end of `step`, and the solution of its last implicit step.
 
     A body that moves far in the step is moved along straight lines in several implicit steps.
 
@@ -343,13 +370,13 @@ def implicit_steps(
         solver: minimises them.
         step: garments in float64 on the CPU.
         iterations: at most this many in each implicit step; None goes to the solver's tolerance.
+        start: gives the positions (vertices, 3) [m] that an implicit step starts from.
 
     Raises DivergedError when the state is not finite.
     """
     count, state = substep_count(step), step.state
     for k in range(count):
         part = step if count == 1 else step.part(k, count, state)
-        start = part.with_pins(state.positions + part.dt * state.velocities)
-        solution = solver.minimise(potential.of(part), start, iterations)
+        solution = solver.minimise(potential.of(part), start(part), iterations)
         state = part.reached(solution.positions)
     return State(state.positions, state.velocities, step.state.frame + 1), solution

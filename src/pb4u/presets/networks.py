@@ -6,15 +6,17 @@ from dataclasses import replace
 from typing import TypeVar
 
 from pb4u.baselines.contourcraft import ContourCraftConfiguration
+from pb4u.baselines.directed_self_contact import DirectedSelfEdges
 from pb4u.baselines.eslr import EslrConfiguration
-from pb4u.baselines.hood import HoodConfiguration, LevelsByLength
+from pb4u.baselines.hood import HoodConfiguration, LeftReturn, LevelsByLength
 from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.errors import unknown_name
-from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout
-from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout, MaterialRange
+from pb4u.graph.pins import PinsAtTarget, PinsAtTargetInEdges
+from pb4u.graph.world_edges import NearestFaceRule, WorldEdgeRule
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.model.propagation import PAPER_PROPAGATION, RELEASED_PROPAGATION
-from pb4u.model.propagation_control import ConstantDistance, FixedSteps
+from pb4u.model.propagation_control import ConstantDistance, FixedSteps, TruncatedDistance
 from pb4u.model.update_scaling import MeanScaling, NoScaling, PerVertexScaling
 from pb4u.nn.acceleration_model import NetworkConfiguration
 
@@ -44,13 +46,69 @@ pb4u_small_two_passes = replace(pb4u_small_carried, passes=2)
 _small_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
 
 mgn = MeshGraphNetConfiguration()
-hood = HoodConfiguration()
+hood = HoodConfiguration(way_up=LeftReturn())
 eslr = EslrConfiguration()
 contourcraft = ContourCraftConfiguration()
 # The small ones take about as long as `pb4u_small` for a step of training at 2,500 triangles (docs/baselines.md), and
 # start as `pb4u_small_carried` does: from free flight none holds a garment after what a processor affords.
 _mgn_small = with_start_shares(replace(mgn, width=64, blocks=7))
 _hood_small = with_start_shares(replace(hood, width=64, repeats=1))
+
+# The released networks, as their code computes (docs/baselines.md): checkpoints of theirs are read into these.
+_released_layout = FeatureLayout(
+    node=("velocity", "normal", "time_step", "vertex_mass", "material"),
+    mesh_edge=("direction", "rest_direction", "length_ratio", "time_step", "material"),
+    world_edge=("relative_now", "distance_now", "relative_next", "distance_next", "time_step"),
+    material_range=MaterialRange(margin=None),
+)
+_released_world_edges = WorldEdgeRule(radius=0.03, neighbours=1, whole_body=True)
+release_pb4u = replace(
+    pb4u_paper,
+    propagation=RELEASED_PROPAGATION,
+    control=TruncatedDistance(0.225),
+    scaling=MeanScaling(0.01),
+    layout=_released_layout,
+    world_edges=_released_world_edges,
+    pins=PinsAtTarget(),
+)
+_released_mesh_edge = (
+    "relative_position", "length", "rest_relative_position", "rest_length", "time_step", "material",
+)  # fmt: skip
+release_mgn = replace(
+    mgn,
+    layout=replace(
+        _released_layout,
+        node=("velocity_ahead", "normal", "time_step", "vertex_mass", "material"),
+        mesh_edge=_released_mesh_edge,
+    ),
+    world_edges=_released_world_edges,
+    pins=PinsAtTarget(moving=True),
+)
+release_hood = HoodConfiguration(
+    labelled=3,
+    way_up=LeftReturn(),
+    layout=replace(release_mgn.layout, node=_released_layout.node),
+    world_edges=_released_world_edges,
+    pins=PinsAtTarget(),
+)
+release_hood_cvpr = replace(release_hood, layout=release_mgn.layout, pins=PinsAtTarget(moving=True))
+release_contourcraft = ContourCraftConfiguration(
+    layout=FeatureLayout(
+        node=("velocity_ahead", "normal", "mass", "material"),
+        mesh_edge=("relative_position", "length", "rest_length", "material"),
+        world_edge=(
+            "relative_now", "distance_now", "relative_next", "distance_next", "relative_velocity", "relative_speed",
+        ),
+        found_edge=(
+            "relative_position", "length", "previous_relative_position", "previous_length", "relative_velocity",
+            "relative_speed", "future_pinned", "material",
+        ),
+        material_range=MaterialRange(margin=None),
+    ),
+    world_edges=NearestFaceRule(0.03),
+    pins=PinsAtTargetInEdges(),
+    self_edges=DirectedSelfEdges(),
+)  # fmt: skip
 
 PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
     "pb4u_paper": (pb4u_paper, "the paper's network"),
@@ -63,6 +121,12 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
         ),
         "the same as in the released code",
     ),
+    "release_pb4u": (release_pb4u, "the released network to the last digit, for its checkpoints"),
+    "release_mgn": (release_mgn, "the released MeshGraphNet (fine15) to the last digit"),
+    "release_mgn_48": (replace(release_mgn, blocks=48), "the released fine48"),
+    "release_hood": (release_hood, "the released HOOD (postcvpr) to the last digit"),
+    "release_hood_cvpr": (release_hood_cvpr, "the HOOD of the paper (cvpr) to the last digit"),
+    "release_contourcraft": (release_contourcraft, "the released ContourCraft"),
     "pb4u_bare_edges": (
         replace(pb4u_paper, layout=FeatureLayout(mesh_edge=("direction", "rest_direction", "length_ratio"))),
         "mesh edges with the three features that the paper names, and nothing else",

@@ -13,17 +13,24 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
 from pb4u.body.library import load_body
+from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
+from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.diagnosis import require_worn
+from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
+from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment, SourceMap
+from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import nearest_places, read_garment
+from pb4u.garment.layering import layered, worn_order
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.remeshing import remesh
+from pb4u.motion.as_recorded import RecordingAsItIs
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.motion.motion import Motion
@@ -115,20 +122,18 @@ def assemble(specification: SceneSpecification) -> Scene:
     Warns:
         InputWarning: as `make_scene` does.
     """
-    body = _load_body(specification)
-    performance = _perform(body, specification) if isinstance(body, ShapedBody) else _play(body, specification)
+    recording = _recording(specification) if specification.as_recorded else None
+    body = _load_body(specification, recording)
+    if isinstance(body, ShapedBody):
+        performance = _perform(body, specification) if recording is None else _replay(body, recording, specification)
+    else:
+        performance = _play(body, specification)
     collider, frames, lead_in, notes = performance.body, performance.frames, specification.lead_in, performance.notes
-    dressed = []
-    for each in specification.garments:
-        garment = _load_garment(each, body)
-        if each.pins is not None:
-            garment = garment.with_pins(resolve_pins(each.pins, garment))
-        placement: Placement = (
-            SkinnedPlacement(garment, collider)
-            if isinstance(collider, PosedBody)
-            else AttachedPlacement(garment, collider)
-        )
-        dressed.append(DressedGarment(garment, placement))
+    garments, specified = _load_garments(specification.garments, body)
+    places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
+    dressed = [
+        DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
+    ]
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
@@ -138,7 +143,7 @@ def assemble(specification: SceneSpecification) -> Scene:
         _say(apart)
     named = {
         worn.garment.name: str(each.garment)
-        for worn, each in zip(dressed, specification.garments, strict=True)
+        for worn, each in zip(dressed, specified, strict=True)
         if isinstance(each.garment, str | Path)
     }
     return Scene(
@@ -147,6 +152,8 @@ def assemble(specification: SceneSpecification) -> Scene:
         frames=frames,
         lead_in=lead_in,
         fps=specification.fps,
+        # A recording that is played as it is stands at whatever height it has.
+        ground_height=Scene.ground_height if recording is None else None,
         seed=specification.seed,
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
@@ -157,6 +164,18 @@ def assemble(specification: SceneSpecification) -> Scene:
         },
         notes=notes,
     )
+
+
+def _load_garments(
+    specified: Sequence[GarmentSpecification], body: ShapedBody | VertexSequence
+) -> tuple[list[Garment], list[GarmentSpecification]]:
+    """The garments, pinned, and their specifications in the order they are worn, inner first."""
+    garments = []
+    for each in specified:
+        garment = _load_garment(each, body)
+        garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
+    order = worn_order(garments, [each.tucked for each in specified])
+    return [garments[k] for k in order], [specified[k] for k in order]
 
 
 def _specified(
@@ -215,10 +234,40 @@ class _Performance:
     notes: tuple[str, ...] = ()
 
 
-def _load_body(specification: SceneSpecification) -> ShapedBody | VertexSequence:
+def _placement(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None) -> Placement:
+    """The garment on the moving body, at `worn` (vertices, 3) [m] where it lies over others."""
+    if not isinstance(collider, PosedBody):
+        return AttachedPlacement(garment, collider, worn)
+    if worn is None and CorrectedPlacement.fits(garment.skinning, collider):
+        return CorrectedPlacement(garment, collider)
+    return SkinnedPlacement(garment, collider, worn=worn)
+
+
+def _recording(specification: SceneSpecification) -> RecordingAsItIs:
+    motion = specification.motion
+    if not isinstance(motion, str | Path) or not Path(motion).suffix:
+        raise InputError("To play a recording as recorded, give its file as the motion: a .pkl or .npz of SMPL.")
+    return RecordingAsItIs(Path(motion), specification.crop, specification.arms_away)
+
+
+def _load_body(
+    specification: SceneSpecification, recording: RecordingAsItIs | None = None
+) -> ShapedBody | VertexSequence:
+    body = _shaped_body(specification, {} if recording is None else recording.shape)
+    if specification.omitted is None:
+        return body
+    return body.with_contact(read_contact(Path(specification.omitted), len(body.contact)))
+
+
+def _shaped_body(specification: SceneSpecification, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
+    """The body with the `shape` that its recording says, and over it what is asked for."""
     body = specification.body
+    if shape and not (isinstance(body, str | Path) and Path(body).suffix):
+        raise InputError(
+            f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
+        )
     if isinstance(body, str | Path):
-        return load_body(body, specification.body_shape)
+        return load_body(body, {**shape, **specification.body_shape})
     if not isinstance(body, ShapedBody | VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
     if specification.body_shape:
@@ -240,6 +289,16 @@ def _perform(body: ShapedBody, specification: SceneSpecification) -> _Performanc
     for note in clip.notes:
         _say(note)
     return _Performance(body.posed(prepend_lead_in(poses, body, specification.lead_in)), frames, name, clip.notes)
+
+
+def _replay(body: ShapedBody, recording: RecordingAsItIs, specification: SceneSpecification) -> _Performance:
+    """A body with bones plays its recording, nothing changed."""
+    frames, lead_in = specification.frames, specification.lead_in
+    available = recording.available_frames(specification.fps) or 0
+    if frames is not None and frames > available:
+        _say_shorter(recording.name, available, frames, specification.fps)
+    poses = recording.led_in(body, specification.fps, lead_in)
+    return _Performance(body.posed(poses), min(frames or available, available), str(specification.motion))
 
 
 def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
@@ -287,6 +346,9 @@ def _load_garment(specification: GarmentSpecification, body: ShapedBody | Vertex
     if not isinstance(garment, str | Path):
         raise InputError(f"The garment must be a name, a path or a Garment, not {garment!r}.")
     cloth = _load_material(specification.material or DEFAULT_MATERIAL)
+    entry = DictionaryEntry.parse(garment)
+    if entry is not None:
+        return _worn(_remeshed(read_dictionary_garment(entry, cloth), triangles), body)
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
         require_worn(loaded, body, garment, pins_given=specification.pins is not None)
@@ -299,6 +361,14 @@ def _load_garment(specification: GarmentSpecification, body: ShapedBody | Vertex
         )
     options = {} if triangles is None else {"triangles": triangles}
     return build_garment(str(garment), body, **options).with_material(cloth)
+
+
+def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
+    """A garment of a dictionary, which stands where SMPL's own origin is, at the height of the body that wears it."""
+    if isinstance(body, ShapedBody):
+        garment = replace(garment, vertices=garment.vertices + np.array([0.0, body.lift, 0.0]))
+    require_worn(garment, body, garment.name, pins_given=bool(garment.pinned.any()))
+    return garment
 
 
 def _load_material(material: str | Path | Material) -> Material:
@@ -317,9 +387,13 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
     uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
     simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
     places = nearest_places(simulated.vertices, vertices, faces)
+    own = garment.skinning
+    if own is not None:
+        triangle, barycentric = nearest_places(vertices, garment.vertices, garment.faces)
+        own = own.at(garment.faces[triangle], barycentric)
     remeshed = replace(
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
-        source=SourceMap(simulated, *places),
+        source=SourceMap(simulated, *places), coarse_edges=(), skinning=own,
     )  # fmt: skip
     remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))
     if garment.source is None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import zipfile
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+
+from pb4u.reading_limits import Allowance, open_archive, read_layout, read_member
 
 _SMALLEST_MAPPED = 4096
 """Members of fewer bytes are read: a map costs a page and a file handle."""
@@ -16,36 +17,29 @@ _SMALLEST_MAPPED = 4096
 def map_archive(path: Path) -> dict[str, np.ndarray]:
     """Arrays (...) of any unit of an .npz file by name, mapped from the file; small and compressed ones are read.
 
-    Raises OSError, BadZipFile, ValueError, or what else the readers of zipfile and numpy raise, when the file cannot be
-    read whole.
+    Raises InputError, OSError, ValueError, or what else numpy's reader raises, when the file cannot be read whole, or
+    when what is compressed in it would take more memory than it may.
     """
     members: dict[str, np.ndarray] = {}
-    with zipfile.ZipFile(path) as archive, path.open("rb") as raw:
+    with open_archive(path) as archive, path.open("rb") as raw:
+        allowance = Allowance(path)
         for info in archive.infolist():
             name = info.filename.removesuffix(".npy")
             if info.compress_type != zipfile.ZIP_STORED or info.file_size == 0:
-                with archive.open(info) as member:
-                    members[name] = np.lib.format.read_array(member, allow_pickle=False)
+                members[name] = read_member(archive, info, allowance)
                 continue
             raw.seek(info.header_offset + 26)
             name_length, extra_length = np.frombuffer(raw.read(4), dtype="<u2").tolist()
             start = info.header_offset + 30 + name_length + extra_length
             raw.seek(start)
-            version = np.lib.format.read_magic(raw)
-            read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-            if version not in read_header:
-                raise ValueError(f"member {name} has an array header of version {version[0]}.{version[1]}")
-            shape, fortran, dtype = read_header[version](raw)
-            if dtype.hasobject:
-                raise ValueError(f"member {name} holds Python objects")
-            if min(shape, default=0) < 0:
-                raise ValueError(f"member {name} has the shape {shape}")
-            data, size = raw.tell(), math.prod(shape) * dtype.itemsize
-            if data + size > start + info.file_size:
+            layout = read_layout(raw, name, info.file_size)
+            data = raw.tell()
+            if data + layout.size > start + info.file_size:
                 raise ValueError(f"member {name} is cut short")
-            order: Literal["F", "C"] = "F" if fortran else "C"
-            if size < _SMALLEST_MAPPED:
-                members[name] = np.frombuffer(raw.read(size), dtype=dtype).reshape(shape, order=order)
+            order: Literal["F", "C"] = "F" if layout.fortran else "C"
+            if layout.size < _SMALLEST_MAPPED:
+                content = raw.read(layout.size)
+                members[name] = np.frombuffer(content, dtype=layout.dtype).reshape(layout.shape, order=order)
             else:
-                members[name] = np.memmap(path, dtype, "r", data, shape, order)
+                members[name] = np.memmap(path, layout.dtype, "r", data, layout.shape, order)
     return members

@@ -18,6 +18,7 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
+from pb4u.geometry.proximity.surface_tree import SurfaceTree
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +95,14 @@ class PackedGarments:
         """First packed vertex of each world, and the total."""
         firsts = [self.vertex_offsets[self.worlds.index(world)] for world in range(self.world_count)]
         return (*firsts, self.vertex_count)
+
+    @cached_property
+    def surface_tree(self) -> SurfaceTree:
+        """Search for elements of the garments that come near each other."""
+        rest, faces, edges, part = (
+            values.cpu().numpy() for values in (self.rest_positions, self.faces, self.edges, self.vertex_garment)
+        )
+        return SurfaceTree(rest, faces, edges, part, self.worlds)
 
     def by_world(self, values: Tensor) -> Tensor:
         """Sums (worlds,) of `values` over the garments of each world, in their unit.

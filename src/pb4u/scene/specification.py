@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError
+from pb4u.garment.dictionary_entry import DictionaryEntry
 
 if TYPE_CHECKING:
     from pb4u.body.animated_body import AnimatedBody
@@ -20,6 +21,11 @@ if TYPE_CHECKING:
     from pb4u.garment.garment import Garment
     from pb4u.garment.material import Material
     from pb4u.motion.motion import Motion
+
+
+MOST_GARMENTS = 8
+"""Garments of a scene: laying them over each other takes twenty times as long for eight as for two, and with more the
+outermost has no room left within the sleeves of its own cut."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,7 @@ class GarmentSpecification:
         pins: vertices that follow the body: a name, a border or a file as for `resolve_pins`, or vertex indices; None
             is the garment's own.
         triangles: number of triangles to simulate; None is the garment's own.
+        tucked: whether it goes into what is worn from the waist, such as trousers, wherever it stands in the order.
 
     Raises:
         InputError: a value of a wrong type.
@@ -41,9 +48,11 @@ class GarmentSpecification:
     material: str | Path | Material | None = None
     pins: str | Path | Sequence[int] | None = None
     triangles: int | None = None
+    tucked: bool = False
 
     def __post_init__(self) -> None:
         require_name("garment", self.garment)
+        require_switch("tucked", self.tucked)
         require_name("material", self.material, optional=True)
         require_whole("number of triangles", self.triangles, optional=True)
         if self.pins is None or isinstance(self.pins, str | Path):
@@ -56,7 +65,10 @@ class GarmentSpecification:
     @property
     def name(self) -> str:
         """Name of the garment; the stem of a file."""
-        return Path(self.garment).stem if isinstance(self.garment, str | Path) else self.garment.name
+        if not isinstance(self.garment, str | Path):
+            return self.garment.name
+        entry = DictionaryEntry.parse(self.garment)
+        return Path(self.garment).stem if entry is None else entry.title
 
 
 @dataclass(frozen=True)
@@ -75,6 +87,8 @@ class SceneSpecification:
         fps: frames per second [1/s].
         arms_away: degrees by which hanging arms are held away from the torso.
         seed: seed of procedural motion and of everything random.
+        as_recorded: whether an SMPL recording is played as it is, on its own shape, place and height.
+        omitted: file of the body vertices that are left out of contact; None is the body's own.
 
     Raises:
         InputError: a value of a wrong type or out of range, or one garment worn twice.
@@ -91,6 +105,8 @@ class SceneSpecification:
     fps: float = 30.0
     arms_away: float = 0.0
     seed: int = 0
+    as_recorded: bool = False
+    omitted: str | Path | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "garments", tuple(self.garments))
@@ -100,6 +116,8 @@ class SceneSpecification:
         require_name("body", self.body)
         require_name("motion", self.motion, optional=True)
         require_switch("keep_lead_in", self.keep_lead_in)
+        require_switch("as_recorded", self.as_recorded)
+        require_name("omitted", self.omitted, optional=True)
         require_whole("number of frames", self.frames, optional=True)
         require_whole("lead-in", self.lead_in)
         require_whole("seed", self.seed)
@@ -120,6 +138,8 @@ class SceneSpecification:
     def _check_garments(self) -> None:
         if not self.garments:
             raise InputError("A scene has at least one garment; none is given.")
+        if len(self.garments) > MOST_GARMENTS:
+            raise InputError(f"At most {MOST_GARMENTS} garments are worn over each other, not {len(self.garments)}.")
         for worn in self.garments:
             if not isinstance(worn, GarmentSpecification):
                 raise InputError(f"The garments of a scene are GarmentSpecification objects, not {worn!r}.")

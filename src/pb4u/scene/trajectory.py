@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-import os
-import shutil
-import tempfile
+import math
 import zipfile
 from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -15,7 +15,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from pb4u.errors import InputError
+from pb4u.atomic_file import move_into_place, working_folder
+from pb4u.errors import InputError, Interrupted
+from pb4u.reading_limits import DamagedArchiveError
 from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_indices, joined_uvs, offsets
 from pb4u.scene.mapped_archive import map_archive
 from pb4u.scene.scene import Scene
@@ -242,9 +244,15 @@ class Trajectory:
         """
         path = Path(path)
         try:
+            if not path.is_file():
+                raise InputError(f"There is no trajectory file {path}.")
             members = map_archive(path)
-        except FileNotFoundError as error:
-            raise InputError(f"There is no trajectory file {path}.") from error
+        except DamagedArchiveError as error:
+            raise InputError(
+                f"{path} cannot be read as a trajectory (cut short or another format): {error.reason}."
+            ) from error
+        except InputError:
+            raise
         except Exception as error:  # zipfile and numpy let through whatever their parsers trip over
             raise InputError(
                 f"{path} cannot be read as a trajectory (cut short or another format): {error}."
@@ -279,7 +287,7 @@ def _header_from(members: dict[str, np.ndarray], metadata: dict[str, Any]) -> Tr
 class TrajectoryWriter:
     """Streams frames to disk, so that length is not bounded by memory; the file appears when it is closed.
 
-    An error on the way leaves nothing.
+    An error on the way leaves nothing; an interrupt leaves the frames until then, at `interrupted_path`.
 
     Args:
         path: path of the file.
@@ -294,26 +302,34 @@ class TrajectoryWriter:
         self.frame_count = 0
         if not self.path.parent.is_dir():
             raise InputError(f"The folder {self.path.parent} does not exist; make it first.")
+        self._open = ExitStack()
         try:
-            self._folder = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", dir=self.path.parent))
+            self._folder = self._open.enter_context(working_folder(self.path))
+            self._raw: dict[str, BinaryIO] = {name: (self._folder / name).open("wb") for name in _STREAMED}
         except OSError as error:
+            self._open.close()
             raise InputError(f"Cannot write in {self.path.parent}: {error.strerror}.") from error
-        self._raw: dict[str, BinaryIO] = {name: (self._folder / name).open("wb") for name in _STREAMED}
         self._shapes: dict[str, tuple[int, ...]] = {}
 
     def append(self, frame: Frame) -> None:
-        """Write one frame."""
-        for name in _STREAMED:
-            row = np.ascontiguousarray(getattr(frame, name), dtype="<f4")
-            self._shapes[name] = row.shape
-            self._raw[name].write(row.tobytes())
+        """Write one frame. Raises InputError where the disk takes no more."""
+        try:
+            for name in _STREAMED:
+                row = np.ascontiguousarray(getattr(frame, name), dtype="<f4")
+                self._shapes[name] = row.shape
+                self._raw[name].write(row.tobytes())
+        except OSError as error:
+            raise self._not_written(error) from error
         self.frame_count += 1
 
     def close(self) -> None:
-        """Assemble the file and move it into place. Without a frame nothing is written."""
-        for raw in self._raw.values():
-            raw.close()
+        """Assemble the file and move it into place. Without a frame nothing is written.
+
+        Raises InputError where the disk takes no more.
+        """
         try:
+            for raw in self._raw.values():
+                raw.close()
             if self.frame_count:
                 beside = self._folder / "trajectory.npz"
                 with zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
@@ -322,21 +338,35 @@ class TrajectoryWriter:
                             np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
                     for name in _STREAMED:
                         self._copy_member(archive, name)
-                os.replace(beside, self.path)
+                move_into_place(beside, self.path)
+        except OSError as error:
+            raise self._not_written(error) from error
         finally:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self.abandon()
+
+    def _not_written(self, error: OSError) -> InputError:
+        return InputError(
+            f"Cannot write {self.path}: {error.strerror or error}; its {self.frame_count} frames are lost. Writing "
+            "takes twice the size of the file."
+        )
 
     def _copy_member(self, archive: zipfile.ZipFile, name: str) -> None:
-        header = {"descr": "<f4", "fortran_order": False, "shape": (self.frame_count, *self._shapes[name])}
+        shape = (self.frame_count, *self._shapes[name])
         with archive.open(f"{name}.npy", "w", force_zip64=True) as member, (self._folder / name).open("rb") as raw:
-            np.lib.format.write_array_header_1_0(member, header)
-            shutil.copyfileobj(raw, member, 1 << 20)
+            np.lib.format.write_array_header_1_0(member, {"descr": "<f4", "fortran_order": False, "shape": shape})
+            # An interrupt may have left a part of a further frame.
+            left = 4 * math.prod(shape)
+            while block := raw.read(min(left, 1 << 20)):
+                member.write(block)
+                left -= len(block)
 
     def abandon(self) -> None:
         """Delete what was written; no file appears."""
         for raw in self._raw.values():
-            raw.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+            # What a full disk did not take is tried once more.
+            with contextlib.suppress(OSError):
+                raw.close()
+        self._open.close()
 
     def __enter__(self) -> TrajectoryWriter:
         return self
@@ -346,5 +376,16 @@ class TrajectoryWriter:
     ) -> None:
         if kind is None:
             self.close()
+        elif isinstance(error, KeyboardInterrupt) and self.frame_count:
+            self.path = interrupted_path(self.path)
+            self.close()
+            raise Interrupted(
+                f"the first {self.frame_count} frames are in {self.path}", getattr(error, "signal", 2)
+            ) from error
         else:
             self.abandon()
+
+
+def interrupted_path(path: Path) -> Path:
+    """Path of the frames that were there when a run was interrupted; a trajectory that lies at `path` stays."""
+    return path.with_name(f"{path.stem}.interrupted.npz")

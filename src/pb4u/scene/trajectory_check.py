@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.reading_limits import parse_json
 
 _LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "positions": ("f", ("frames", "vertices", 3)),
@@ -103,13 +103,15 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
             raise refuse(f"{name} is not finite")
     if not members["fps"] > 0.0:
         raise refuse(f"{float(members['fps']):g} frames per second")
-    return _metadata(str(members["metadata"]), refuse)
+    return _metadata(str(members["metadata"]), path, refuse)
 
 
-def _metadata(text: str, refuse: Any) -> dict[str, Any]:
+def _metadata(text: str, path: Path, refuse: Any) -> dict[str, Any]:
     try:
-        metadata = json.loads(text)
-    except (json.JSONDecodeError, RecursionError):
+        metadata = parse_json(text, path)
+    except InputError:
+        raise
+    except ValueError:
         raise refuse("its metadata is not JSON") from None
     if not isinstance(metadata, dict):
         raise refuse("its metadata is not a JSON object")

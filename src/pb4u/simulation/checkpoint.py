@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib import resources
@@ -20,6 +20,7 @@ from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
 from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
+from pb4u.reading_limits import parse_json, require_small_header
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
@@ -128,6 +129,27 @@ def save_checkpoint(
 
     Raises InputError where the folder cannot be written.
     """
+    save_tensors(path, model.state_dict(), configuration, record, licence)
+
+
+def save_tensors(
+    path: Path | str,
+    state: Mapping[str, Tensor],
+    configuration: NetworkConfiguration,
+    record: TrainingRecord,
+    licence: str,
+) -> None:
+    """Write the state of a model as `save_checkpoint` does, each tensor in its own precision.
+
+    Args:
+        path: path of the file.
+        state: tensors by their names in the model, each of the shape and unit that it has there.
+        configuration: network that the state is of.
+        record: record of its training.
+        licence: SPDX name of the weights' licence.
+
+    Raises InputError where the folder cannot be written.
+    """
     path = Path(path)
     metadata = {
         "pb4u_format_version": str(FORMAT_VERSION),
@@ -135,7 +157,7 @@ def save_checkpoint(
         "training_record": json.dumps(asdict(record)),
         "licence": licence,
     }
-    tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
+    tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     content = save(tensors, metadata)
     try:
         replace_file(path, content)
@@ -143,12 +165,13 @@ def save_checkpoint(
         raise InputError(f"Cannot write the checkpoint {path}: {error.strerror or error}.") from error
 
 
-def load_checkpoint(path: Path | str, name: str | None = None) -> Checkpoint:
+def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtype = torch.float32) -> Checkpoint:
     """Checkpoint in a file that `save_checkpoint` wrote.
 
     Args:
         path: path of the file.
         name: name of the checkpoint; the file's stem by default.
+        dtype: precision of the model.
 
     Raises InputError where the file is absent, cut, foreign, of a newer format, or at odds with its own configuration.
     """
@@ -156,13 +179,16 @@ def load_checkpoint(path: Path | str, name: str | None = None) -> Checkpoint:
     if not path.is_file():
         raise InputError(f"There is no checkpoint {path}.")
     try:
+        require_small_header(path)
         with safe_open(path, framework="pt") as file:
             metadata: dict[str, str] = file.metadata() or {}
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except InputError:
+        raise
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
             f"{path} is no whole safetensors file ({error}); fetch or train it again. "
-            "Checkpoints in pickle formats (.pt, .pth, .ckpt) are not read."
+            "Of checkpoints in pickle formats (.pt, .pth, .ckpt) only .pth of the released research code are read."
         ) from error
     version = metadata.get("pb4u_format_version")
     if version is None or not version.isdigit():
@@ -172,14 +198,49 @@ def load_checkpoint(path: Path | str, name: str | None = None) -> Checkpoint:
             f"{path} is of checkpoint format {version} and this pb4u reads up to {FORMAT_VERSION}; upgrade pb4u."
         )
     try:
-        configuration = configuration_from_json(json.loads(metadata["configuration"]))
-        record = _record_from_json(json.loads(metadata["training_record"]))
-    except (KeyError, TypeError, ValueError) as error:
+        configuration = configuration_from_json(parse_json(metadata["configuration"], "the configuration"))
+        record = _record_from_json(parse_json(metadata["training_record"], "the training record"))
+        _described(configuration)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
         raise InputError(f"{path} has a header that this pb4u cannot read: {error}") from error
+    licence = metadata.get("licence", "unknown")
+    return built_checkpoint(name or path.stem, configuration, tensors, record, licence, dtype, path)
+
+
+def _described(configuration: NetworkConfiguration) -> Mapping[str, Tensor]:
+    """State of the network without memory: a header may tell of one that is far larger than the weights beside it."""
+    with torch.device("meta"):
+        return AccelerationModel(configuration.network()).state_dict()
+
+
+def built_checkpoint(
+    name: str,
+    configuration: NetworkConfiguration,
+    state: Mapping[str, Tensor],
+    record: TrainingRecord,
+    licence: str,
+    dtype: torch.dtype = torch.float32,
+    origin: Path | str | None = None,
+) -> Checkpoint:
+    """Checkpoint of a model whose state is at hand.
+
+    Args:
+        name: name of the checkpoint.
+        configuration: network that the state is of.
+        state: tensors by their names in the model, each of the shape and unit that it has there.
+        record: record of its training.
+        licence: SPDX name of the weights' licence.
+        dtype: precision of the model.
+        origin: the file it comes from, for messages; the name by default.
+
+    Raises InputError where the state does not fit the configuration, or is not finite.
+    """
+    _check_fit(origin or name, _described(configuration), state)
     model = AccelerationModel(configuration.network())
-    _check_fit(path, model.state_dict(), tensors)
-    model.load_state_dict(tensors)
-    return Checkpoint(name or path.stem, model.eval(), configuration, record, metadata.get("licence", "unknown"))
+    if dtype != torch.float32:
+        model = model.to(dtype)
+    model.load_state_dict(state)
+    return Checkpoint(name, model.eval(), configuration, record, licence)
 
 
 def built_in_models() -> tuple[str, ...]:
@@ -226,7 +287,7 @@ def _record_from_json(data: dict[str, Any]) -> TrainingRecord:
     )
 
 
-def _check_fit(path: Path, expected: dict[str, Tensor], found: dict[str, Tensor]) -> None:
+def _check_fit(path: Path | str, expected: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> None:
     missing, foreign = sorted(expected.keys() - found.keys()), sorted(found.keys() - expected.keys())
     if missing or foreign:
         named = f"{missing[0]} is missing" if missing else f"{foreign[0]} is not part of it"

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solver
 from pb4u.scene.state import State
 from pb4u.simulation.refinement import SolverRefinement
@@ -23,6 +25,17 @@ class FirstFrame(ABC):
             timeline: garments and bodies.
             method: takes the steps that follow.
         """
+
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+        """States of frame 0 and of those after it that are made in a way of their own; arguments as in `start`."""
+        yield self.start(timeline, method)
+
+
+class AsPlaced(FirstFrame):
+    """The garments where their placement puts them, such as cloth about to fall."""
+
+    def start(self, timeline: Timeline, method: StepMethod) -> State:
+        return timeline.skinned_state(0)
 
 
 class OneLongStep(FirstFrame):
@@ -47,15 +60,18 @@ class Settled(FirstFrame):
         most_steps: settling steps after which they start anyway; garments fitted to the body take two to four.
         iterations: solver iterations of each settling step.
         solver: makes them; one of its own by default.
+        potential: the energies; the six terms by default.
     """
 
     still: float = 2e-3
     most_steps: int = 12
     iterations: int = 12
     solver: Solver | None = None
+    potential: IncrementalPotential | None = None
 
     def start(self, timeline: Timeline, method: StepMethod) -> State:
-        settling = StepMethod(refinement=SolverRefinement(self.iterations, self.solver), contact=method.contact)
+        refinement = SolverRefinement(self.iterations, self.solver, self.potential)
+        settling = StepMethod(refinement=refinement, contact=method.contact, self_contact=method.self_contact)
         begun = state = timeline.skinned_state(0)
         for _ in range(self.most_steps):
             settled = take(timeline.settling_from(state), settling)

@@ -12,7 +12,14 @@ from pb4u.simulation.simulator import Simulator
 if TYPE_CHECKING:
     import torch
 
+    from pb4u.simulation.checkpoint import Checkpoint
+
 _BEST = "best.safetensors"
+_WITHOUT_SELF_CONTACT = {
+    "skinning": "skinning carries every vertex with the body and keeps no cloth from crossing",
+    "newton": "newton runs with its own self-contact off",
+}
+"""What simulators that cannot keep cloth from crossing say when they are asked to."""
 _PRECISIONS = ("float32", "bfloat16")
 _TRAINING_STATE = "pb4u_training"
 """Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
@@ -47,6 +54,7 @@ def load_simulator(
     name: str | Path = "auto",
     *,
     contact: bool = True,
+    self_contact: bool | None = None,
     refine: int = 5,
     propagation_steps: int | None = None,
     passes: int | None = None,
@@ -57,25 +65,41 @@ def load_simulator(
     """Simulator called `name`, loaded.
 
     Args:
-        name: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
+        name: "auto", "solver", "skinning", "newton", a shipped network, a checkpoint file, or a .pth of the released
+            code of Pb4U-GNet, HOOD or ContourCraft.
         contact: push the garment out of the body after each step (networks and solver).
+        self_contact: cloth feels cloth, within a garment and between garments (networks and solver, which do unless
+            this is False).
         refine: solver iterations after each step of a network.
         propagation_steps: override of K for a network; None follows the paper's rule.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
         first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
-            paper, or "auto": settled where the solver runs.
+            paper, "placed" as it is, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto":
+            settled where the solver runs.
         precision: of a network's products: "float32", "bfloat16", or "auto": bfloat16 where the device multiplies
             faster in it.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
     from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
-    from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
+    from pb4u.physics.incremental_potential import IncrementalPotential
+    from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
     from pb4u.simulation.simulator import SkinningSimulator
+    from pb4u.simulation.start_protocols import MovingStart, SkinnedStart, StandingStart
+    from pb4u.simulation.step_start import CARRIED_SHARES, CarriedStart, FreeFlight
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
-    ways: dict[str, type[FirstFrame]] = {"settled": Settled, "long_step": OneLongStep}
+    potential = IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact()
+    ways: dict[str, FirstFrame] = {
+        "settled": Settled(potential=potential),
+        "long_step": OneLongStep(),
+        "placed": AsPlaced(),
+        "release": StandingStart(),
+        "hood": StandingStart(push=1.0),
+        "mgn": MovingStart(),
+        "contourcraft": SkinnedStart(),
+    }
     if first_frame not in ("auto", *ways):
         raise unknown_name("first frame", first_frame, ("auto", *ways))
     if refine < 0:
@@ -86,10 +110,18 @@ def load_simulator(
     answering: Contact = ContactResponse() if contact else NoContact()
     if wanted in ("skinning", "newton") and first_frame != "auto":
         raise InputError(f"{wanted} starts in a way of its own; leave the first frame to it.")
+    if self_contact and wanted in _WITHOUT_SELF_CONTACT:
+        raise InputError(
+            f"{_WITHOUT_SELF_CONTACT[wanted]}, so --self-contact cannot be on; leave it out, or take --model solver or "
+            "a network."
+        )
     if wanted == "skinning":
         return SkinningSimulator()
     if wanted == "solver":
-        return SolverSimulator(contact=answering, first_frame=ways.get(first_frame, Settled)())
+        beginning = ways.get(first_frame, ways["settled"])
+        # Where cloth stops cloth, what free flight leaves behind a fast limb would stay hooked on it.
+        start = FreeFlight() if self_contact is False else CarriedStart(CARRIED_SHARES)
+        return SolverSimulator(contact=answering, first_frame=beginning, potential=potential, start=start)
     if wanted == "newton":
         from pb4u.simulation.newton_simulator import NewtonSimulator
 
@@ -98,15 +130,28 @@ def load_simulator(
         _refuse_other_files_of_a_training(Path(wanted))
     if not Path(wanted).suffix and wanted not in model_descriptions():
         raise unknown_name("model", wanted, model_descriptions())
-    from pb4u.simulation.checkpoint import from_pretrained
-
     # The solver improves a state more, and settles it better, than a further pass or one long step at the same cost.
-    beginning = ways.get(first_frame, Settled if refine else OneLongStep)()
+    beginning = ways.get(first_frame, ways["settled" if refine else "long_step"])
     asked = 1 if passes is None and refine else passes
     on = _device(device)
     return NetworkSimulator(
-        from_pretrained(wanted), propagation_steps, refine, answering, on, asked, beginning, _precision(precision, on)
+        _checkpoint(wanted),
+        propagation_steps,
+        refine,
+        answering,
+        on,
+        asked,
+        beginning,
+        potential,
+        _precision(precision, on),
     )
+
+
+def _checkpoint(name: str) -> Checkpoint:
+    from pb4u.simulation.checkpoint import from_pretrained
+    from pb4u.simulation.released_weights import SUFFIXES, read_released
+
+    return read_released(name).checkpoint() if Path(name).suffix.lower() in SUFFIXES else from_pretrained(name)
 
 
 def _refuse_other_files_of_a_training(path: Path) -> None:
@@ -122,10 +167,13 @@ def _refuse_other_files_of_a_training(path: Path) -> None:
 def _header(path: Path) -> dict[str, str]:
     from safetensors import SafetensorError, safe_open
 
+    from pb4u.reading_limits import require_small_header
+
     try:
+        require_small_header(path)
         with safe_open(path, framework="pt") as file:
             return file.metadata() or {}
-    except (SafetensorError, OSError):
+    except (SafetensorError, OSError, ValueError):
         return {}
 
 

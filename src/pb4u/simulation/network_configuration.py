@@ -5,8 +5,10 @@ The types that may be read are those of the presets and, from there, every datac
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields, is_dataclass
-from typing import Any, cast, get_args, get_type_hints
+from types import UnionType
+from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
 from pb4u.errors import InputError
 from pb4u.nn.acceleration_model import NetworkConfiguration
@@ -70,7 +72,30 @@ def _decode(data: Any, known: dict[str, type]) -> Any:
     unknown = sorted(set(given) - allowed)
     if unknown:
         raise InputError(f"The configuration's {name} has unknown fields: {', '.join(unknown)}.")
+    hints = get_type_hints(known[name])
+    for key, value in given.items():
+        if not _fits(value, hints[key]):
+            raise InputError(f"The configuration's {name} cannot have {key} = {str(value)[:60]}.")
     try:
         return known[name](**given)
     except (TypeError, ValueError) as error:
         raise InputError(f"The configuration's {name} cannot be made: {error}") from error
+
+
+def _fits(value: Any, annotation: Any) -> bool:
+    """Whether a decoded value is of the kind that a field is annotated with; a number has to be finite."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin in (Union, UnionType):
+        return any(_fits(value, part) for part in parts)
+    if origin is tuple:
+        wanted = parts[:1] * len(value) if isinstance(value, tuple) and parts[1:] == (Ellipsis,) else parts
+        return (
+            isinstance(value, tuple)
+            and len(value) == len(wanted)
+            and all(_fits(entry, kind) for entry, kind in zip(value, wanted, strict=True))
+        )
+    if annotation is float:
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if annotation is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, annotation) if isinstance(annotation, type) else True

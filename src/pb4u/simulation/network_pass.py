@@ -93,7 +93,8 @@ class NetworkPass(Network):
             velocities=step.state.velocities.to(self.device),
         )
         origin = local_origin(step.collider).to(self.device)
-        return self.prepared.graph(state, self._on_device(step.collider), step.dt, origin, extra)
+        pins = None if step.pin_positions is None else step.pin_positions.to(self.device)
+        return self.prepared.graph(state, self._on_device(step.collider), step.dt, origin, extra, pins)
 
     def _on_device(self, collider: ColliderFrame) -> ColliderFrame:
         """The bodies where the network computes; what never changes is moved once."""

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import tomli_w
 
 from pb4u.atomic_file import replace_file
-from pb4u.errors import InputError, InputWarning, unknown_name
+from pb4u.errors import InputError, InputWarning, Interrupted, unknown_name
 from pb4u.progress import Progress, unheard
+from pb4u.reading_limits import read_text
 from pb4u.scene.specification import (
     GarmentSpecification,
     SceneSpecification,
@@ -44,11 +45,11 @@ _HEADING = """\
 
 """
 _SECTIONS = ("format_version", "scene", "garments", "run")
-_FILES = ("garment", "material", "pins", "body", "motion", "model")
+_FILES = ("garment", "material", "pins", "body", "motion", "model", "omitted")
 """Entries that are a name or a file."""
 
 Device = Literal["auto", "cpu", "cuda"]
-FirstFrameChoice = Literal["auto", "settled", "long_step"]
+FirstFrameChoice = Literal["auto", "settled", "long_step", "release", "hood", "mgn", "contourcraft"]
 Precision = Literal["auto", "float32", "bfloat16"]
 
 
@@ -60,12 +61,15 @@ class RunSpecification:
         scene: garments, body and motion.
         model: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
         contact: push the garment out of the body after each step (networks and solver).
+        self_contact: cloth feels cloth, within a garment and between garments; None is on for networks and the solver,
+            which can.
         refine: solver iterations after each step of a network.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         propagation_steps: override of K for a network; None follows the paper's rule.
         device: "auto", "cpu" or "cuda", for networks and newton.
-        first_frame: way to make frame 0: "settled" by the solver, or by one "long_step" of the method itself; "auto"
-            is settled where the solver runs.
+        first_frame: way to make frame 0: "settled" by the solver, by one "long_step" of the method itself, or as the
+            released code of "release" (Pb4U-GNet), "hood", "mgn" or "contourcraft" begins; "auto" is settled where the
+            solver runs.
         precision: of a network's products: "float32", "bfloat16", or "auto": bfloat16 where the device multiplies
             faster in it.
 
@@ -76,6 +80,7 @@ class RunSpecification:
     scene: SceneSpecification = field(default_factory=SceneSpecification)
     model: str | Path = "auto"
     contact: bool = True
+    self_contact: bool | None = None
     refine: int = 5
     passes: int | None = None
     propagation_steps: int | None = None
@@ -86,6 +91,8 @@ class RunSpecification:
     def __post_init__(self) -> None:
         require_name("model", self.model)
         require_switch("contact", self.contact)
+        if self.self_contact is not None:
+            require_switch("self_contact", self.self_contact)
         require_whole("number of refining iterations", self.refine)
         require_whole("number of passes", self.passes, optional=True)
         require_whole("number of propagation steps", self.propagation_steps, optional=True)
@@ -112,6 +119,7 @@ class RunSpecification:
         return load_simulator(
             self.model,
             contact=self.contact,
+            self_contact=self.self_contact,
             refine=self.refine,
             propagation_steps=self.propagation_steps,
             passes=self.passes,
@@ -157,6 +165,11 @@ class RunSpecification:
         simulator = self.simulator()
         return self.roll_out(simulator, self.assemble(simulator), path)
 
+    def files(self) -> tuple[object, ...]:
+        """Everything that names what is read, be it a built-in name, a file or a loaded object."""
+        worn = [value for each in self.scene.garments for value in (each.garment, each.material, each.pins)]
+        return *worn, self.scene.body, self.scene.motion, self.model
+
     def roll_out(
         self,
         simulator: Simulator,
@@ -164,6 +177,7 @@ class RunSpecification:
         path: str | Path | None = None,
         record: RunRecord | None = None,
         progress: Progress = unheard,
+        interrupted: Path | None = None,
     ) -> Trajectory:
         """Simulate a scene that was assembled from this description.
 
@@ -173,18 +187,30 @@ class RunSpecification:
             path: trajectory file to write; as frames come, where they need no resampling. None keeps them in memory.
             record: receives the cost of the run and how it ended.
             progress: called with (frames done, frames in all), lead-in included.
+            interrupted: trajectory file for the frames until an interrupt, where they were kept in memory.
 
         Returns:
             The frames at the scene's own rate.
+
+        Raises:
+            Interrupted: the frames until an interrupt are in a file, which it names.
         """
         from pb4u.export.selection import resampled
-        from pb4u.scene.trajectory import Trajectory
+        from pb4u.scene.trajectory import Frame, Trajectory
 
         is_resampled = not math.isclose(scene.fps, self.scene.fps)
         if path is not None and not is_resampled:
             return simulator.simulate_to(scene, path, record, progress)
-        frames = simulator.written_frames(scene, record, progress)
-        trajectory = Trajectory.collect(simulator.header(scene), frames)
+        header, rows = simulator.header(scene), list[Frame]()
+        try:
+            for frame in simulator.written_frames(scene, record, progress):
+                rows.append(frame)
+        except KeyboardInterrupt as error:
+            if rows and interrupted is not None:
+                kept = Trajectory.collect(header, rows).save(interrupted)
+                raise Interrupted(f"the first {len(rows)} frames are in {kept}", getattr(error, "signal", 2)) from error
+            raise
+        trajectory = Trajectory.collect(header, rows)
         if is_resampled:
             trajectory = resampled(trajectory, self.scene.fps, self.scene.written_frames)
         if path is not None:
@@ -207,8 +233,10 @@ class RunSpecification:
         if not path.is_file():
             raise InputError(f"There is no scene file {path}.")
         try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
+            tables = tomllib.loads(read_text(path, "a scene file"))
+        except InputError:
+            raise
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{path} is no scene file, which is TOML: {error}.") from None
         try:
             return cls._of_tables(tables, path.parent)

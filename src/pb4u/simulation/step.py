@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 import torch
 
 from pb4u.physics.contact.response import Contact, NoContact
+from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import Network, NoNetwork
-from pb4u.simulation.refinement import NoRefinement, Refinement
+from pb4u.simulation.refinement import NoRefinement, Refinement, carried
 from pb4u.simulation.step_start import FreeFlight, StepStart
 
 
@@ -27,12 +28,14 @@ class StepMethod:
         network: predicts accelerations.
         refinement: lowers the incremental potential from there.
         contact: answers what is left inside the body.
+        self_contact: keeps each of these from carrying cloth through cloth.
     """
 
     start: StepStart = field(default_factory=FreeFlight)
     network: Network = field(default_factory=NoNetwork)
     refinement: Refinement = field(default_factory=NoRefinement)
     contact: Contact = field(default_factory=NoContact)
+    self_contact: SelfContact = field(default_factory=NoSelfContact)
 
 
 def take(step: TimeStep, method: StepMethod) -> State:
@@ -47,7 +50,9 @@ def take(step: TimeStep, method: StepMethod) -> State:
     # A few iterations of the solver, or all of them, lower the same energies that the network was trained on.
     refined = method.refinement.refine(step, require_finite(predicted))
     # Vertices still inside the body are pushed out, without gaining speed.
-    return method.contact.respond(step, refined)
+    answered = method.contact.respond(step, refined)
+    # A push, like every other move, goes no further than to the next cloth.
+    return carried(method.self_contact, step, refined, answered)
 
 
 def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:

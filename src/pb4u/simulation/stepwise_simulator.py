@@ -6,6 +6,7 @@ import copy
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import torch
@@ -13,6 +14,7 @@ import torch
 from pb4u.errors import InputError
 from pb4u.graph.features import ADVANCE
 from pb4u.physics.contact.response import Contact, NoContact
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution
 from pb4u.physics.time_step import DivergedError, require_finite
 from pb4u.scene.packed import PackedGarments, pack
@@ -24,7 +26,7 @@ from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SolverRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import start_of
+from pb4u.simulation.step_start import FreeFlight, StepStart, start_of
 from pb4u.simulation.timeline import Timeline
 
 
@@ -51,9 +53,10 @@ class StepwiseSimulator(Simulator):
         method = self.method(timeline, record)
         made = 0
         try:
-            state = require_finite(self.first_frame.start(timeline, method))
-            yield _written(scene, timeline, state, method)
-            for frame in range(1, scene.total_frames):
+            for state in islice(self.first_frame.states(timeline, method), scene.total_frames):
+                yield _written(scene, timeline, require_finite(state), method)
+                made += 1
+            for frame in range(made, scene.total_frames):
                 made = frame
                 state = require_finite(take(timeline.step_from(state), method))
                 yield _written(scene, timeline, state, method)
@@ -65,11 +68,12 @@ def _written(scene: Scene, timeline: Timeline, state: State, method: StepMethod)
     """The state as it is written; frames of the lead-in are not, and are left as they are."""
     if state.frame < scene.lead_in:
         return state
-    return method.contact.present(timeline.garments, state, timeline.pose(state.frame))
+    shown = method.contact.present(timeline.garments, state, timeline.pose(state.frame))
+    return replace(shown, positions=method.self_contact.carried(timeline.garments, state.positions, shown.positions))
 
 
 class SolverSimulator(StepwiseSimulator):
-    """Solver of every frame (`--model solver`): minimises the incremental potential from free flight, then contact.
+    """Solver of every frame (`--model solver`): minimises the incremental potential, then answers contact.
 
     The reference, and the floor that energies are measured from.
 
@@ -77,14 +81,22 @@ class SolverSimulator(StepwiseSimulator):
         iterations: a fixed number of solver iterations an implicit step; None goes to the tolerance.
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; settled by default.
+        potential: the energies, and whether cloth feels cloth; the six terms by default.
+        start: where a step starts from; free flight by default.
     """
 
     name = "solver"
 
     def __init__(
-        self, iterations: int | None = None, contact: Contact | None = None, first_frame: FirstFrame | None = None
+        self,
+        iterations: int | None = None,
+        contact: Contact | None = None,
+        first_frame: FirstFrame | None = None,
+        potential: IncrementalPotential | None = None,
+        start: StepStart | None = None,
     ) -> None:
         self.iterations, self.contact = iterations, contact or NoContact()
+        self.potential, self.start = potential or IncrementalPotential(), start or FreeFlight()
         self.first_frame = first_frame or Settled()
 
     def settings(self) -> dict[str, Any]:
@@ -95,7 +107,8 @@ class SolverSimulator(StepwiseSimulator):
             record.solver_iterations.append(solution.iterations)
             record.unsolved += not solution.converged
 
-        return StepMethod(refinement=ImplicitSteps(self.iterations, watch=note), contact=self.contact)
+        refinement = ImplicitSteps(self.iterations, self.potential, note, self.start)
+        return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
 
 
 class NetworkSimulator(StepwiseSimulator):
@@ -112,6 +125,7 @@ class NetworkSimulator(StepwiseSimulator):
         device: device that the network computes on.
         passes: evaluations of the network in a step; None is its own number.
         first_frame: makes frame 0; by default one long step of the method's own.
+        potential: the energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
         precision: data type of the network's products.
 
     Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next.
@@ -126,9 +140,11 @@ class NetworkSimulator(StepwiseSimulator):
         device: torch.device | str = "cpu",
         passes: int | None = None,
         first_frame: FirstFrame | None = None,
+        potential: IncrementalPotential | None = None,
         precision: torch.dtype = torch.float32,
     ) -> None:
         self.name = checkpoint.name
+        self.potential = potential or IncrementalPotential()
         self.fps = 1.0 / checkpoint.record.dt
         self.override, self.refine = propagation_steps, refine
         self.contact, self.first_frame = contact or NoContact(), first_frame or OneLongStep()
@@ -173,6 +189,9 @@ class NetworkSimulator(StepwiseSimulator):
         return StepMethod(
             start_of(model.network),
             NetworkPass(model, prepared, self.passes),
-            SolverRefinement(self.refine) if self.refine else NoRefinement(),
+            SolverRefinement(self.refine, potential=self.potential)
+            if self.refine
+            else NoRefinement(self.potential.self_contact),
             self.contact,
+            self.potential.self_contact,
         )

@@ -136,8 +136,6 @@ class TrainingConfiguration:
                 raise InputError(f"{name} must not be below 0, but is {getattr(self, name)}.")
         if self.after_settling not in AFTER_SETTLING:
             raise InputError(f"after_settling is one of {', '.join(AFTER_SETTLING)}, not {self.after_settling!r}.")
-        if self.network.width < 1:
-            raise InputError(f"network.width must be 1 or more, not {self.network.width}.")
         if self.validation_clips < 1 or self.validation_frames < 2:
             raise InputError("A validation needs 1 clip or more of 2 frames or more.")
         if not (self.gradient_norm > 0 and 0.0 <= self.ema_decay < 1.0):

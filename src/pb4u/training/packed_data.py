@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -21,6 +18,7 @@ from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
+from pb4u.reading_limits import DamagedArchiveError, parse_json, read_arrays
 
 FORMAT_VERSION = 1
 _STEPS = 32767.0
@@ -192,20 +190,21 @@ def load_training_data(path: Path | str) -> TrainingData:
     if not path.is_file():
         raise InputError(f"There is no training pack {path}; write one with `pb4u assets pack`.")
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        header = json.loads(str(arrays["header"]))
+        arrays = read_arrays(path)
+        header = parse_json(str(arrays["header"]), path)
         if header["format_version"] > FORMAT_VERSION:
             raise InputError(f"{path} is a training pack of a newer format; upgrade pb4u or write the pack again.")
         bodies: list[ShapedBody] = []
         for i, record in enumerate(header["bodies"]):
             bodies.append(_body(i, record, arrays, bodies))
         return TrainingData(tuple(bodies), tuple(_outfits(header, arrays)), tuple(_clips(header, arrays)))
+    except DamagedArchiveError as error:
+        raise InputError(
+            f"{path} is no whole training pack ({error.reason}); write it again with `pb4u assets pack`."
+        ) from error
     except InputError:
         raise
-    except (
-        KeyError, TypeError, ValueError, OSError, EOFError, IndexError, zipfile.BadZipFile, zlib.error, TokenError
-    ) as error:  # fmt: skip
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, OSError, IndexError) as error:
         raise InputError(
             f"{path} is no whole training pack ({error}); write it again with `pb4u assets pack`."
         ) from error

@@ -13,19 +13,23 @@ from __future__ import annotations
 
 import contextlib
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
+from pb4u.reading_limits import parse_json, read_json, require_small_header
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
+LOCK = ".lock"
 LAST, BEST, FINAL, CURVE = "last.safetensors", "best.safetensors", "final.safetensors", "curve.png"
 
 
@@ -77,6 +81,23 @@ class RunFolder:
             (self.path / CONFIGURATION).unlink()
             self.path.rmdir()
 
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep other processes from training in the folder. Raises InputError where one does."""
+        lock = FileLock(self.path / LOCK)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise InputError(
+                f"Another process is training in {self.path}; wait for it, or end it, before going on with --resume."
+            ) from None
+        except OSError as error:
+            raise InputError(f"Cannot use the folder {self.path}: {error.strerror or error}.") from error
+        try:
+            yield
+        finally:
+            lock.release()
+
     @staticmethod
     def open(path: Path | str) -> RunFolder:
         """Open an existing folder. Raises InputError where it is none of a training."""
@@ -94,7 +115,7 @@ class RunFolder:
         """Configuration that `configure` wrote. Raises InputError where it cannot be read."""
         path = self.path / CONFIGURATION
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = read_json(path)
             version = int(record["format_version"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{path} is not the configuration of a training: {error}.") from error
@@ -138,9 +159,10 @@ class RunFolder:
         if not path.is_file():
             return None
         try:
+            require_small_header(path)
             with safe_open(path, framework="pt") as file:
                 metadata = file.metadata() or {}
-                counters = json.loads(metadata["counters"])
+                counters = parse_json(metadata["counters"], path)
                 return {key: file.get_tensor(key) for key in file.keys()}, counters  # noqa: SIM118
         except (SafetensorError, OSError, KeyError, ValueError) as error:
             raise InputError(f"{path} is no checkpoint of a training ({error}).") from error

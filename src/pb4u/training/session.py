@@ -26,6 +26,8 @@ from pb4u.training.presets import DEFAULT_STEPS, training_preset
 from pb4u.training.run_folder import CURVE, RunFolder
 from pb4u.training.trainer import Trainer
 
+STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that ask a training to save and end; Windows has no SIGHUP."""
 BUILT_IN = "built in"
 """Origin of the data of a run whose configuration alone makes them again."""
 
@@ -67,10 +69,11 @@ def train(request: Request) -> dict[str, Any]:
     begun = None if request.resume is not None else _configured(request)
     with workers(request.device) as mine:
         if begun is None:
-            folder, configuration, budget, data = _opened(request)
+            with RunFolder.open(str(request.resume)).held() if mine.leads else contextlib.nullcontext():
+                folder, configuration, budget, data = _opened(request)
         else:
             folder, configuration, budget, data = _created(request, *begun, mine)
-        with reporter() as told, stop_signals() as stopping:
+        with folder.held() if mine.leads else contextlib.nullcontext(), reporter() as told, stop_signals() as stopping:
             trainer = Trainer(configuration, budget, data, mine, folder, told if mine.leads else _Silent(), stopping)
             _restore(trainer, folder)
             ending = trainer.run()
@@ -203,7 +206,7 @@ def stop_signals() -> Iterator[Callable[[], bool]]:
         asked.append(number)
 
     try:
-        before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {number: signal.signal(number, ask) for number in STOPPING}
     except ValueError:
         # Not the main thread: nobody can send it signals.
         yield lambda: False

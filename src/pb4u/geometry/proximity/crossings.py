@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from pb4u.geometry.topology import Topology
 
-def self_crossings(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Pairs (pairs, 2) int64 of faces of one surface that cross and share no vertex.
+
+def self_crossings(vertices: np.ndarray, faces: np.ndarray, *, sharing: bool = False) -> np.ndarray:
+    """Pairs (pairs, 2) int64 of faces of one surface that cross.
 
     Args:
         vertices: (vertices, 3) [m], finite.
         faces: (faces, 3) int64.
+        sharing: whether pairs that share a vertex, and pass through each other elsewhere, are counted as well.
     """
     from igl.predicates import find_self_intersections
 
     _, pairs, _ = find_self_intersections(_floats(vertices), _integers(faces))
     pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+    if sharing:
+        return pairs
     apart = (faces[pairs[:, 0]][:, :, None] != faces[pairs[:, 1]][:, None, :]).all(axis=(1, 2))
     return pairs[apart]
 
@@ -44,6 +51,63 @@ def crossings(
     )
     pairs = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
     return np.column_stack([pairs[:, 0], near[pairs[:, 1]]])
+
+
+@dataclass(frozen=True, eq=False)
+class Piercings:
+    """Edges of a surface that pass through faces of it which they share no vertex with.
+
+    Args:
+        edges: (piercings,) int64 into the edges of the topology.
+        faces: (piercings,) int64.
+        shares: (piercings,) part of the edge before the face, 0 to 1.
+        barycentric: (piercings, 3) place in the face.
+        normals: (piercings, 3) unit normals of the faces.
+    """
+
+    edges: np.ndarray
+    faces: np.ndarray
+    shares: np.ndarray
+    barycentric: np.ndarray
+    normals: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.edges)
+
+
+def piercings(vertices: np.ndarray, topology: Topology, pairs: np.ndarray) -> Piercings:
+    """The edges that pass through faces, of pairs of faces known to cross; by edge, then by face.
+
+    Of two faces that share a vertex, the edge across from it passes through the other: these are found as well.
+
+    Args:
+        vertices: (vertices, 3) float64 [m].
+        topology: connectivity of the surface.
+        pairs: (pairs, 2) int64 faces, as `self_crossings` gives them.
+    """
+    count, faces = max(len(topology.faces), 1), topology.faces
+    owners, others = np.concatenate([pairs, pairs[:, ::-1]]).T
+    # An edge belongs to two faces, and both may cross a third: each edge through each face once.
+    keys = np.unique(topology.face_edges[owners].reshape(-1) * count + np.repeat(others, 3))
+    edge, face = np.divmod(keys, count)
+    apart = (topology.edges[edge][:, :, None] != faces[face][:, None, :]).all(axis=(1, 2))
+    edge, face = edge[apart], face[apart]
+    starts, ends = vertices[topology.edges[edge]].transpose(1, 0, 2)
+    a, b, c = vertices[faces[face]].transpose(1, 0, 2)
+    cross = np.cross(b - a, c - a)
+    before, after = np.einsum("ij,ij->i", starts - a, cross), np.einsum("ij,ij->i", ends - a, cross)
+    kept = before * after < 0.0
+    edge, face, starts, ends, a, b, c, cross = (x[kept] for x in (edge, face, starts, ends, a, b, c, cross))
+    share = before[kept] / (before[kept] - after[kept])
+    offset = starts + share[:, None] * (ends - starts) - a
+    double = np.einsum("ij,ij->i", cross, cross)
+    second = np.einsum("ij,ij->i", np.cross(offset, c - a), cross) / double
+    third = np.einsum("ij,ij->i", np.cross(b - a, offset), cross) / double
+    barycentric = np.column_stack([1.0 - second - third, second, third])
+    inside = (barycentric >= 0.0).all(axis=1)
+    return Piercings(
+        edge[inside], face[inside], share[inside], barycentric[inside], (cross / np.sqrt(double)[:, None])[inside]
+    )
 
 
 def _floats(values: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
 
 
@@ -72,6 +73,8 @@ class ContactSet:
         opposite: a second plane for vertices caught between two parts of the body, or None.
         transported: (vertices, 3) [m] positions of the vertices if the body carried them over the step, or None.
         transported_normals: (vertices, 3) the body's unit normals there at t+1, or None.
+        cloth: pairs of cloth elements that may feel each other at t+1, or None.
+        cloth_now: those that do at frame t, or None.
     """
 
     now: ContactPlanes | None = None
@@ -79,6 +82,8 @@ class ContactSet:
     opposite: ContactPlanes | None = None
     transported: Tensor | None = None
     transported_normals: Tensor | None = None
+    cloth: ClothPairs | None = None
+    cloth_now: TouchingCloth | None = None
 
     @staticmethod
     def at_start(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor, search: PlaneSearch) -> ContactSet:

@@ -1,0 +1,78 @@
+"""`pb4u convert-weights`: a checkpoint of the released research code as one of ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pb4u.cli.console import JsonFlag, check_json_target, check_writable, write_json
+from pb4u.errors import InputError
+
+
+def convert_weights(
+    checkpoint: Annotated[
+        Path,
+        typer.Argument(
+            metavar="IN.pth",
+            help="Checkpoint of Pb4U-GNet, HOOD or ContourCraft; nothing in it is run.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT.safetensors", help="File to write, for --model.", show_default=False)
+    ],
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Network preset that it is of, such as release_hood. Default: told by its settings and keys.",
+        ),
+    ] = None,
+    licence: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SPDX", help='Licence of the weights, kept with them. Default: "unknown: ask the author".'
+        ),
+    ] = None,
+    json: JsonFlag = None,
+) -> None:
+    """Convert a .pth of the released Pb4U-GNet, MeshGraphNet, HOOD or ContourCraft, number by number.\f
+
+    Each argument is described by its `help`.
+
+    Raises:
+        InputError: the file is none of theirs, damaged, or holds something unexpected; nothing is written then.
+    """
+    if out.suffix != ".safetensors":
+        raise InputError(f"Weights are written as .safetensors; {out} ends in something else.")
+    check_writable(out, "the weights")
+    check_json_target(json)
+    from pb4u.simulation.released_weights import read_released
+
+    released = read_released(checkpoint, method, licence)
+    parameters = sum(parameter.numel() for parameter in released.checkpoint().model.network.parameters())
+    released.save(out)
+    summary = {
+        "out": str(out),
+        "network": released.preset,
+        "parameters": parameters,
+        "licence": released.licence,
+        "optimiser_steps": released.record.optimiser_steps,
+        "time_step": released.record.dt,
+        "dropped": list(released.dropped),
+    }
+    if json:
+        write_json(summary, json)
+    if json == "-":
+        return
+    print(f"Wrote {out}: {released.preset}, {parameters:,} parameters, licence {released.licence}.")
+    if released.dropped:
+        parts = sorted({_part(key) for key in released.dropped})
+        print(f"Left out, since nothing reads them: {len(released.dropped)} tensors of {', '.join(parts)}.")
+
+
+def _part(key: str) -> str:
+    """The part of a network that a released key belongs to."""
+    return ".".join(key.removeprefix("model.").removeprefix("_learned_model.").split(".")[:2])

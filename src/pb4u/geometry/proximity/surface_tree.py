@@ -1,0 +1,345 @@
+"""A bounding-volume tree over a moving triangle surface: which vertices, edges and faces of it come near each other.
+
+The tree is built once, from the rest shape, and its boxes are fitted to the positions of every search: cloth deforms,
+but what is near on it stays near. Boxes bound displacements too. Two of them are followed through a move relative to
+one another, so that cloth which is carried along by centimetres gives no more pairs than cloth at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pb4u.geometry.proximity.element_distance import compiled, nearest
+
+_LEAF = 2
+"""Most faces of a leaf: smaller leaves cost more boxes, larger ones more comparisons of faces."""
+
+_DEEPEST = 512
+"""Entries of the stack of a search: a median split halves, so that 2^60 faces would not fill it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ElementPairs:
+    """Pairs of a vertex and a face, then pairs of two edges, that come near one another and share no vertex.
+
+    Args:
+        corners: (pairs, 4) int64 the vertex and the face's corners, or the ends of both edges.
+        vertex_faces: number of pairs of the first kind, which come first.
+        rest_distance: (pairs,) [m] between them in the rest shape; infinite between two parts.
+    """
+
+    corners: np.ndarray
+    vertex_faces: int
+    rest_distance: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+    def nearest(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distances (pairs,) [m], weights (pairs, 4) of the corners and unit normals (pairs, 3).
+
+        The vector between the nearest points, the normal times the distance, is the sum of the weighted corners.
+
+        Args:
+            vertices: (vertices, 3) float64 [m].
+        """
+        return _all_nearest(np.ascontiguousarray(vertices), self.corners, self.vertex_faces)
+
+    def chosen(self, rows: np.ndarray) -> ElementPairs:
+        """The pairs where `rows` (pairs,) bool holds."""
+        return ElementPairs(self.corners[rows], int(rows[: self.vertex_faces].sum()), self.rest_distance[rows])
+
+
+class SurfaceTree:
+    """Search for near pairs of elements of one surface.
+
+    Args:
+        rest: (vertices, 3) [m] from which the tree is built.
+        faces: (faces, 3) int64.
+        edges: (edges, 2) int64 of the faces.
+        part: (vertices,) int64 part of the surface that each belongs to, such as a garment.
+        world: (parts,) int64; parts of different worlds never meet.
+    """
+
+    def __init__(
+        self, rest: np.ndarray, faces: np.ndarray, edges: np.ndarray, part: np.ndarray, world: Sequence[int]
+    ) -> None:
+        self.rest = np.ascontiguousarray(rest, dtype=np.float64)
+        self.faces = np.ascontiguousarray(faces, dtype=np.int64)
+        self.part = np.ascontiguousarray(part, dtype=np.int64)
+        self.edges = np.ascontiguousarray(edges, dtype=np.int64)
+        face_part = self.part[self.faces[:, 0]]
+        centres = self.rest[self.faces].mean(axis=1)
+        self.vertex_world = np.asarray(world, dtype=np.int64)[self.part]
+        self._order, self._children, self._ranges, self._roots = _split(centres, face_part, np.asarray(world))
+        self._vertices = np.arange(len(self.rest))[:, None]
+        self._owned_vertices, self._owned_edges = _owners(self.faces, self.edges, len(self.rest))
+
+    @cached_property
+    def _still(self) -> np.ndarray:
+        return np.zeros_like(self.rest)
+
+    def pairs(self, vertices: np.ndarray, reach: float, moves: np.ndarray | None = None) -> ElementPairs:
+        """Pairs whose boxes come within `reach` of one another, a superset of those that do.
+
+        Args:
+            vertices: (vertices, 3) float64 [m].
+            reach: distance [m].
+            moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
+        """
+        vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+        moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
+        face_boxes, edge_boxes, vertex_boxes = (
+            _boxes(vertices, moving, corners, 0.5 * reach) for corners in (self.faces, self.edges, self._vertices)
+        )
+        boxes = (_fit(face_boxes, self._order, self._children, self._ranges), face_boxes, edge_boxes, vertex_boxes)
+        tree = (self._order, self._children, self._ranges, self._roots)
+        elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
+        vertex_faces, edge_edges = _search(boxes, tree, elements)
+        corners = np.concatenate([vertex_faces, edge_edges])
+        rest = _rest_distances(self.rest, self.part, corners, len(vertex_faces))
+        return ElementPairs(corners, len(vertex_faces), rest)
+
+
+def _split(
+    centres: np.ndarray, face_part: np.ndarray, world: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Order (faces,) of the faces, children (nodes, 2), ranges (nodes, 2) in that order, and a root of each world.
+
+    Children come after their parents; a leaf has children -1.
+    """
+    order: list[np.ndarray] = []
+    children: list[list[int]] = []
+    ranges: list[list[int]] = []
+    roots = []
+    placed = 0
+    face_world = world[face_part] if len(face_part) else face_part
+    for number in np.unique(face_world):
+        rows = np.flatnonzero(face_world == number)
+        roots.append(len(children))
+        children.append([-1, -1])
+        ranges.append([placed, placed + len(rows)])
+        # (node, its faces, where they begin in the order)
+        waiting = [(roots[-1], rows[np.argsort(face_part[rows], kind="stable")], placed)]
+        placed += len(rows)
+        while waiting:
+            node, rows, first = waiting.pop()
+            if len(rows) <= _LEAF:
+                order.append(np.column_stack([np.arange(first, first + len(rows)), rows]))
+                continue
+            parts = face_part[rows]
+            if parts[0] != parts[-1]:
+                middle = parts[len(parts) // 2]
+                cut = int(np.searchsorted(parts, middle if middle != parts[0] else middle + 1))
+            else:
+                spread = np.ptp(centres[rows], axis=0)
+                cut = len(rows) // 2
+                rows = rows[np.argpartition(centres[rows, int(spread.argmax())], cut)]
+            halves = ((rows[:cut], first), (rows[cut:], first + cut))
+            for side, (half, start) in enumerate(halves):
+                children[node][side] = len(children)
+                waiting.append((len(children), half, start))
+                children.append([-1, -1])
+                ranges.append([start, start + len(half)])
+    placed_faces = np.concatenate(order) if order else np.zeros((0, 2), dtype=np.int64)
+    ordered = np.empty(len(centres), dtype=np.int64)
+    ordered[placed_faces[:, 0]] = placed_faces[:, 1]
+    return (
+        ordered,
+        np.asarray(children, dtype=np.int64).reshape(-1, 2),
+        np.asarray(ranges, dtype=np.int64).reshape(-1, 2),
+        np.asarray(roots, dtype=np.int64),
+    )
+
+
+def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (faces, 3) and edges (faces, 3) that each face answers for, -1 where another face does.
+
+    So that every pair of elements is met once, though neighbouring faces share corners and sides.
+    """
+    _, first = np.unique(faces.reshape(-1), return_index=True)
+    own = np.full(faces.size, -1, dtype=np.int64)
+    own[first] = faces.reshape(-1)[first]
+    sides = np.sort(np.stack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]], axis=1).reshape(-1, 2), axis=1)
+    keys = sides[:, 0] * vertex_count + sides[:, 1]
+    ordered = np.sort(edges, axis=1)
+    edge_keys = ordered[:, 0] * vertex_count + ordered[:, 1]
+    by_key = np.argsort(edge_keys)
+    number = by_key[np.searchsorted(edge_keys[by_key], keys)] if len(keys) else keys
+    _, first = np.unique(number, return_index=True)
+    own_edges = np.full(len(keys), -1, dtype=np.int64)
+    own_edges[first] = number[first]
+    return own.reshape(-1, 3), own_edges.reshape(-1, 3)
+
+
+@compiled
+def _boxes(vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margin: float) -> np.ndarray:
+    """Boxes (elements, 12) of elements, wider by `margin` on every side.
+
+    Lowest and highest position of the corners; then the same with the lowest and highest move added. In between the
+    bounds change linearly, for two boxes in the same measure, so that they need be compared at the ends alone.
+    """
+    boxes = np.empty((len(corners), 12))
+    for element in range(len(corners)):
+        box = boxes[element]
+        for axis in range(3):
+            low, high, slowest, fastest = np.inf, -np.inf, np.inf, -np.inf
+            for k in range(corners.shape[1]):
+                position, move = vertices[corners[element, k], axis], moves[corners[element, k], axis]
+                low, high = min(low, position), max(high, position)
+                slowest, fastest = min(slowest, move), max(fastest, move)
+            box[axis], box[3 + axis] = low - margin, high + margin
+            box[6 + axis], box[9 + axis] = low - margin + slowest, high + margin + fastest
+    return boxes
+
+
+@compiled
+def _fit(face_boxes: np.ndarray, order: np.ndarray, children: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """Boxes (nodes, 12) of the nodes from those of the faces."""
+    boxes = np.empty((len(children), 12))
+    for node in range(len(children) - 1, -1, -1):
+        box = boxes[node]
+        if children[node, 0] >= 0:
+            box[:] = boxes[children[node, 0]]
+            _include(box, boxes[children[node, 1]])
+        else:
+            box[:] = face_boxes[order[ranges[node, 0]]]
+            for place in range(ranges[node, 0] + 1, ranges[node, 1]):
+                _include(box, face_boxes[order[place]])
+    return boxes
+
+
+@compiled
+def _include(box: np.ndarray, other: np.ndarray) -> None:
+    """Widen `box` (12,) to hold `other` (12,)."""
+    for axis in range(3):
+        slowest = min(box[6 + axis] - box[axis], other[6 + axis] - other[axis])
+        fastest = max(box[9 + axis] - box[3 + axis], other[9 + axis] - other[3 + axis])
+        box[axis] = min(box[axis], other[axis])
+        box[3 + axis] = max(box[3 + axis], other[3 + axis])
+        box[6 + axis] = box[axis] + slowest
+        box[9 + axis] = box[3 + axis] + fastest
+
+
+@compiled
+def _meet(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two boxes (12,) may come together: on no axis is one beyond the other at both ends of their moves."""
+    for axis in range(3):
+        if one[axis] > other[3 + axis] and one[6 + axis] > other[9 + axis]:
+            return False
+        if other[axis] > one[3 + axis] and other[6 + axis] > one[9 + axis]:
+            return False
+    return True
+
+
+@compiled
+def _with_room(rows: np.ndarray, count: int) -> np.ndarray:
+    """`rows` with room for one more than `count`."""
+    if count < len(rows):
+        return rows
+    larger = np.empty((2 * len(rows), rows.shape[1]), dtype=rows.dtype)
+    larger[:count] = rows[:count]
+    return larger
+
+
+@compiled
+def _search(boxes: tuple, tree: tuple, elements: tuple) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (pairs, 4) of vertex and face, and of two edges, whose boxes meet."""
+    order, children, ranges, roots = tree
+    faces, edges, owned_vertices, owned_edges = elements
+    node_boxes, face_boxes, edge_boxes, vertex_boxes = boxes
+    near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
+    face_count, edge_count = 0, 0
+    stack = np.empty((_DEEPEST, 2), dtype=np.int64)
+    for root in roots:
+        stack[0, 0], stack[0, 1] = root, root
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            a, b = stack[depth, 0], stack[depth, 1]
+            inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
+            if a == b:
+                if inner_a:
+                    left, right = children[a, 0], children[a, 1]
+                    stack[depth, 0], stack[depth, 1] = left, left
+                    stack[depth + 1, 0], stack[depth + 1, 1] = right, right
+                    stack[depth + 2, 0], stack[depth + 2, 1] = left, right
+                    depth += 3
+                    continue
+            elif not _meet(node_boxes[a], node_boxes[b]):
+                continue
+            elif inner_a or inner_b:
+                if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
+                    stack[depth, 0], stack[depth, 1] = children[a, 0], b
+                    stack[depth + 1, 0], stack[depth + 1, 1] = children[a, 1], b
+                else:
+                    stack[depth, 0], stack[depth, 1] = a, children[b, 0]
+                    stack[depth + 1, 0], stack[depth + 1, 1] = a, children[b, 1]
+                depth += 2
+                continue
+            for i in range(ranges[a, 0], ranges[a, 1]):
+                f = order[i]
+                for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
+                    g = order[j]
+                    if not _meet(face_boxes[f], face_boxes[g]):
+                        continue
+                    for one, two in ((f, g), (g, f)):
+                        for k in range(3):
+                            v = owned_vertices[one, k]
+                            if v < 0 or v == faces[two, 0] or v == faces[two, 1] or v == faces[two, 2]:
+                                continue
+                            if _meet(vertex_boxes[v], face_boxes[two]):
+                                near_faces = _with_room(near_faces, face_count)
+                                near_faces[face_count, 0] = v
+                                near_faces[face_count, 1:] = faces[two]
+                                face_count += 1
+                    for k in range(3):
+                        p = owned_edges[f, k]
+                        if p < 0 or not _meet(edge_boxes[p], face_boxes[g]):
+                            continue
+                        for m in range(3):
+                            q = owned_edges[g, m]
+                            if q < 0 or edges[p, 0] == edges[q, 0] or edges[p, 0] == edges[q, 1]:
+                                continue
+                            if edges[p, 1] == edges[q, 0] or edges[p, 1] == edges[q, 1]:
+                                continue
+                            if _meet(edge_boxes[p], edge_boxes[q]):
+                                near_edges = _with_room(near_edges, edge_count)
+                                near_edges[edge_count, :2] = edges[p]
+                                near_edges[edge_count, 2:] = edges[q]
+                                edge_count += 1
+    return near_faces[:face_count], near_edges[:edge_count]
+
+
+@compiled
+def _all_nearest(
+    vertices: np.ndarray, corners: np.ndarray, vertex_faces: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distances (pairs,), weights (pairs, 4) and unit normals (pairs, 3) of pairs."""
+    count = len(corners)
+    distances, weights, normals = np.empty(count), np.empty((count, 4)), np.empty((count, 3))
+    points = np.empty((4, 3))
+    for pair in range(count):
+        for corner in range(4):
+            points[corner] = vertices[corners[pair, corner]]
+        distances[pair] = nearest(points, pair < vertex_faces, weights[pair], normals[pair])
+        normals[pair] /= max(distances[pair], 1e-300)
+    return distances, weights, normals
+
+
+@compiled
+def _rest_distances(rest: np.ndarray, part: np.ndarray, corners: np.ndarray, vertex_faces: int) -> np.ndarray:
+    """Distances (pairs,) [m] at rest of pairs of one part, infinite between two."""
+    count = len(corners)
+    distances = np.full(count, np.inf)
+    points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
+    for pair in range(count):
+        if part[corners[pair, 0]] == part[corners[pair, 2]]:
+            for corner in range(4):
+                points[corner] = rest[corners[pair, corner]]
+            distances[pair] = nearest(points, pair < vertex_faces, weights, between)
+    return distances

@@ -1,0 +1,75 @@
+"""What a network sees of pinned vertices: where they are, or already where the body takes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class SeenGarments:
+    """Positions and velocities that features are made of.
+
+    Args:
+        positions: (vertices, 3) [m], for normals, body and found edges.
+        edge_positions: (vertices, 3) [m], for edges of the mesh and of coarse levels.
+        velocities: (vertices, 3) [m/step].
+        targets: (vertices, 3) where pinned vertices will be after the step, and the others are now [m].
+        pinned: (vertices, 1) bool.
+    """
+
+    positions: Tensor
+    edge_positions: Tensor
+    velocities: Tensor
+    targets: Tensor
+    pinned: Tensor
+
+
+class PinRule(Protocol):
+    """A rule for what is seen of pinned vertices."""
+
+    def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
+        """What is seen at the start of a step.
+
+        Args:
+            positions: (vertices, 3) at the start of the step [m].
+            velocities: (vertices, 3) [m/step].
+            pinned: (vertices, 1) bool.
+            targets: (vertices, 3) where pinned vertices will be after the step [m]; other rows are not read.
+        """
+
+
+@dataclass(frozen=True)
+class PinsAtPresent:
+    """Pinned vertices as all others: at their present place, with the velocity that took them there."""
+
+    def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
+        return SeenGarments(positions, positions, velocities, torch.where(pinned, targets, positions), pinned)
+
+
+@dataclass(frozen=True)
+class PinsAtTarget:
+    """Pinned vertices where they will be after the step: the released networks but ContourCraft.
+
+    Args:
+        moving: whether they show the velocity that takes them there (MeshGraphNet, HOOD of the paper) or none.
+    """
+
+    moving: bool = False
+
+    def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
+        placed = torch.where(pinned, targets, positions)
+        shown = torch.where(pinned, float(self.moving) * (targets - positions), velocities)
+        return SeenGarments(placed, placed, shown, placed, pinned)
+
+
+@dataclass(frozen=True)
+class PinsAtTargetInEdges:
+    """Pinned vertices where they will be after the step in mesh and coarse edges alone: the released ContourCraft."""
+
+    def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
+        placed = torch.where(pinned, targets, positions)
+        return SeenGarments(positions, placed, velocities, placed, pinned)

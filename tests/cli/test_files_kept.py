@@ -1,0 +1,204 @@
+"""What is read is never written over, and what ends a command leaves nothing half-written."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from filelock import FileLock
+from tests.garment.cloth_shapes import quad_tube, saved
+
+from pb4u.atomic_file import MARK, replace_file, sweep, working_folder
+from pb4u.errors import Interrupted
+from pb4u.scene.assembly import make_scene
+from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation.run_specification import RunSpecification
+from pb4u.simulation.simulator import SkinningSimulator
+
+PB4U = [sys.executable, "-c", "from pb4u.cli.main import main; main()"]
+HOLDS_A_LOCK = """
+import sys
+from filelock import FileLock
+lock = FileLock(sys.argv[1])
+lock.acquire()
+print("held", flush=True)
+input()
+"""
+FRAMES = ("--model", "skinning", "--lead-in", 0, "--frames", 2)
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pb4u: Callable) -> Path:
+    """A folder with one of every kind of input."""
+    monkeypatch.chdir(tmp_path)
+    saved(tmp_path, quad_tube(), "my.obj")
+    (tmp_path / "m.json").write_text('{"density": 0.2, "lame_mu": 2e4, "lame_lambda": 3e4, "bending": 1e-5}')
+    (tmp_path / "pins.txt").write_text("0 1 2")
+    assert pb4u("assets", "write", "walk", "b.npz", "--frames", 3).code == 0
+    assert pb4u("simulate", "--triangles", 1000, *FRAMES, "--out", "t.npz", "--save-scene", "s.toml").code == 0
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kept"),
+    [
+        (("check", "my.obj", "--json", "my.obj"), "my.obj"),
+        (("check", "my.obj", "--body", "b.npz", "--fix", "f.obj", "--json", "b.npz"), "b.npz"),
+        (("simulate", "--garment", "my.obj", *FRAMES, "--out", "a.npz", "--json", "my.obj"), "my.obj"),
+        (("simulate", "--material", "m.json", *FRAMES, "--out", "a.npz", "--json", "m.json"), "m.json"),
+        (("simulate", "--pins", "pins.txt", *FRAMES, "--out", "a.npz", "--json", "pins.txt"), "pins.txt"),
+        (("simulate", "--body", "b.npz", *FRAMES, "--out", "b.npz"), "b.npz"),
+        (("simulate", "--body", "b.npz", *FRAMES, "--out", "./b.npz"), "b.npz"),
+        (("simulate", "s.toml", *FRAMES, "--out", "a.npz", "--json", "s.toml"), "s.toml"),
+        (("simulate", "s.toml", *FRAMES, "--out", "a.npz", "--save-scene", "s.toml"), "s.toml"),
+        (("convert", "t.npz", "z.glb", "--json", "t.npz"), "t.npz"),
+        (("convert", "t.npz", "t.npz", "--every", 2), "t.npz"),
+        (("evaluate", "--garments", "my.obj", "--json", "my.obj"), "my.obj"),
+        (("train", "--pack", "t.npz", "--out", "run", "--json", "t.npz"), "t.npz"),
+    ],
+)
+def test_no_flag_writes_over_what_is_read(files: Path, pb4u: Callable, arguments: tuple, kept: str) -> None:
+    before = {file: file.read_bytes() for file in files.iterdir()}
+    ended = pb4u(*arguments)
+    assert ended.code == 1
+    assert f"would overwrite {kept}, which is read" in ended.err
+    assert {file: file.read_bytes() for file in files.iterdir()} == before
+
+
+def test_frames_are_not_written_among_those_that_are_read(files: Path, pb4u: Callable) -> None:
+    assert pb4u("convert", "t.npz", "seq.obj").code == 0
+    Path("frames").mkdir()
+    for file in files.glob("seq_*.obj"):
+        file.rename(Path("frames") / file.name)
+    ended = pb4u("simulate", "--body", "frames", *FRAMES, "--out", "frames/seq.obj")
+    assert "would overwrite frames, which is read" in ended.err
+    saved(files, quad_tube(), "mine_0001.obj")
+    ended = pb4u("simulate", "--garment", "mine_0001.obj", *FRAMES, "--out", "mine.obj")
+    assert "would overwrite mine_0001.obj, which is read" in ended.err
+
+
+def test_two_outputs_are_not_one_file(files: Path, pb4u: Callable) -> None:
+    ended = pb4u("simulate", *FRAMES, "--out", "a.npz", "--json", "a.npz")
+    assert "would both be written to a.npz" in ended.err
+    ended = pb4u("simulate", *FRAMES, "--out", "a.pc2", "--out", "a.mdd")
+    assert "would both be written to a.obj" in ended.err
+    assert not Path("a.npz").exists()
+
+
+def test_a_shorter_sequence_leaves_no_frames_of_the_longer_one(files: Path, pb4u: Callable) -> None:
+    assert pb4u("convert", "t.npz", "seq.obj").code == 0
+    (files / "seq_0007.obj").write_text("v 0 0 0\n")
+    assert pb4u("convert", "t.npz", "seq.obj", "--range", "0:1").code == 0
+    # What was not written here stays.
+    assert sorted(file.name for file in files.glob("seq_*.obj")) == ["seq_0000.obj", "seq_0007.obj"]
+
+
+def test_a_killed_process_s_leftovers_are_swept_by_the_next_one(tmp_path: Path) -> None:
+    dead = tmp_path / f".a.npz.xyz{MARK}"
+    dead.mkdir()
+    (dead / ".lock").touch()
+    (dead / "positions").write_bytes(b"half")
+    file = tmp_path / f".b.json.99999999{MARK}"
+    file.write_text("half")
+    os.utime(file, (0, 0))
+    fresh = tmp_path / f".c.npz.new{MARK}"
+    fresh.mkdir()
+    young = tmp_path / f".d.json.99999999{MARK}"
+    young.write_text("half")
+    mine = tmp_path / f".e.json.{os.getpid()}{MARK}"
+    mine.write_text("half")
+    os.utime(mine, (0, 0))
+    other = tmp_path / ".npz.hidden"
+    other.mkdir()
+    used = tmp_path / f".used.npz.xyz{MARK}"
+    used.mkdir()
+    held = subprocess.Popen(
+        [sys.executable, "-c", HOLDS_A_LOCK, used / ".lock"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert held.stdout is not None
+    held.stdout.readline()
+    with working_folder(tmp_path / "f.npz") as folder:
+        assert {p.name for p in tmp_path.iterdir()} == {p.name for p in (fresh, young, mine, other, used, folder)}
+    held.kill()
+    held.wait()
+    sweep(tmp_path)
+    assert used.name not in {p.name for p in tmp_path.iterdir()}
+
+
+def test_a_working_folder_holds_its_lock_and_goes(tmp_path: Path) -> None:
+    with working_folder(tmp_path / ("n" * 240 + ".npz")) as folder:
+        with pytest.raises(TimeoutError):
+            FileLock(folder / ".lock").acquire(timeout=0)
+        sweep(tmp_path)
+        assert folder.is_dir()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a").write_text("old")
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pb4u.atomic_file.os.fsync", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        replace_file(tmp_path / "a", b"new")
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a", "old")]
+
+
+@pytest.mark.parametrize("to_file", [True, False], ids=["streamed", "in memory"])
+def test_an_interrupt_keeps_the_frames_until_then(tmp_path: Path, to_file: bool) -> None:
+    scene = make_scene("tshirt", triangles=1000, frames=6, lead_in=2)
+    whole = SkinningSimulator().simulate(scene)
+    (tmp_path / "a.npz").write_text("an earlier one")
+    kept = tmp_path / "a.interrupted.npz"
+
+    def stop(done: int, total: int) -> None:
+        if done == 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted, match=f"the first 3 frames are in {kept}"):
+        RunSpecification().roll_out(
+            SkinningSimulator(), scene, tmp_path / "a.npz" if to_file else None, progress=stop, interrupted=kept
+        )
+    np.testing.assert_array_equal(Trajectory.open(kept).positions, whole.positions[:3])
+    assert {p.name for p in tmp_path.iterdir()} == {"a.npz", kept.name}
+    assert (tmp_path / "a.npz").read_text() == "an earlier one"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_the_frames_and_nothing_else(tmp_path: Path, number: signal.Signals) -> None:
+    flags = ["simulate", "--triangles", "1000", "--lead-in", "0", "--frames", "5000", "--model", "skinning"]
+    run = subprocess.Popen([*PB4U, *flags, "--out", "a.npz"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    raw = None
+    while run.poll() is None and (raw is None or raw.stat().st_size < 1 << 21):
+        time.sleep(0.01)
+        raw = next(tmp_path.glob(f".a.npz.*{MARK}/positions"), None)
+    run.send_signal(number)
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == 128 + number
+    kept = Trajectory.open(tmp_path / "a.interrupted.npz")
+    assert said.splitlines()[-1] == (
+        f"pb4u: interrupted; the first {kept.frame_count} frames are in a.interrupted.npz."
+    )
+    assert [p.name for p in tmp_path.iterdir()] == ["a.interrupted.npz"]
+
+
+def test_what_a_kill_leaves_the_next_run_sweeps(tmp_path: Path) -> None:
+    flags = ["simulate", "--triangles", "1000", "--lead-in", "0", "--model", "skinning", "--out", "a.npz"]
+    command = [*PB4U, *flags]
+    run = subprocess.Popen([*command, "--frames", "5000"], cwd=tmp_path)
+    while run.poll() is None and not any(tmp_path.glob(f".a.npz.*{MARK}/positions")):
+        time.sleep(0.01)
+    run.kill()
+    run.wait()
+    assert any(tmp_path.iterdir())
+    subprocess.run([*command, "--frames", "1"], cwd=tmp_path, check=True, capture_output=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
