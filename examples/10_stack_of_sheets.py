@@ -26,8 +26,11 @@ def main() -> None:
     parser.add_argument("--out", default="stack")
     options = parser.parse_args()
 
-    # A cube standing on one of its corners, sunk half into the ground; the opposite corner is 0.3 m above it.
-    cube = trimesh.creation.box((0.35, 0.35, 0.35)).subdivide().subdivide()
+    # A cube standing on one of its corners, sunk half into the ground; the opposite corner is 0.3 m above it. Its
+    # corners are rounded: cloth feels a solid at the vertices of the cloth, and a sharp point would slip between them.
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
+    corners = trimesh.creation.box((0.28, 0.28, 0.28)).vertices
+    cube = trimesh.convex.convex_hull((corners[:, None] + ball.vertices).reshape(-1, 3))
     cube.apply_transform(trimesh.geometry.align_vectors([1.0, 1.0, 1.0], [0.0, 1.0, 0.0]))
     top = 0.3
     block = solid("cube", cube.vertices + [0.0, top - cube.vertices[:, 1].max(), 0.0], cube.faces)

@@ -12,6 +12,10 @@ import pytest
 RUNS = [
     ("pb4u", "garments_dict.pkl:dress", "release"),
     ("pb4u", "garments_dict_skirt.pkl:skirt", "release"),
+    ("hood", "garments_dict.pkl:dress@73", "hood"),
+    ("hood", "garments_dict_skirt.pkl:skirt@388", "hood"),
+    ("hood_cvpr", "garments_dict.pkl:dress@125", "mgn"),
+    ("hood_cvpr", "garments_dict_skirt.pkl:skirt@122", "mgn"),
     ("fine15", "garments_dict.pkl:dress", "mgn"),
     ("fine15", "garments_dict_skirt.pkl:skirt", "mgn"),
 ]
@@ -22,7 +26,7 @@ def arguments(compat: Path, garment: str) -> list[object]:
     return [
         "simulate", "--garment", f"{files}/{garment}", "--body", files / "SMPL_FEMALE.pkl",
         "--omitted", files / "smpl_aux.pkl", "--motion", files / "recording.pkl", "--as-recorded", "--arms-away", 20,
-        "--lead-in", 0, "--refine", 0, "--contact", "off",
+        "--lead-in", 0, "--refine", 0, "--contact", "off", "--self-contact", "off",
     ]  # fmt: skip
 
 

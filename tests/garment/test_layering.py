@@ -12,7 +12,7 @@ from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
-from pb4u.garment.layering import LAYER_GAP, layered
+from pb4u.garment.layering import LAYER_GAP, layered, worn_order
 from pb4u.garment.library import build_garment
 from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.nearest_surface import TriangleSurface
@@ -77,6 +77,17 @@ def test_the_order_decides_who_is_over_whom(radii: tuple[float, ...]) -> None:
     assert (np.diff(rings) > 0.8 * LAYER_GAP).all()
     for garment, place in zip(garments, places, strict=True):
         assert np.ptp(place[:, 1] - garment.vertices[:, 1]) < 0.02
+
+
+def test_what_is_tucked_in_goes_beneath_what_is_worn_from_the_waist() -> None:
+    shirt = replace(tube_garment(low=0.8, high=1.4), name="shirt")
+    trousers, coat = (replace(tube_garment(low=low, high=high), name="x") for low, high in ((0.1, 1.0), (0.6, 1.42)))
+    assert worn_order([trousers, shirt, coat], [False, False, False]) == [0, 1, 2]
+    assert worn_order([trousers, shirt, coat], [False, True, False]) == [1, 0, 2]
+    assert worn_order([coat, trousers, shirt], [False, False, True]) == [0, 2, 1]
+    assert worn_order([shirt, trousers, coat], [True, False, False]) == [0, 1, 2]
+    with pytest.raises(InputError, match="shirt cannot be tucked in: no other garment has its upper edge at its waist"):
+        worn_order([shirt, coat], [True, False])
 
 
 def test_one_garment_is_where_it_was_made() -> None:

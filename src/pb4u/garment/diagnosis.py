@@ -13,7 +13,7 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.fit import UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_held_up
+from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_held_up
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import SourceSurface
@@ -28,7 +28,7 @@ _WORST_MISFIT = 0.08
 # A garment whose nearest point is farther from the body than this [m] does not touch it.
 _FAR = 0.05
 # Findings after which nothing is said of what holds the garment up.
-_NOT_WORN = ("far", "inside")
+_NOT_WORN = ("far", "inside", "unsure")
 # Deviation of edge lengths, of their mean, above which they are told as graded; built-in garments have about a tenth.
 _GRADED = 0.35
 # Share of faces with another layer behind them above which the cloth is told as double: a hem or a pocket has less.
@@ -236,6 +236,13 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
     """Units, axes and place of (vertices, 3); `mend` is the command to mend them."""
     if fit.is_identity:
         return _far_finding(vertices, body)
+    if fit.is_unsure:
+        sentence = (
+            "It cannot be told where on the body the garment belongs: it fits about as well in "
+            f"{1 + len(fit.alike)} of {len(AXES)} ways to turn it, {1000 * fit.misfit:.0f} mm off on average."
+        )
+        fix = "place it on the resting body in the program it comes from, in metres, Y up and facing +Z"
+        return [*_far_finding(vertices, body), Finding("unsure", Severity.REFUSED, sentence, fix)]
     findings = []
     if fit.unit != "metres":
         sentence = f"The garment is in {fit.unit}: it spans {np.ptp(vertices, axis=0).max():.4g} of them."
@@ -247,11 +254,16 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
         findings.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {mend}", True))
     if fit.shift.any():
         why = "where it fits best" if fit.searched else "it was made around the body model's own origin"
-        sentence = f"The garment has to move {fit.shift[1]:+.3f} m in height to be worn: {why}."
-        findings.append(Finding("height", Severity.WARNING, sentence, f"move it with {mend}", True))
+        sentence = f"The garment has to move {fit.move} to be worn: {why}, {1000 * fit.misfit:.0f} mm off on average."
+        code = "place" if fit.shift[[0, 2]].any() else "height"
+        findings.append(Finding(code, Severity.WARNING, sentence, f"move it with {mend}", True))
+    if fit.front_alike:
+        sentence = f"Its shape does not tell its front: {fit.axes} is taken, and {fit.front_alike[0]} fits alike."
+        fix = "look at it once it is mended, and turn it about the vertical where it is the wrong way round"
+        findings.append(Finding("front", Severity.WARNING, sentence, fix))
     if float(body.misfit(vertices)) > _WORST_MISFIT:
         away = 100 * float(np.median(np.abs(body.signed_distances(vertices))))
-        why = "made at another height" if fit.axes == UPRIGHT else fit.axes
+        why = "made at another place" if fit.axes == UPRIGHT else fit.axes
         sentence = (
             f'The garment is not on the body "{body.name}" as it stands, half of it is {away:.0f} cm away or more: it '
             f"seems to be {why if fit.unit == 'metres' else fit.unit}."

@@ -126,6 +126,7 @@ class NetworkSimulator(StepwiseSimulator):
         passes: evaluations of the network in a step; None is its own number.
         first_frame: makes frame 0; by default one long step of the method's own.
         potential: the energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
+        precision: data type of the network's products.
 
     Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next.
     """
@@ -140,6 +141,7 @@ class NetworkSimulator(StepwiseSimulator):
         passes: int | None = None,
         first_frame: FirstFrame | None = None,
         potential: IncrementalPotential | None = None,
+        precision: torch.dtype = torch.float32,
     ) -> None:
         self.name = checkpoint.name
         self.potential = potential or IncrementalPotential()
@@ -157,6 +159,9 @@ class NetworkSimulator(StepwiseSimulator):
             )
         if next(checkpoint.model.parameters()).device != self.device:
             checkpoint = replace(checkpoint, model=copy.deepcopy(checkpoint.model).to(self.device))
+        self.precision = precision
+        if precision != torch.float32:
+            checkpoint = replace(checkpoint, model=checkpoint.model.with_products_in(precision))
         self.checkpoint = checkpoint
 
     def settings(self) -> dict[str, Any]:
@@ -164,6 +169,7 @@ class NetworkSimulator(StepwiseSimulator):
             "refine": self.refine,
             "passes": self.passes,
             "device": str(self.device),
+            "precision": str(self.precision).removeprefix("torch."),
             "weights_licence": self.checkpoint.licence,
         }
 
