@@ -138,7 +138,7 @@ def require_uncrossed(said: str, file: Path) -> Trajectory:
 
 def test_cloth_in_folds(example: Run, tmp_path: Path) -> None:
     assert (EXAMPLES / "cloth_scenes.py").is_file()
-    small = ("--triangles", 260, "--layers", 4, "--frames", 12)
+    small = ("--triangles", 200, "--layers", 3, "--frames", 9)
     trajectory = require_uncrossed(example("08_cloth_in_folds.py", *small), tmp_path / "folds.npz")
     assert trajectory.positions[-1, :, 1].min() < 0.4
     example("08_cloth_in_folds.py", *small, "--self-contact", "off", "--out", "through")
@@ -147,7 +147,7 @@ def test_cloth_in_folds(example: Run, tmp_path: Path) -> None:
 
 
 def test_twisted_sheet(example: Run, tmp_path: Path) -> None:
-    small = ("--triangles", 200, "--frames", 40)
+    small = ("--triangles", 160, "--frames", 30)
     trajectory = require_uncrossed(example("09_twisted_sheet.py", *small), tmp_path / "twisted.npz")
     # Wrung to a rope: its middle is a small part as wide as the sheet was.
     middle = np.abs(trajectory.header.rest_positions[:, 0] - 0.5) < 0.05
@@ -156,7 +156,7 @@ def test_twisted_sheet(example: Run, tmp_path: Path) -> None:
 
 
 def test_stack_of_sheets(example: Run, tmp_path: Path) -> None:
-    small = ("--triangles", 72, "--frames", 30)
+    small = ("--triangles", 72, "--frames", 20)
     trajectory = require_uncrossed(example("10_stack_of_sheets.py", *small), tmp_path / "stack.npz")
     assert len(np.unique(trajectory.header.vertex_garment)) == 5
     speeds = np.linalg.norm(trajectory.velocities, axis=2).mean(axis=1)
@@ -168,7 +168,7 @@ def test_stack_of_sheets(example: Run, tmp_path: Path) -> None:
 
 
 def test_through_a_ring(example: Run, tmp_path: Path) -> None:
-    small = ("--triangles", 200, "--frames", 30, "--hole", 0.08)
+    small = ("--triangles", 160, "--frames", 26, "--hole", 0.08)
     trajectory = require_uncrossed(example("11_through_a_ring.py", *small), tmp_path / "ring.npz")
     pinned = trajectory.header.pinned
     assert trajectory.positions[-1, pinned, 1].max() < 0.6
