@@ -3,8 +3,8 @@
     python examples/12_wear_an_outfit.py
     python examples/12_wear_an_outfit.py --garments trousers shirt.obj cardigan --tuck shirt
 
-Order says who is over whom; tucked in, a garment goes beneath what is worn from the waist. Before anything moves they are
-laid over each other so, and untangled. What cannot be parted is refused.
+Order says who is over whom; tucked in, a garment goes beneath what is worn from the waist. Before anything moves they
+are laid over each other so, and untangled. What cannot be parted is refused.
 """
 
 from __future__ import annotations
