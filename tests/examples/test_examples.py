@@ -121,3 +121,11 @@ def test_scene_file(example: Run, tmp_path: Path) -> None:
     assert [material["density"] for material in written] == pytest.approx([0.06, 0.28])
     assert 'material = "wool"' in (tmp_path / "scene_wool.toml").read_text()
     assert "pb4u simulate scene_wool.toml" in said
+
+
+@pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
+def test_wear_an_outfit(example: Run, tmp_path: Path) -> None:
+    said = example("12_wear_an_outfit.py", "--model", "skinning", *TINY)
+    assert "as_it_comes: trousers under tanktop under cardigan" in said
+    assert "tucked_in: tanktop under trousers under cardigan" in said
+    assert Trajectory.open(tmp_path / "outfit_tucked_in.npz").metadata["garment"] == "tanktop+trousers+cardigan"
