@@ -4,8 +4,10 @@ import torch
 from cloth_shapes import tube_arrays
 
 from pb4u.body.library import load_body
-from pb4u.garment.fit import AXES, UNITS, RestBody, find_fit
+from pb4u.garment.diagnosis import diagnose
+from pb4u.garment.fit import AXES, UNITS, UPRIGHT, RestBody, find_fit
 from pb4u.garment.library import build_garment
+from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import vertex_normals
 
 
@@ -84,3 +86,19 @@ def test_the_axes_are_rotations():
     for rotation in AXES.values():
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3))
         assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("moved", [(0.065, 0, 0), (0, 0, -0.065), (0.1, 0, 0), (0, -0.07, 0), (-0.08, 0.06, 0.12)])
+@pytest.mark.parametrize("axes", [UPRIGHT, "Y up, facing +X", "Z up, facing +Y"])
+def test_a_garment_moved_to_any_side_and_turned_is_put_back(body, shirt, moved, axes):
+    fit = find_fit((shirt + np.array(moved)) @ AXES[axes], body)
+    assert (fit.unit, fit.axes, fit.alike) == ("metres", axes, ())
+    np.testing.assert_allclose(fit.apply((shirt + np.array(moved)) @ AXES[axes]), shirt, atol=0.012)
+
+
+def test_a_garment_that_fits_nowhere_is_not_moved(woman, body):
+    vertices, faces = tube_arrays(low=0.2, high=0.5, radius=0.9)
+    fit = find_fit(vertices + np.array([2.0, 0.3, 0.0]), body)
+    assert fit.is_identity
+    codes = diagnose(PolygonMesh(vertices + np.array([2.0, 0.3, 0.0]), tuple(faces)), woman).codes
+    assert "far" in codes

@@ -9,6 +9,7 @@ from cloth_shapes import CLOTH
 from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.diagnosis import diagnose, require_worn
+from pb4u.garment.fit import AXES, UNITS, UPRIGHT, RestBody, find_fit
 from pb4u.garment.garment_file import read_garment, read_source
 from pb4u.garment.repair import repair
 from pb4u.geometry.obj_file import write_obj
@@ -61,3 +62,28 @@ def test_a_real_garment_is_diagnosed_mended_and_worn(name, test_data, bodies, tm
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         require_worn(garment, body, pins_given=name.startswith(BOTTOMS))
+
+
+MOVED = ("croptop_f_lod1", "longsleeve_m_lod0", "pants_f_lod0", "shorts_f_lod0", "tights_f_lod0", "tshirt_f_lod0",
+         "tshirt_m_lod0")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MOVED)
+def test_a_real_garment_moved_turned_and_scaled_is_put_back(name, test_data, bodies):
+    path = test_data / "garments" / f"{name}.obj"
+    if not path.is_file():
+        pytest.skip(f"{path.name} is absent")
+    body = bodies["m" if "_m_" in name else "f"]
+    rest, made = RestBody.of(body), AXES["Z up, facing -Y"]
+    worn = read_source(path).vertices @ made.T + np.array([0.0, body.lift, 0.0])
+    draw = np.random.default_rng(20)
+    cases = [(worn + shift * side, "metres", UPRIGHT) for side in np.eye(3) for shift in (-0.06, 0.12)]
+    for axes in AXES:
+        moved = worn + draw.uniform(-0.08, 0.08, 3)
+        cases.append((moved @ AXES[axes], "metres", axes))
+    for unit in ("centimetres", "millimetres", "inches"):
+        cases.append(((worn + draw.uniform(-0.06, 0.06, 3)) @ made / UNITS[unit], unit, "Z up, facing -Y"))
+    for vertices, unit, axes in cases:
+        fit = find_fit(vertices, rest)
+        assert (fit.unit, fit.axes) == (unit, axes)
+        assert np.linalg.norm(fit.apply(vertices) - worn, axis=1).max() < 0.02

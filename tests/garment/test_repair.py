@@ -32,7 +32,7 @@ def test_units_axes_and_origin_are_set_right_with_polygons_and_uvs_kept(woman):
     mended, said = repair(replace(mesh, vertices=file), woman)
     assert said[0] == "Scaled by 0.01, from centimetres to metres."
     assert said[1] == "Turned from Z up, facing -Y to Y up, facing +Z."
-    assert said[2].startswith("Moved by +0.8")
+    assert said[2].startswith("Moved by +81.8 cm in y")
     np.testing.assert_allclose(mended.vertices, standing, atol=0.005)  # the hips were pushed a little
     np.testing.assert_array_equal(np.stack(mended.polygons), np.stack(mesh.polygons))
     np.testing.assert_array_equal(np.stack(mended.polygon_uvs), np.stack(mesh.polygon_uvs))

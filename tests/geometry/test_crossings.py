@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,26 @@ def test_faces_that_share_a_vertex_are_not_counted() -> None:
     # The second face passes through the first, in which it also has a corner; the third only through it.
     assert not len(self_crossings(vertices, np.array([[0, 1, 2], [0, 3, 4]])))
     assert self_crossings(vertices, np.array([[0, 1, 2], [3, 4, 5]])).tolist() == [[0, 1]]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pairs_that_share_a_vertex_are_counted_where_asked(seed: int) -> None:
+    """They cross where the edge of one across from that vertex passes through the other."""
+    rng = np.random.default_rng(seed)
+    vertices = rng.normal(size=(14, 3))
+    faces = np.array(list(combinations(range(14), 3)))[rng.choice(364, 24, replace=False)]
+    expected = set()
+    for i, j in combinations(range(len(faces)), 2):
+        shared = set(faces[i].tolist()) & set(faces[j].tolist())
+        if len(shared) == 1:
+            ends = [[v for v in faces[k].tolist() if v not in shared] for k in (i, j)]
+            others = (vertices[faces[j]], vertices[faces[i]])
+            if any(pierces(*vertices[end], other) for end, other in zip(ends, others, strict=True)):
+                expected.add((i, j))
+    assert len(expected) > 5
+    apart = {tuple(sorted(pair)) for pair in self_crossings(vertices, faces).tolist()}
+    every = {tuple(sorted(pair)) for pair in self_crossings(vertices, faces, sharing=True).tolist()}
+    assert every - apart == expected
 
 
 def test_far_apart_is_nothing() -> None:

@@ -14,8 +14,7 @@ from pb4u.errors import InputError
 from pb4u.evaluation.metrics import measure
 from pb4u.physics.contact.response import ContactResponse
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.state import State
-from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
+from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import Network
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
@@ -24,18 +23,11 @@ from pb4u.simulation.stepwise_simulator import SolverSimulator, StepwiseSimulato
 from pb4u.simulation.timeline import Timeline
 
 
-class AsSkinned(FirstFrame):
-    """The garments where skinning puts them."""
-
-    def start(self, timeline: Timeline, method: StepMethod) -> State:
-        return timeline.skinned_state(0)
-
-
 class FreeFall(StepwiseSimulator):
     """Flight without any physics, turning to NaN at a frame."""
 
     name = "free fall"
-    first_frame = AsSkinned()
+    first_frame = AsPlaced()
 
     def __init__(self, fails_at: int | None = None) -> None:
         self.fails_at = fails_at

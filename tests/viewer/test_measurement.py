@@ -89,6 +89,13 @@ def test_an_export_is_the_file_and_can_be_kept(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
+def test_an_export_replaces_nothing_in_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "walk.npz").write_text("somebody's")
+    clip = RecordedClip(trajectory(3), "walk")
+    assert [deliver(clip, ".npz", tmp_path)[2] for _ in range(2)] == [tmp_path / "walk-2.npz", tmp_path / "walk-3.npz"]
+    assert (tmp_path / "walk.npz").read_text() == "somebody's"
+
+
 def test_two_windows_may_keep_the_same_name_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both would write the same file beside the one to be replaced, if they met there."""
     meeting, written = threading.Barrier(2), os.fsync
@@ -102,8 +109,10 @@ def test_two_windows_may_keep_the_same_name_at_once(tmp_path: Path, monkeypatch:
     clip = RecordedClip(trajectory(3), "walk")
     with ThreadPoolExecutor(2) as windows:
         kept = [future.result() for future in [windows.submit(deliver, clip, ".obj", tmp_path) for _ in range(2)]]
-    assert kept[0][2] == kept[1][2]
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"walk_000{t}.obj" for t in range(3)]
+    assert {kept[0][2], kept[1][2]} == {tmp_path / "walk_0000.obj", tmp_path / "walk-2_0000.obj"}
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        f"walk{which}_000{t}.obj" for which in ("-2", "") for t in range(3)
+    ]
 
 
 def test_several_files_come_as_one_archive() -> None:

@@ -75,7 +75,10 @@ def view(
     ] = None,
     other: Annotated[Path | None, typer.Argument(help="Another one, shown beside it.", show_default=False)] = None,
     host: Annotated[
-        str, typer.Option(help="Address to listen on; 0.0.0.0 lets everyone on the network in.")
+        str,
+        typer.Option(
+            help="Address to listen on; 0.0.0.0 lets in who comes by the network with the token of its address."
+        ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8094,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,

@@ -13,11 +13,14 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.fit import UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_held_up
+from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_held_up
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.tangles import tangles
 from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.proximity.crossings import self_crossings
+from pb4u.geometry.proximity.untangling import untangle
 from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
 
 # Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn.
@@ -25,7 +28,7 @@ _WORST_MISFIT = 0.08
 # A garment whose nearest point is farther from the body than this [m] does not touch it.
 _FAR = 0.05
 # Findings after which nothing is said of what holds the garment up.
-_NOT_WORN = ("far", "inside")
+_NOT_WORN = ("far", "inside", "unsure")
 # Deviation of edge lengths, of their mean, above which they are told as graded; built-in garments have about a tenth.
 _GRADED = 0.35
 # Share of faces with another layer behind them above which the cloth is told as double: a hem or a pocket has less.
@@ -126,11 +129,14 @@ def diagnose(
         fit = find_fit(vertices, rest)
         mend = fix_command(file, rest.name)
         findings += _placement_findings(vertices, fit, rest, mend)
+        findings += _crossing_findings(surface, fit.apply(garment.vertices), measures)
         findings += _contact_findings(surface, fit, rest, measures, mend)
         if not pinned and not any(f.code in _NOT_WORN for f in findings):
             findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
         findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres"))
+    elif len(vertices):
+        findings += _crossing_findings(surface, garment.vertices, measures)
     order = list(Severity)
     return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures)
 
@@ -230,6 +236,13 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
     """Units, axes and place of (vertices, 3); `mend` is the command to mend them."""
     if fit.is_identity:
         return _far_finding(vertices, body)
+    if fit.is_unsure:
+        sentence = (
+            "It cannot be told where on the body the garment belongs: it fits about as well in "
+            f"{1 + len(fit.alike)} of {len(AXES)} ways to turn it, {1000 * fit.misfit:.0f} mm off on average."
+        )
+        fix = "place it on the resting body in the program it comes from, in metres, Y up and facing +Z"
+        return [*_far_finding(vertices, body), Finding("unsure", Severity.REFUSED, sentence, fix)]
     findings = []
     if fit.unit != "metres":
         sentence = f"The garment is in {fit.unit}: it spans {np.ptp(vertices, axis=0).max():.4g} of them."
@@ -241,11 +254,16 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
         findings.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {mend}", True))
     if fit.shift.any():
         why = "where it fits best" if fit.searched else "it was made around the body model's own origin"
-        sentence = f"The garment has to move {fit.shift[1]:+.3f} m in height to be worn: {why}."
-        findings.append(Finding("height", Severity.WARNING, sentence, f"move it with {mend}", True))
+        sentence = f"The garment has to move {fit.move} to be worn: {why}, {1000 * fit.misfit:.0f} mm off on average."
+        code = "place" if fit.shift[[0, 2]].any() else "height"
+        findings.append(Finding(code, Severity.WARNING, sentence, f"move it with {mend}", True))
+    if fit.front_alike:
+        sentence = f"Its shape does not tell its front: {fit.axes} is taken, and {fit.front_alike[0]} fits alike."
+        fix = "look at it once it is mended, and turn it about the vertical where it is the wrong way round"
+        findings.append(Finding("front", Severity.WARNING, sentence, fix))
     if float(body.misfit(vertices)) > _WORST_MISFIT:
         away = 100 * float(np.median(np.abs(body.signed_distances(vertices))))
-        why = "made at another height" if fit.axes == UPRIGHT else fit.axes
+        why = "made at another place" if fit.axes == UPRIGHT else fit.axes
         sentence = (
             f'The garment is not on the body "{body.name}" as it stands, half of it is {away:.0f} cm away or more: it '
             f"seems to be {why if fit.unit == 'metres' else fit.unit}."
@@ -285,6 +303,30 @@ def _contact_findings(
         sentence = "All faces look inwards, at the body."
         findings.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
     return findings
+
+
+def _crossing_findings(
+    surface: SourceSurface, vertices: np.ndarray, measures: dict[str, float | None]
+) -> list[Finding]:
+    """A garment that passes through itself, its (vertices, 3) where it is worn; open seams count as welded."""
+    welded = surface.weld_target[surface.faces]
+    whole = np.flatnonzero((welded != np.roll(welded, 1, axis=1)).all(axis=1))
+    faces = welded[whole]
+    pairs = self_crossings(vertices, faces, sharing=True)
+    measures["self_intersections"] = float(len(pairs))
+    if not len(pairs):
+        return []
+    (tangle,) = tangles(["The garment"], np.zeros(len(vertices), dtype=np.int64), vertices, faces, pairs)
+    polygons = surface.polygon[surface.kept[whole[pairs]]]
+    freed = untangle(vertices, faces, gap=0.0)
+    sentence = f"{tangle}, first faces {_first(polygons)} (pairs)."
+    where = tuple(polygons.reshape(-1)[:20].tolist())
+    if not freed.is_free:
+        fix = "mend it where it was made, or simulate it with `--self-contact off`"
+        return [Finding("self-crossing", Severity.REFUSED, sentence, fix, where=where)]
+    farthest = float(np.linalg.norm(freed.vertices - vertices, axis=1).max())
+    fix = f"mend it where it was made; simulation untangles its start, by at most {1000 * farthest:.1f} mm"
+    return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where)]
 
 
 def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:

@@ -11,6 +11,7 @@ from torch import Tensor
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody
 from pb4u.body.skinning import SkinningWeights
+from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.weight_cache import garment_weights
 from pb4u.geometry.nearest_surface import TriangleSurface
@@ -43,20 +44,50 @@ class SkinnedPlacement(Placement):
         garment: worn by the body in its rest pose.
         body: the posed body.
         weights: skinning weights of the garment's vertices; borrowed from the body when None.
+        worn: (vertices, 3) where the garment sits on the resting body [m], laid over others; its rest shape when None.
     """
 
-    def __init__(self, garment: Garment, body: PosedBody, weights: SkinningWeights | None = None) -> None:
+    def __init__(
+        self,
+        garment: Garment,
+        body: PosedBody,
+        weights: SkinningWeights | None = None,
+        worn: np.ndarray | None = None,
+    ) -> None:
         self.garment = garment
         self.body = body
+        self.worn = garment.vertices if worn is None else worn
         self.weights = garment_weights(garment, body.body) if weights is None else weights
 
     def positions(self, start: int, stop: int) -> Tensor:
         """Garment vertices (stop - start, vertices, 3) float32 [m] skinned to the bones; see `Placement`."""
         chunks = [
-            self.body.skin(self.garment.vertices, self.weights, first, min(first + _FRAME_CHUNK, stop))
+            self.body.skin(self.worn, self.weights, first, min(first + _FRAME_CHUNK, stop))
             for first in range(start, stop, _FRAME_CHUNK)
         ]
         return torch.cat(chunks) if chunks else torch.zeros(0, len(self.garment.vertices), 3)
+
+
+class PrescribedPlacement(Placement):
+    """Positions given frame by frame: where a cloth starts, and the paths of its pinned vertices.
+
+    Args:
+        frames: (frames, vertices, 3) [m]; the last one is held.
+
+    Raises InputError for another shape, no frame, or numbers that are not finite.
+    """
+
+    def __init__(self, frames: np.ndarray) -> None:
+        if frames.ndim != 3 or frames.shape[2] != 3 or not len(frames) or not np.isfinite(frames).all():
+            raise InputError(
+                f"Prescribed positions are finite numbers (frames, vertices, 3) of a frame or more, not {frames.shape}."
+            )
+        self.frames = frames
+
+    def positions(self, start: int, stop: int) -> Tensor:
+        """Garment vertices (stop - start, vertices, 3) float32 [m] as given; see `Placement`."""
+        rows = np.clip(np.arange(start, stop), 0, len(self.frames) - 1)
+        return torch.from_numpy(self.frames[rows].astype(np.float32))
 
 
 class AttachedPlacement(Placement):
@@ -68,14 +99,16 @@ class AttachedPlacement(Placement):
     Args:
         garment: placed on the body of frame 0.
         body: any moving surface.
+        worn: (vertices, 3) where the garment sits on that body [m], laid over others; its rest shape when None.
     """
 
-    def __init__(self, garment: Garment, body: AnimatedBody) -> None:
+    def __init__(self, garment: Garment, body: AnimatedBody, worn: np.ndarray | None = None) -> None:
         self.garment = garment
         self.body = body
         start = body.positions(0, 1)[0]
         self._faces = torch.from_numpy(body.faces)
-        rest = torch.from_numpy(np.ascontiguousarray(garment.vertices, dtype=np.float32))
+        places = garment.vertices if worn is None else worn
+        rest = torch.from_numpy(np.ascontiguousarray(places, dtype=np.float32))
         hit = TriangleSurface(body.faces, len(start), body.contact).at(start).nearest(rest)
         self._corners = self._faces[hit.triangle]
         self._barycentric = hit.barycentric.float()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,13 +14,25 @@ from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas
 
-# Vertices of a garment that are looked at to place it, and every how many of them for a first look at its height:
-# hundreds of placements are compared, and the time grows with both.
+# Vertices of a garment that are looked at to place it, and every how many of them for a first look: thousands of
+# placements are compared, and the time grows with both.
 _SAMPLES, _COARSE = 400, 4
-# Step [m] of the first look at heights, less than the width of a dip in the misfit.
-_SHIFT_STEP = 0.03
-# Distances to the body count up to this [m]: farther is nowhere, and a train must not outweigh a bodice.
-_FARTHEST = 0.3
+# Step [m] of the first look at heights, less than the width of a dip in the misfit, and times that a garment is drawn
+# towards the body from each.
+_SHIFT_STEP, _DRAWN = 0.06, 4
+# Distances to the body count up to this [m] in a first look, so that a garment far off is drawn towards it; and up to
+# that where fits are compared, so that a hem that flares does not outweigh a waist that sits.
+_FARTHEST, _NEAR = 0.3, 0.05
+# Places refined of each unit and axes and of all, and how much worse than the best in the first look they may be.
+_REFINED, _REFINED_IN_ALL, _HOPELESS = 2, 6, 1.8
+# A garment stays where it is, and as it is turned, unless another fit has less than 1 / (this share) of the misfit,
+# this [m] aside: clothes hang loose by a few millimetres, and real ones fit where they are twice as well as 3 cm away.
+_CLEARLY, _LOOSELY = 1.12, 1e-3
+_WIDE = 1.25
+"""The same for the body model's own origin, where a garment is too wide for its shape to tell its place."""
+# Front and back, or two sides, fit alike where one has not this many times the misfit of the other; of shirts, trousers
+# and shorts made by others the wrong way round has twice.
+_ALIKE = 1.35
 WHOLLY_INSIDE = 0.95
 """Share of vertices inside the body from which a garment counts as inside it."""
 # A garment made around the body model's own origin reaches at least so far [m] below the ground, if it is long.
@@ -39,13 +51,22 @@ _UP = np.array([0.0, 1.0, 0.0])
 
 UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 UPRIGHT = "Y up, facing +Z"
+
+
+def _axes(up: str, facing: str) -> np.ndarray:
+    """Rotation (3, 3) that takes a file's axes to the world's, in which Y is up and a body faces +Z."""
+    vectors = {sign + name: float(f"{sign}1") * np.eye(3)["XYZ".index(name)] for sign in "+-" for name in "XYZ"}
+    above, front = vectors[f"+{up}"], vectors[facing]
+    return np.stack([np.cross(above, front), above, front])
+
+
 AXES = {
-    UPRIGHT: np.eye(3),
-    "Z up, facing -Y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
-    "Z up, facing +Y": np.array([[-1.0, 0, 0], [0, 0, 1], [0, 1, 0]]),
-    "Y up, facing -Z": np.diag([-1.0, 1.0, -1.0]),
-}
-"""Name of a file's axes -> rotation (3, 3) that takes them to the world's."""
+    f"{up} up, facing {facing}": _axes(up, facing)
+    for up, facing in (
+        ("Y", "+Z"), ("Z", "-Y"), ("Z", "+Y"), ("Y", "-Z"), ("Y", "+X"), ("Y", "-X"), ("Z", "+X"), ("Z", "-X")
+    )
+}  # fmt: skip
+"""Name of a file's axes -> rotation (3, 3) that takes them to the world's; the likelier come first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,16 +121,36 @@ class RestBody:
         touchable = np.flatnonzero(self.contact)
         return cKDTree(self.vertices[touchable]), area_weighted_normals(self.vertices, self.faces)[touchable]
 
-    def misfit(self, points: np.ndarray) -> np.ndarray:
-        """Mean distance (...) [m] of `points` (..., points, 3) to the body, depth inside it counted five times.
+    def offsets_from(self, points: np.ndarray) -> np.ndarray:
+        """From points to the body's nearest vertices.
 
-        Roughly, by the nearest body vertex: for comparing hundreds of placements.
+        Args:
+            points: (..., points, 3) [m].
+
+        Returns:
+            (..., points, 3) [m].
+        """
+        tree, _ = self._tree
+        offsets: np.ndarray = tree.data[tree.query(points)[1]] - points
+        return offsets
+
+    def misfit(self, points: np.ndarray, farthest: float = _FARTHEST) -> np.ndarray:
+        """Mean distance to the body, depth inside it counted five times.
+
+        Roughly, by the nearest body vertex: for comparing thousands of placements.
+
+        Args:
+            points: (..., points, 3) [m].
+            farthest: distance [m] that counts as far as any above it.
+
+        Returns:
+            (...) [m].
         """
         tree, normals = self._tree
         distance, nearest = tree.query(points)
         offset = points - tree.data[nearest]
         inside = np.einsum("...d,...d->...", offset, normals[nearest]) < 0.0
-        cost: np.ndarray = (np.minimum(distance, _FARTHEST) * np.where(inside, 5.0, 1.0)).mean(axis=-1)
+        cost: np.ndarray = (np.minimum(distance, farthest) * np.where(inside, 5.0, 1.0)).mean(axis=-1)
         return cost
 
 
@@ -122,7 +163,8 @@ class Fit:
         axes: name of the file's axes, a key of `AXES`.
         shift: (3,) [m].
         misfit: of the moved garment, see `RestBody.misfit` [m].
-        searched: whether the height was searched for, with nothing in the body model to say it.
+        searched: whether the place was searched for, with nothing in the body model to say it.
+        alike: other axes under which it fits about as well.
     """
 
     unit: str
@@ -130,6 +172,7 @@ class Fit:
     shift: np.ndarray
     misfit: float
     searched: bool = False
+    alike: tuple[str, ...] = ()
 
     @classmethod
     def identity(cls, misfit: float | np.ndarray) -> Fit:
@@ -142,17 +185,33 @@ class Fit:
         return moved
 
     @property
+    def is_unsure(self) -> bool:
+        """Whether the place was searched for and most ways to turn the garment fit as well: it may belong anywhere."""
+        return self.searched and len(self.alike) >= len(AXES) // 2
+
+    @property
+    def front_alike(self) -> tuple[str, ...]:
+        """Other axes of the same upward one under which it fits about as well: its front is not told by its shape."""
+        return tuple(axes for axes in self.alike if axes[0] == self.axes[0])
+
+    @property
+    def move(self) -> str:
+        """The shift in words, such as "+3.0 cm in x and -1.2 cm in y"."""
+        parts = [f"{100 * d:+.1f} cm in {axis}" for axis, d in zip("xyz", self.shift, strict=True) if abs(d) > 5e-4]
+        return " and ".join(parts) or "0 cm"
+
+    @property
     def is_identity(self) -> bool:
         """Whether nothing moves."""
         return self.unit == "metres" and self.axes == UPRIGHT and not self.shift.any()
 
 
 def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
-    """The transform under which a garment, in whatever unit and axes, fits the body best.
+    """The transform under which a garment, in whatever unit, axes and place, fits the body best.
 
-    What needs less change wins among those that fit about as well: first as it is, then by the body model's own origin
-    where it reaches below the ground or fits best there, then any height. A garment that lies wholly inside the body is
-    not looked for elsewhere.
+    Units, quarter turns about the vertical and shifts in all three directions are compared. What needs less change wins
+    among those that fit about as well: first as it is, then by the body model's own origin where it reaches below the
+    ground or fits best there, then any place. A garment that lies wholly inside the body is not looked for elsewhere.
 
     Args:
         vertices: (vertices, 3) of the garment, in its own unit and axes [file units].
@@ -161,49 +220,97 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
     picked = np.linspace(0, len(vertices) - 1, min(_SAMPLES, len(vertices))).astype(np.int64)
     sample = vertices[picked]
     if (body.signed_distances(sample) < 0.0).mean() > WHOLLY_INSIDE:
-        return Fit.identity(body.misfit(sample))
+        return Fit.identity(body.misfit(sample, _NEAR))
     height = float(np.ptp(body.vertices[:, 1]))
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    fits: list[Fit] = []
-    for unit, scale in UNITS.items():
-        if not 0.08 * height < scale * float((high - low).max()) < 1.5 * height:
-            continue
-        for axes, rotation in AXES.items():
-            fits += _fits_at(unit, axes, scale * sample @ rotation.T, body)
-    if not fits:
-        return Fit.identity(body.misfit(sample))
-    best = 1.25 * min(fit.misfit for fit in fits) + 0.003
-    return min((fit for fit in fits if fit.misfit <= best), key=_change)
+    span = float(np.ptp(vertices, axis=0).max())
+    posed = {
+        (unit, axes): scale * sample @ rotation.T
+        for unit, scale in UNITS.items()
+        if 0.08 * height < scale * span < 1.5 * height
+        for axes, rotation in AXES.items()
+    }
+    starts = [(key, *start) for key, points in posed.items() for start in _starts(points, body)]
+    if not starts:
+        return Fit.identity(body.misfit(sample, _NEAR))
+    starts.sort(key=lambda start: start[1])
+    fits = []
+    for k, (key, misfit, shift) in enumerate(starts):
+        place = shift
+        if k < _REFINED_IN_ALL and misfit <= _HOPELESS * starts[0][1]:
+            place = _refined(posed[key], shift, body)
+        fits.append(Fit(*key, place, float(body.misfit(posed[key] + place, _NEAR)), searched=True))
+    for key, points in posed.items():
+        fits += [
+            Fit(*key, shift, float(body.misfit(points + shift, _NEAR))) for shift in _given(points, fits, key, body)
+        ]
+    best = min(fit.misfit for fit in fits)
+    chosen = _compared(min((f for f in fits if f.misfit <= _CLEARLY * best + _LOOSELY), key=_change), fits)
+    if chosen.is_unsure:
+        # So wide that its shape says little: the model's own origin is likelier than any place where it fits a little
+        # better.
+        limit = min(_WIDE * best + 3 * _LOOSELY, 0.95 * _NEAR)
+        loosely = [f for f in fits if not f.searched and f.shift.any() and f.misfit <= limit]
+        chosen = _compared(min(loosely, key=_change), fits) if loosely else chosen
+    return chosen
 
 
-def _fits_at(unit: str, axes: str, points: np.ndarray, body: RestBody) -> list[Fit]:
-    """Fits of turned and scaled `points` (points, 3): unmoved, by the model's origin, and at the best height."""
-    searched = _best_height(points, body)
-    tried = [(0.0, False)]
-    # At most heights a wide garment fits about as well, over the head too: the model's origin has to be likely.
-    if points[:, 1].min() < -_BELOW_GROUND or (searched is not None and abs(searched - body.lift) < _SAME_HEIGHT):
-        tried.append((body.lift, False))
-    if searched is not None:
-        tried.append((searched, True))
-    return [Fit(unit, axes, h * _UP, float(body.misfit(points + h * _UP)), is_searched) for h, is_searched in tried]
+def _compared(chosen: Fit, fits: list[Fit]) -> Fit:
+    """A fit with the axes under which the garment fits about as well."""
+    # Only the best of each counts: a garment fits worse turned the wrong way than anywhere else turned the right one.
+    turned = {axes: min((fit.misfit for fit in fits if fit.axes == axes), default=np.inf) for axes in AXES}
+    own = turned.pop(chosen.axes)
+    return replace(chosen, alike=tuple(axes for axes, misfit in turned.items() if misfit < _ALIKE * own))
 
 
-def _best_height(points: np.ndarray, body: RestBody) -> float | None:
-    """Height [m] to move `points` (points, 3) by; of several that fit about as well, the smallest move.
+def _starts(points: np.ndarray, body: RestBody) -> list[tuple[float, np.ndarray]]:
+    """Places worth refining: misfit in a first look [m], and shift (3,) [m].
 
-    None where there is no room between the ground and the top of the head.
+    The points are let down on to the body at every height between the ground and the top of the head: each is drawn to
+    the body's nearest vertex, and all move by the mean of that.
     """
+    low, high = points.min(axis=0), points.max(axis=0)
     top = float(body.vertices[:, 1].max())
-    heights = np.arange(-float(points[:, 1].min()), top - float(points[:, 1].max()) + _SHIFT_STEP, _SHIFT_STEP)
+    heights = np.arange(-float(low[1]), top - float(high[1]) + _SHIFT_STEP, _SHIFT_STEP)
     if not len(heights):
-        return None
-    coarse = np.array([float(body.misfit(points[::_COARSE] + h * _UP)) for h in heights])
-    framed = np.pad(coarse, 1, constant_values=np.inf)
-    dips = (coarse <= framed[:-2]) & (coarse <= framed[2:]) & (coarse <= 1.05 * coarse.min() + 0.001)
-    nearest = heights[dips][np.argmin(np.abs(heights[dips]))]
-    around = nearest + np.linspace(-_SHIFT_STEP, _SHIFT_STEP, 13)
-    fine = [float(body.misfit(points + h * _UP)) for h in around]
-    return float(around[int(np.argmin(fine))])
+        return []
+    middle = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0) - low - high) * [1.0, 0.0, 1.0]
+    few = points[::_COARSE]
+    shifts = middle + heights[:, None] * _UP
+    for _ in range(_DRAWN):
+        shifts = shifts + body.offsets_from(few + shifts[:, None]).mean(axis=1)
+    misfits = body.misfit(few + shifts[:, None], _NEAR)
+    found: list[tuple[float, np.ndarray]] = []
+    for k in np.argsort(misfits).tolist():
+        if all(np.linalg.norm(shifts[k] - shift) > _SHIFT_STEP for _, shift in found):
+            found.append((float(misfits[k]), shifts[k]))
+    return found[:_REFINED]
+
+
+def _refined(points: np.ndarray, shift: np.ndarray, body: RestBody) -> np.ndarray:
+    """Shift (3,) [m] near `shift` at which `points` (points, 3) [m] fit best, by smaller and smaller steps."""
+    steps = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
+    for points_used, step, farthest in (
+        (points[::_COARSE], 0.03, _FARTHEST / 3), (points[::_COARSE], 0.012, _NEAR), (points, 0.005, _NEAR),
+        (points, 0.002, _NEAR),
+    ):  # fmt: skip
+        for _ in range(6):
+            tried = shift + step * steps
+            best = int(np.argmin(body.misfit(points_used + tried[:, None], farthest)))
+            shift = tried[best]
+            if not steps[best].any():
+                break
+    return shift
+
+
+def _given(points: np.ndarray, fits: list[Fit], key: tuple[str, str], body: RestBody) -> list[np.ndarray]:
+    """Shifts (3,) [m] of turned and scaled `points` (points, 3) that need no search: none, and the model's origin."""
+    shifts = [np.zeros(3)]
+    # At most heights a wide garment fits about as well, over the head too: the model's origin has to be likely.
+    origin = body.lift * _UP
+    near = [fit for fit in fits if (fit.unit, fit.axes) == key and np.abs(fit.shift - origin).max() < _SAME_HEIGHT]
+    if points[:, 1].min() < -_BELOW_GROUND or near:
+        shifts.append(origin)
+    return shifts
 
 
 def _change(fit: Fit) -> tuple[int, int, bool, bool, float]:

@@ -51,12 +51,17 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     fit = find_fit(source.vertices[used], body)
     if fit.is_identity:
         return source
+    if fit.is_unsure:
+        said.append("Left where it is: it cannot be told where on the body it belongs.")
+        return source
     if fit.unit != "metres":
         said.append(f"Scaled by {UNITS[fit.unit]:g}, from {fit.unit} to metres.")
     if fit.axes != UPRIGHT:
         said.append(f"Turned from {fit.axes} to {UPRIGHT}.")
     if fit.shift.any():
-        said.append(f"Moved by {fit.shift[1]:+.4f} m in height on to the body.")
+        said.append(f"Moved by {fit.move} on to the body, {1000 * fit.misfit:.0f} mm off on average.")
+    if fit.front_alike:
+        said.append(f"Taken as {fit.axes}: its shape does not tell its front, and {fit.front_alike[0]} fits alike.")
     return replace(source, vertices=fit.apply(source.vertices))
 
 

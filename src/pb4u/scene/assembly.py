@@ -20,9 +20,11 @@ from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.diagnosis import require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
+from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import nearest_places, read_garment
+from pb4u.garment.layering import layered, worn_order
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
@@ -127,22 +129,17 @@ def assemble(specification: SceneSpecification) -> Scene:
     else:
         performance = _play(body, specification)
     collider, frames, lead_in, notes = performance.body, performance.frames, specification.lead_in, performance.notes
-    dressed = []
-    for each in specification.garments:
-        garment = _load_garment(each, body)
-        if each.pins is not None:
-            garment = garment.with_pins(resolve_pins(each.pins, garment))
-        dressed.append(DressedGarment(garment, _placement(garment, collider)))
+    garments, specified = _load_garments(specification.garments, body)
+    places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
+    dressed = [
+        DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
+    ]
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
-    if len(dressed) > 1:
-        apart = "Garments do not feel each other yet: where their layers meet, they pass through one another."
-        notes = (*notes, apart)
-        _say(apart)
     named = {
         worn.garment.name: str(each.garment)
-        for worn, each in zip(dressed, specification.garments, strict=True)
+        for worn, each in zip(dressed, specified, strict=True)
         if isinstance(each.garment, str | Path)
     }
     return Scene(
@@ -163,6 +160,18 @@ def assemble(specification: SceneSpecification) -> Scene:
         },
         notes=notes,
     )
+
+
+def _load_garments(
+    specified: Sequence[GarmentSpecification], body: ShapedBody | VertexSequence
+) -> tuple[list[Garment], list[GarmentSpecification]]:
+    """The garments, pinned, and their specifications in the order they are worn, inner first."""
+    garments = []
+    for each in specified:
+        garment = _load_garment(each, body)
+        garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
+    order = worn_order(garments, [each.tucked for each in specified])
+    return [garments[k] for k in order], [specified[k] for k in order]
 
 
 def _specified(
@@ -221,12 +230,13 @@ class _Performance:
     notes: tuple[str, ...] = ()
 
 
-def _placement(garment: Garment, collider: AnimatedBody) -> Placement:
+def _placement(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None) -> Placement:
+    """The garment on the moving body, at `worn` (vertices, 3) [m] where it lies over others."""
     if not isinstance(collider, PosedBody):
-        return AttachedPlacement(garment, collider)
-    if CorrectedPlacement.fits(garment.skinning, collider):
+        return AttachedPlacement(garment, collider, worn)
+    if worn is None and CorrectedPlacement.fits(garment.skinning, collider):
         return CorrectedPlacement(garment, collider)
-    return SkinnedPlacement(garment, collider)
+    return SkinnedPlacement(garment, collider, worn=worn)
 
 
 def _recording(specification: SceneSpecification) -> RecordingAsItIs:

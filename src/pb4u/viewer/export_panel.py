@@ -7,6 +7,7 @@ import re
 import tempfile
 import threading
 import zipfile
+from itertools import count
 from pathlib import Path
 
 from pb4u.atomic_file import replace_file
@@ -45,6 +46,15 @@ class ExportPanel(Panel):
         self._which.visible = clips > 1
 
 
+def _free_names(folder: Path, stem: str, names: list[str]) -> list[str]:
+    """`names`, which begin with `stem`, numbered where one of them is taken: what is in the folder stays."""
+    for number in count(1):
+        given = names if number == 1 else [f"{stem}-{number}{name.removeprefix(stem)}" for name in names]
+        if not any((folder / name).exists() for name in given):
+            break
+    return given
+
+
 def deliver(clip: Clip, suffix: str, folder: Path | None = None) -> tuple[str, bytes, Path | None]:
     """Write `clip` in the format of `suffix`.
 
@@ -73,9 +83,10 @@ def deliver(clip: Clip, suffix: str, folder: Path | None = None) -> tuple[str, b
             raise InputError(f"The exporter wrote no file for {suffix}.")
         kept = None
         if folder is not None:
-            for file in files:
-                replace_file(folder / file.name, file.read_bytes())
-            kept = folder / (target if target in files else files[0]).name
+            names = _free_names(folder, stem, [file.name for file in files])
+            for file, name in zip(files, names, strict=True):
+                replace_file(folder / name, file.read_bytes())
+            kept = folder / names[files.index(target) if target in files else 0]
         if len(files) == 1:
             return files[0].name, files[0].read_bytes(), kept
         packed = io.BytesIO()

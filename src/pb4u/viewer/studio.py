@@ -13,6 +13,7 @@ from pb4u.errors import InputError, MissingExtraError
 from pb4u.viewer.browser_window import BrowserWindow
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.display import light
+from pb4u.viewer.page_guard import PageGuard, guarded_server
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -48,13 +49,16 @@ class Studio:
         self._lock = threading.Lock()
         self._windows: dict[int, BrowserWindow] = {}
         # The library announces itself on standard output, where the caller has something of its own to say.
-        with redirect_stdout(io.StringIO()):
+        guard = PageGuard(host, port)
+        with redirect_stdout(io.StringIO()), guarded_server(guard):
             self._server = viser.ViserServer(host, port, label="pb4u studio", verbose=False)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(42, 92, 158))
         light(self._server.scene)
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._disconnected)
-        self.url = f"http://{'localhost' if host in ('', '0.0.0.0', '127.0.0.1') else host}:{self._server.get_port()}"
+        name = "localhost" if host in ("", "0.0.0.0", "127.0.0.1") else f"[{host}]" if ":" in host else host
+        #: Address to open; where others can reach the studio, with the token that it asks for.
+        self.url = f"http://{name}:{self._server.get_port()}" + (f"/?token={guard.token}" if guard.token else "")
 
     @property
     def windows(self) -> tuple[BrowserWindow, ...]:

@@ -21,6 +21,10 @@ _SHARE_OF_REST = 0.25
 _IMPULSES = 12
 """Rounds of impulses: a stack of layers passes one on from layer to layer."""
 
+_LEAST_RESPONSE = 0.1
+"""Share of the response of a pair of free elements below which an impulse is not made larger for it: where nearly all
+of the weight is on vertices that do not give way, it would fling the others."""
+
 _ZONES = 20
 """Rounds in which what touches is moved together: each joins more."""
 
@@ -74,6 +78,9 @@ def collision_free(
     if not touching.any():
         return wanted
     inverse, joined = 1.0 / masses, np.arange(len(before))
+    worlds = tree.vertex_world.max(initial=0) + 1
+    fastest = np.zeros(worlds)
+    np.maximum.at(fastest, tree.vertex_world, (moves**2).sum(axis=1))
     for attempt in range(_IMPULSES + _ZONES):
         shares = free_shares(pairs, gaps, before, moves)
         touching = shares < 1.0
@@ -86,12 +93,15 @@ def collision_free(
                 return before + moves
         hit = pairs.chosen(touching)
         if attempt < _IMPULSES:
-            _impulses(before, moves, hit.corners, hit.vertex_faces, gaps[touching], shares[touching], inverse)
+            stopped = (gaps[touching], shares[touching])
+            _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, fastest)
         else:
-            moves = _together(moves, hit.corners, joined)
-    # All of the surface together, as far as nothing touches: it always can be.
+            moves = _together(moves, hit.corners, joined, masses)
+    # All of a world together, as far as nothing touches: it always can be.
     pairs, gaps = _met(tree, before, moves)
-    return before + free_shares(pairs, gaps, before, moves).min(initial=1.0) * moves
+    free = np.ones(worlds)
+    np.minimum.at(free, tree.vertex_world[pairs.corners[:, 0]], free_shares(pairs, gaps, before, moves))
+    return before + free[tree.vertex_world, None] * moves
 
 
 def _met(tree: SurfaceTree, before: np.ndarray, moves: np.ndarray) -> tuple[ElementPairs, np.ndarray]:
@@ -137,10 +147,13 @@ def _impulses(
     gaps: np.ndarray,
     shares: np.ndarray,
     inverse: np.ndarray,
+    world: np.ndarray,
+    fastest: np.ndarray,
 ) -> None:
     """Change `moves` of touching pairs, the first to touch first, so that each keeps half of its gap open.
 
-    The impulse acts along the line between the nearest points where the pair was stopped.
+    The impulse acts along the line between the nearest points where the pair was stopped, and makes no vertex faster
+    than the `fastest` (worlds,) [m^2] of its world was.
     """
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
     for pair in np.argsort(shares):
@@ -151,9 +164,11 @@ def _impulses(
         if not distance > 0.0:
             continue
         # How much nearer they come by the rest of the move, and how much of that is room.
-        approach, response = 0.0, 0.0
+        approach, response, squared, lightest = 0.0, 0.0, 0.0, 0.0
         for corner in range(4):
             response += weights[corner] * weights[corner] * inverse[ids[corner]]
+            squared += weights[corner] * weights[corner]
+            lightest = max(lightest, inverse[ids[corner]])
             for axis in range(3):
                 approach += weights[corner] * between[axis] * moves[ids[corner], axis] / distance
         approach *= 1.0 - shares[pair]
@@ -161,10 +176,18 @@ def _impulses(
         excess = -approach - room
         if excess <= 0.0 or response <= 0.0:
             continue
+        response = max(response, _LEAST_RESPONSE * squared * lightest)
         for corner in range(4):
-            factor = inverse[ids[corner]] * weights[corner] * excess / (response * distance)
+            factor, move = inverse[ids[corner]] * weights[corner] * excess / (response * distance), moves[ids[corner]]
+            if factor == 0.0:
+                continue
             for axis in range(3):
-                moves[ids[corner], axis] += factor * between[axis]
+                move[axis] += factor * between[axis]
+            speed = move[0] ** 2 + move[1] ** 2 + move[2] ** 2
+            limit = fastest[world[ids[corner]]]
+            if speed > limit:
+                for axis in range(3):
+                    move[axis] *= np.sqrt(limit / speed)
 
 
 @compiled
@@ -176,23 +199,34 @@ def _root(joined: np.ndarray, vertex: int) -> int:
 
 
 @compiled
-def _together(moves: np.ndarray, corners: np.ndarray, joined: np.ndarray) -> np.ndarray:
-    """Moves (vertices, 3) with vertices of touching pairs moved alike; `joined` (vertices,) is their forest."""
+def _together(moves: np.ndarray, corners: np.ndarray, joined: np.ndarray, masses: np.ndarray) -> np.ndarray:
+    """Moves (vertices, 3) with vertices of touching pairs moved alike; `joined` (vertices,) is their forest.
+
+    What is joined keeps its momentum, or goes where its vertices of infinite mass go on average.
+    """
     for pair in range(len(corners)):
         first = _root(joined, corners[pair, 0])
         for corner in range(1, 4):
             other = _root(joined, corners[pair, corner])
             joined[other] = first
-    sums, counts = np.zeros_like(moves), np.zeros(len(moves))
+    held = np.zeros(len(moves), dtype=np.bool_)
+    for vertex in range(len(moves)):
+        if np.isinf(masses[vertex]):
+            held[_root(joined, vertex)] = True
+    sums, weights, counts = np.zeros_like(moves), np.zeros(len(moves)), np.zeros(len(moves), dtype=np.int64)
     for vertex in range(len(moves)):
         root = _root(joined, vertex)
-        counts[root] += 1.0
+        counts[root] += 1
+        weight = masses[vertex]
+        if held[root]:
+            weight = 1.0 if np.isinf(weight) else 0.0
+        weights[root] += weight
         for axis in range(3):
-            sums[root, axis] += moves[vertex, axis]
+            sums[root, axis] += weight * moves[vertex, axis]
     result = moves.copy()
     for vertex in range(len(moves)):
         root = _root(joined, vertex)
-        if counts[root] > 1.0:
+        if counts[root] > 1:
             for axis in range(3):
-                result[vertex, axis] = sums[root, axis] / counts[root]
+                result[vertex, axis] = sums[root, axis] / weights[root]
     return result

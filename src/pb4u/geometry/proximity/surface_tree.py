@@ -74,6 +74,7 @@ class SurfaceTree:
         self.edges = np.ascontiguousarray(edges, dtype=np.int64)
         face_part = self.part[self.faces[:, 0]]
         centres = self.rest[self.faces].mean(axis=1)
+        self.vertex_world = np.asarray(world, dtype=np.int64)[self.part]
         self._order, self._children, self._ranges, self._roots = _split(centres, face_part, np.asarray(world))
         self._vertices = np.arange(len(self.rest))[:, None]
         self._owned_vertices, self._owned_edges = _owners(self.faces, self.edges, len(self.rest))

@@ -7,21 +7,25 @@ shorter; no inside or outside is asked for, so it works at hems and on open clot
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import diags
 from scipy.sparse.linalg import spsolve
 
+from pb4u.geometry.proximity.collision_free import SMALLEST_GAP
 from pb4u.geometry.proximity.crossings import Piercings, piercings, self_crossings
+from pb4u.geometry.proximity.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology, neighbour_mean
 from pb4u.geometry.triangle_mesh import edge_lengths
 
-SMALLEST_GAP = 5e-5
-"""Least distance [m] between cloth and cloth afterwards: hundreds of times what rounding to float32 moves a vertex."""
-
-MOST_PASSES = 400
+MOST_PASSES = 200
 """Passes after which cloth counts as one that cannot be untangled; what can needs 5 to about 100."""
+
+FARTHEST = 0.15
+"""Displacement [m] of a vertex at which cloth counts as one that cannot be untangled: tangled garments are freed within
+2 to 6 cm, and what is drawn farther hangs in a place of its own making."""
 
 _STEP = 0.3
 """Mean edge lengths that an edge and the face it passes through are moved against each other in a pass: three times
@@ -34,8 +38,17 @@ point: of 27 garments it left 13 faces each strained by more than half, against 
 _SPREADS = 2
 """Times that a step is carried on to the neighbours, half of it each time: a vertex moved on its own would leave the
 cloth as a spike. Without it freeing takes twice the passes."""
+_AIM = 2.0
+"""Times the smallest distance that parts nearer than it are pushed apart to, so that a few passes do."""
+_SHARE_OF_REST = 0.25
+"""Share of their distance at rest that parts of one garment may always come within: slivers of a mesh."""
+_MOST_WIDENINGS = 60
+"""Passes of pushing apart after which what is too near stays so, as between fixed vertices."""
 _PATIENCE = 30
-"""Passes without fewer crossings after which the cloth around those left is smoothed."""
+"""Passes without fewer crossings after which the cloth around those left is smoothed, up to `_WIDEST` edges away."""
+_WIDEST = 4
+_GIVEN_UP = 3 * _PATIENCE
+"""Passes without fewer crossings after which no more are made."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +58,8 @@ class Untangled:
     Args:
         vertices: (vertices, 3) float64 [m], each one a number that float32 holds; of a failure, the best there was.
         crossings: (pairs, 2) int64 faces that still cross, pairs that share a vertex included.
-        gap: smallest distance [m] between parts that share no vertex, as far as it is looked for: twice the asked.
+        gap: smallest distance [m] between parts that share no vertex, as far as it is looked for: twice the asked;
+            0 where something crosses.
         passes: passes made.
     """
 
@@ -64,21 +78,24 @@ def untangle(
     vertices: np.ndarray,
     faces: np.ndarray,
     mobility: np.ndarray | None = None,
+    tree: SurfaceTree | None = None,
     gap: float = SMALLEST_GAP,
     most_passes: int = MOST_PASSES,
 ) -> Untangled:
-    """Move cloth as little as it takes until no two of its triangles cross, and all keep a smallest distance.
+    """Move cloth as little as it takes until no two of its triangles cross, and its parts keep a smallest distance.
 
-    Cloth that already does is given back as it came, rounded to float32.
+    Cloth that already does is given back as it came, rounded to float32. Where the distance cannot be had, as between
+    fixed vertices, the widest there was is given.
 
     Args:
         vertices: (vertices, 3) [m], finite, of one garment or of several together.
         faces: (faces, 3) int64.
         mobility: (vertices,) how readily each moves, 0 for fixed; default 1 for all.
-        gap: smallest distance [m] between parts that share no vertex.
+        tree: search tree of the surface at rest, if there is one: parts near each other at rest may stay so.
+        gap: smallest distance [m] between parts that share no vertex; 0 looks at none.
         most_passes: passes after which to give up.
     """
-    return _Untangling(np.asarray(vertices, dtype=np.float64), faces, mobility, gap).run(most_passes)
+    return _Untangling(np.asarray(vertices, dtype=np.float64), faces, mobility, tree, gap).run(most_passes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,35 +116,51 @@ class _Pushes:
 class _Untangling:
     """The passes; what depends on the cloth as it came is prepared once."""
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray, mobility: np.ndarray | None, gap: float) -> None:
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        mobility: np.ndarray | None,
+        tree: SurfaceTree | None,
+        gap: float,
+    ) -> None:
         self.topology = Topology(np.ascontiguousarray(faces, dtype=np.int64), len(vertices))
         self.mobility = np.ones(len(vertices)) if mobility is None else np.asarray(mobility, dtype=np.float64)
         self.start, self.gap = _rounded(vertices), gap
+        self._given = tree
         self.lengths = edge_lengths(self.start, self.topology.edges)
         self.step = _STEP * float(self.lengths.mean()) if len(self.lengths) else 0.0
         self.spread = neighbour_mean(self.topology)
 
+    @cached_property
+    def tree(self) -> SurfaceTree:
+        """The search tree that was given, else one of the cloth as it came."""
+        parts = np.zeros(self.topology.vertex_count, dtype=np.int64)
+        return self._given or SurfaceTree(self.start, self.topology.faces, self.topology.edges, parts, [0])
+
     def run(self, most_passes: int) -> Untangled:
         """Pass after pass until nothing crosses or is too near."""
-        vertices = best = self.start
-        fewest, since, rings = np.zeros((0, 2), dtype=np.int64), 0, 0
+        vertices, since, rings, widenings, made = self.start, 0, 0, 0, 0
+        best = Untangled(vertices, np.zeros((0, 2), dtype=np.int64), 0.0, 0)
         for made in range(most_passes + 1):
             pairs = self_crossings(vertices, self.topology.faces, sharing=True)
-            if made == 0 or len(pairs) < len(fewest):
-                best, fewest, since = vertices, pairs, 0
-            else:
-                since += 1
             pushes, nearest = (None, 0.0) if len(pairs) else self._near(vertices)
-            if pushes is not None and nearest >= self.gap:
-                return Untangled(vertices, pairs, nearest, made)
+            since += 1
+            if not made or (len(pairs), -nearest) < (len(best.crossings), -best.gap):
+                best, since = Untangled(vertices, pairs, nearest, made), 0
+            if since == _GIVEN_UP or (not len(pairs) and (pushes is None or widenings == _MOST_WIDENINGS)):
+                break
             if pushes is not None:
+                widenings += 1
                 vertices = _rounded(vertices + self._moves(pushes))
             elif since and since % _PATIENCE == 0:
-                rings += 1
+                rings = min(rings + 1, _WIDEST)
                 vertices = self._smoothed(vertices, pairs, rings)
             else:
                 vertices = self._shortened(vertices, pairs)
-        return Untangled(best, fewest, 0.0, most_passes)
+            if not np.linalg.norm(vertices - self.start, axis=1).max() < FARTHEST:
+                break
+        return replace(best, passes=made)
 
     def _shortened(self, vertices: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Vertices (vertices, 3) [m] after one step down the length of all contours."""
@@ -184,31 +217,20 @@ class _Untangling:
         drawn[free] = np.asarray(spsolve(system.tocsc(), right)).reshape(-1, 3)
         return _rounded(drawn)
 
-    def _near(self, vertices: np.ndarray) -> tuple[_Pushes, float]:
-        """Parts nearer than the gap, and the smallest distance found up to twice the gap [m]."""
+    def _near(self, vertices: np.ndarray) -> tuple[_Pushes | None, float]:
+        """What to push apart of parts nearer than the gap, None for nothing; and the smallest distance found [m]."""
         if not self.gap:
-            return _Pushes(np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4)), np.zeros((0, 3))), 0.0
-        import ipctk
-
-        faces = np.asfortranarray(self.topology.faces, dtype=np.int32)
-        edges = np.asfortranarray(self.topology.edges, dtype=np.int32)
-        places = np.asfortranarray(vertices)
-        near = ipctk.NormalCollisions()
-        near.build(ipctk.CollisionMesh(places, edges, faces), places, 2.0 * self.gap)
-        found = [near[k] for k in range(len(near))]
-        corners = np.zeros((len(found), 4), dtype=np.int64)
-        shares, offsets = np.zeros((len(found), 4)), np.zeros((len(found), 3))
-        for k, stencil in enumerate(found):
-            ids = np.asarray(stencil.vertex_ids(edges, faces))
-            used = ids >= 0
-            corners[k, used] = ids[used]
-            coefficients = np.asarray(stencil.compute_coefficients(places, edges, faces))
-            shares[k, : len(coefficients)] = coefficients
-        offsets = np.einsum("pc,pcd->pd", shares, vertices[corners])
-        distance = np.linalg.norm(offsets, axis=1)
-        nearest = float(distance.min(initial=2.0 * self.gap))
-        unit = offsets / np.maximum(distance, 1e-12)[:, None]
-        return _Pushes(corners, shares, (2.0 * self.gap - distance)[:, None] * unit), nearest
+            return None, 0.0
+        pairs = self.tree.pairs(vertices, _AIM * self.gap)
+        distances, weights, normals = pairs.nearest(vertices)
+        gaps = np.minimum(self.gap, _SHARE_OF_REST * pairs.rest_distance) if self._given else self.gap
+        nearest = float(distances.min(initial=_AIM * self.gap))
+        if not (distances < gaps).any():
+            return None, nearest
+        aims = _AIM * gaps
+        near = distances < aims
+        push = np.where(near, aims - distances, 0.0)[near, None] * normals[near]
+        return _Pushes(pairs.corners[near], weights[near], push), nearest
 
 
 def _descent(vertices: np.ndarray, topology: Topology, found: Piercings) -> np.ndarray:

@@ -1,0 +1,140 @@
+"""Where garments cross themselves and each other, told in words; and a start from which nothing crosses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pb4u.errors import InputError
+from pb4u.garment.fit import RestBody
+from pb4u.garment.garment import Garment
+from pb4u.garment.layering import layered, mobility_of
+from pb4u.geometry.proximity.crossings import self_crossings
+from pb4u.geometry.proximity.surface_tree import SurfaceTree
+from pb4u.geometry.proximity.untangling import untangle
+
+
+@dataclass(frozen=True)
+class Tangle:
+    """Triangles of one garment, or of two, that cross.
+
+    Args:
+        garments: names of the two, inner first; the same twice where a garment crosses itself.
+        pairs: number of pairs of triangles that cross, pairs that share a vertex included.
+        place: (x, y, z) of a triangle in the midst of them [m].
+    """
+
+    garments: tuple[str, str]
+    pairs: int
+    place: tuple[float, float, float]
+
+    def __str__(self) -> str:
+        one, other = self.garments
+        who = f"{one} crosses itself" if one == other else f"{one} and {other} cross"
+        where = ", ".join(f"{value:.2f}" for value in self.place)
+        return f"{who} in {self.pairs} pair{'s' if self.pairs > 1 else ''} of triangles around ({where}) m"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain dictionary for a JSON report."""
+        return {"garments": list(self.garments), "pairs": self.pairs, "place": list(self.place)}
+
+
+def tangles(
+    names: Sequence[str], vertex_garment: np.ndarray, vertices: np.ndarray, faces: np.ndarray, pairs: np.ndarray
+) -> tuple[Tangle, ...]:
+    """Crossing triangles by the garments they belong to, most first.
+
+    Args:
+        names: of the garments.
+        vertex_garment: (vertices,) int64 garment of each vertex.
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        pairs: (pairs, 2) int64 faces that cross.
+    """
+    owners = np.sort(vertex_garment[faces[pairs, 0]], axis=1)
+    centres = vertices[faces[pairs[:, 0]]].mean(axis=1)
+    found = []
+    for one, other in np.unique(owners, axis=0).tolist():
+        there = centres[(owners == [one, other]).all(axis=1)]
+        place = there[np.linalg.norm(there - np.median(there, axis=0), axis=1).argmin()]
+        found.append(Tangle((names[one], names[other]), len(there), tuple(np.round(place, 4).tolist())))
+    return tuple(sorted(found, key=lambda tangle: -tangle.pairs))
+
+
+@dataclass(frozen=True)
+class OutfitCrossings:
+    """What of several garments crosses, before and after they are laid over each other.
+
+    Args:
+        as_made: where each was made.
+        as_worn: what is left where they are worn.
+    """
+
+    as_made: tuple[Tangle, ...]
+    as_worn: tuple[Tangle, ...]
+
+    @staticmethod
+    def of(garments: Sequence[Garment], body: RestBody) -> OutfitCrossings:
+        """Crossings of `garments`, inner first, on the resting body.
+
+        Args:
+            garments: inner first.
+            body: who wears them.
+        """
+        return OutfitCrossings(
+            _found(garments, [garment.vertices for garment in garments]), _found(garments, layered(garments, body))
+        )
+
+
+def _found(garments: Sequence[Garment], places: Sequence[np.ndarray]) -> tuple[Tangle, ...]:
+    vertices, faces, owner = np.concatenate(places), *_joined(garments)
+    pairs = self_crossings(vertices.astype(np.float32), faces, sharing=True)
+    return tangles([garment.name for garment in garments], owner, vertices, faces, pairs)
+
+
+def _joined(garments: Sequence[Garment]) -> tuple[np.ndarray, np.ndarray]:
+    """Faces (faces, 3) of garments whose vertices come one after the other, and the garment (vertices,) of each."""
+    counts = [len(garment.vertices) for garment in garments]
+    firsts = np.cumsum([0, *counts[:-1]])
+    faces = np.concatenate([garment.faces + first for garment, first in zip(garments, firsts, strict=True)])
+    return faces, np.repeat(np.arange(len(garments)), counts)
+
+
+def untangled_start(
+    garments: Sequence[Garment],
+    positions: np.ndarray,
+    tree: SurfaceTree | None = None,
+) -> np.ndarray:
+    """Positions near the given ones from which a simulation may begin: no two triangles of cloth cross.
+
+    Pinned vertices stay; of two garments the outer gives way to the inner. Parts that share no vertex keep
+    `collision_free.SMALLEST_GAP` where pins let them. A start that is free already comes back as float32 holds it.
+
+    Args:
+        garments: the garments of one world, inner first.
+        positions: (vertices, 3) of all of them, one after the other [m].
+        tree: search tree of the garments at rest, if there is one.
+
+    Returns:
+        (vertices, 3) float64 [m], each one a number that float32 holds.
+
+    Raises:
+        InputError: some of it cannot be untangled.
+    """
+    faces, owner = _joined(garments)
+    pinned = np.concatenate([garment.pinned for garment in garments])
+    mobility = np.where(pinned, 0.0, mobility_of(owner, len(garments)))
+    freed = untangle(positions, faces, mobility, tree)
+    if freed.is_free:
+        return freed.vertices
+    left = tangles([garment.name for garment in garments], owner, freed.vertices, faces, freed.crossings)
+    told = "; ".join(map(str, left[:3])) + (f"; and {len(left) - 3} more" if len(left) > 3 else "")
+    mend = (
+        "mend it where it was made"
+        if all(tangle.garments[0] == tangle.garments[1] for tangle in left)
+        else "wear them in another order"
+    )
+    raise InputError(f"The start cannot be untangled: {told}; {mend}, or simulate with --self-contact off.")

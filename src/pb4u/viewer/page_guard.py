@@ -1,0 +1,140 @@
+"""Whom the studio answers: the page that it served itself, and on a network only who has its token.
+
+Any page that a browser shows may send requests to this machine and open a websocket to it. A browser tells where such a
+request comes from (`Origin`) and which name it was sent to (`Host`): a foreign page has another origin, and a name that
+was made to point here has another host. Both are looked at before any message is read.
+"""
+
+from __future__ import annotations
+
+import hmac
+import http
+import ipaddress
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+_LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
+
+
+class PageGuard:
+    """Decides on a request by its headers.
+
+    Args:
+        host: address that the studio listens on.
+        port: port that it listens on; 0 where it is not known yet.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self.is_local = host == "localhost" or _is_loopback(host)
+        #: What whoever comes from another machine has to show; empty where the studio listens on this one alone.
+        self.token = "" if self.is_local else secrets.token_urlsafe(24)
+        # A browser keeps one cookie of a name for all ports of a host.
+        self._cookie = f"pb4u-{port or secrets.token_hex(4)}"
+
+    def refusal(self, path: str, headers: Any) -> str | None:
+        """Why a request is not answered, as a sentence; None where it is.
+
+        Args:
+            path: path and query that it asks for.
+            headers: its headers, by name.
+        """
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(hosts) != 1 or len(origins) > 1:
+            return "The request does not say which address it is for."
+        if self.is_local and _name(hosts[0]) not in _LOCAL_NAMES:
+            return "The studio listens on this machine alone; open it as http://localhost and its port."
+        is_websocket = "websocket" in headers.get("Upgrade", "").lower()
+        # A browser sends the origin with every websocket; one without is no page of the studio.
+        if (is_websocket or origins) and (not origins or not _is_same_origin(origins[0], hosts[0])):
+            return "The studio answers its own page alone."
+        if self.token and not self._is_known(path, headers):
+            return "Open the studio by the whole address that it was started with, token included."
+        return None
+
+    def cookie(self, path: str) -> str | None:
+        """Cookie to set for who came by the address with the token; the page's own requests show it from then on."""
+        if not self.token or not _is_equal(_token_of(path), self.token):
+            return None
+        return f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def _is_known(self, path: str, headers: Any) -> bool:
+        try:
+            cookies = SimpleCookie("; ".join(headers.get_all("Cookie")))
+        except CookieError:
+            cookies = SimpleCookie()
+        shown = cookies[self._cookie].value if self._cookie in cookies else ""
+        return _is_equal(shown, self.token) or _is_equal(_token_of(path), self.token)
+
+
+def _is_equal(shown: str, wanted: str) -> bool:
+    return hmac.compare_digest(shown.encode(), wanted.encode())
+
+
+def _token_of(path: str) -> str:
+    return (parse_qs(urlsplit(path).query).get("token") or [""])[0]
+
+
+def _name(host: str) -> str:
+    """The name of `name:port`, without the brackets of an IPv6 address."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _is_same_origin(origin: str, host: str) -> bool:
+    scheme, separator, rest = origin.partition("://")
+    return bool(separator) and scheme in ("http", "https") and rest.lower() == host.lower()
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@contextmanager
+def guarded_server(guard: PageGuard) -> Iterator[None]:
+    """Within it, a viser server that starts asks `guard` about each request.
+
+    viser hands its own function for requests to `websockets` and offers no place for another, so it is wrapped on its
+    way there.
+
+    Args:
+        guard: what decides.
+    """
+    import websockets.asyncio.server
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    serve = websockets.asyncio.server.serve
+
+    def wrapped(*arguments: Any, process_request: Callable | None = None, **options: Any) -> Any:
+        def process(connection: Any, request: Any) -> Any:
+            sentence = guard.refusal(request.path, request.headers)
+            if sentence is not None:
+                body = (sentence + "\n").encode()
+                headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
+                return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+            response = process_request(connection, request) if process_request else None
+            cookie = guard.cookie(request.path)
+            if response is not None:
+                # Neither shown inside of a foreign page, nor told to one that a link leads to.
+                response.headers["X-Frame-Options"] = "DENY"
+                response.headers["Referrer-Policy"] = "no-referrer"
+                if cookie:
+                    response.headers["Set-Cookie"] = cookie
+            return response
+
+        return serve(*arguments, process_request=process, **options)
+
+    websockets.asyncio.server.serve = wrapped  # type: ignore[misc, assignment]
+    try:
+        yield
+    finally:
+        websockets.asyncio.server.serve = serve  # type: ignore[misc]
