@@ -363,6 +363,8 @@ def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
     """A garment of a dictionary, which stands where SMPL's own origin is, at the height of the body that wears it."""
     if isinstance(body, ShapedBody):
         garment = replace(garment, vertices=garment.vertices + np.array([0.0, body.lift, 0.0]))
+        if garment.skinning is not None and garment.skinning.bone_count == body.skeleton.bone_count:
+            return garment  # its file says how this body wears it
     require_worn(garment, body, garment.name, pins_given=bool(garment.pinned.any()))
     return garment
 
