@@ -141,11 +141,7 @@ def assemble(specification: SceneSpecification) -> Scene:
         apart = "Garments do not feel each other yet: where their layers meet, they pass through one another."
         notes = (*notes, apart)
         _say(apart)
-    named = {
-        worn.garment.name: str(each.garment)
-        for worn, each in zip(dressed, specified, strict=True)
-        if isinstance(each.garment, str | Path)
-    }
+    sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
     return Scene(
         garments=tuple(dressed),
         colliders=(collider,),
@@ -157,7 +153,7 @@ def assemble(specification: SceneSpecification) -> Scene:
         seed=specification.seed,
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
-            "sources": named,
+            "sources": sources,
             "body": collider.name,
             "body_shape": dict(body.shape) if isinstance(body, ShapedBody) else {},
             "motion": performance.motion,
