@@ -149,7 +149,7 @@ class Solver:
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
-        potential, start = potential.reached(potential.step.state.positions, lifted_off_the_body(potential, start))
+        potential, start = _reached(potential, lifted_off_the_body(potential, start))
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
         preconditioner = _StepPreconditioner(self._basis)
@@ -292,6 +292,24 @@ class Solver:
             result = torch.where(each_vertex(falling), further, result)
             reached, size = torch.where(falling, lower, reached), 2.0 * size
         return result, frozen.contacts.cloth
+
+
+def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, Tensor]:
+    """The potential for the move to a start, and the positions (vertices, 3) [m] reached of `wanted`.
+
+    Layers that fall on one another in one step are stopped each at another place, crumpled beyond what a fold would
+    ever be. A world starts from where it stands, its pins in place, where that has less energy.
+    """
+    step = potential.step
+    before = step.state.positions
+    moved, start = potential.reached(before, wanted)
+    if start is wanted:
+        return moved, start
+    standing, held = potential.reached(before, torch.where(step.garments.pinned[:, None], wanted, before))
+    better = standing.energies(held).per_world(step.garments) < moved.energies(start).per_world(step.garments)
+    if not bool(better.any()):
+        return moved, start
+    return potential.reached(before, torch.where(better[step.garments.vertex_world, None], held, start))
 
 
 def _factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:

@@ -137,10 +137,6 @@ def assemble(specification: SceneSpecification) -> Scene:
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
-    if len(dressed) > 1:
-        apart = "Garments do not feel each other yet: where their layers meet, they pass through one another."
-        notes = (*notes, apart)
-        _say(apart)
     sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
     return Scene(
         garments=tuple(dressed),
@@ -363,6 +359,8 @@ def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
     """A garment of a dictionary, which stands where SMPL's own origin is, at the height of the body that wears it."""
     if isinstance(body, ShapedBody):
         garment = replace(garment, vertices=garment.vertices + np.array([0.0, body.lift, 0.0]))
+        if garment.skinning is not None and garment.skinning.bone_count == body.skeleton.bone_count:
+            return garment  # its file says how this body wears it
     require_worn(garment, body, garment.name, pins_given=bool(garment.pinned.any()))
     return garment
 

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.proximity.collision_free import collision_free, free_shares, smallest_gaps
 from pb4u.geometry.proximity.element_distance import crossing_shares
 from pb4u.geometry.proximity.surface_tree import ElementPairs
@@ -114,6 +116,17 @@ class SelfContact(ABC):
         """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`; None for none."""
 
     @abstractmethod
+    def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
+        """Positions (vertices, 3) [m] near `x` from which a simulation may begin, pinned vertices in their places.
+
+        Args:
+            garments: static quantities.
+            x: (vertices, 3) [m].
+
+        Raises InputError where what crosses cannot be untangled.
+        """
+
+    @abstractmethod
     def carried(
         self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
     ) -> Tensor:
@@ -146,6 +159,9 @@ class NoSelfContact(SelfContact):
     def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
         return None
 
+    def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
+        return x
+
     def carried(
         self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
     ) -> Tensor:
@@ -167,6 +183,13 @@ class CollisionFree(SelfContact):
 
     def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
         return ClothPairs.along(garments, x, moves, before, self.reach)
+
+    def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
+        positions, freed = _array(x), []
+        for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
+            worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
+            freed.append(untangled_start(worn, positions[first:stop]))
+        return torch.from_numpy(np.concatenate(freed)).to(x)
 
     def carried(
         self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
