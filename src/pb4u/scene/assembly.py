@@ -137,11 +137,7 @@ def assemble(specification: SceneSpecification) -> Scene:
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
-    named = {
-        worn.garment.name: str(each.garment)
-        for worn, each in zip(dressed, specified, strict=True)
-        if isinstance(each.garment, str | Path)
-    }
+    sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
     return Scene(
         garments=tuple(dressed),
         colliders=(collider,),
@@ -153,7 +149,7 @@ def assemble(specification: SceneSpecification) -> Scene:
         seed=specification.seed,
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
-            "sources": named,
+            "sources": sources,
             "body": collider.name,
             "body_shape": dict(body.shape) if isinstance(body, ShapedBody) else {},
             "motion": performance.motion,
