@@ -220,7 +220,7 @@ def simulate(
         Precision | None,
         typer.Option(
             help="Precision of a network's matrix products. Default: auto, which is bfloat16 where the device "
-            "multiplies faster in it."
+            "multiplies faster in it and --refine is above 0."
         ),
     ] = None,
     seed: Annotated[

@@ -82,7 +82,7 @@ def load_simulator(
             paper, "placed" as it is, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto":
             settled where the solver runs.
         precision: of a network's products: "float32", "bfloat16", or "auto": bfloat16 where the device multiplies
-            faster in it.
+            faster in it and the solver refines.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
@@ -147,7 +147,7 @@ def load_simulator(
         asked,
         beginning,
         potential,
-        _precision(precision, on),
+        _precision(precision, on, refine),
     )
 
 
@@ -189,11 +189,12 @@ def _device(name: str) -> str:
     return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def _precision(name: str, device: str) -> torch.dtype:
+def _precision(name: str, device: str, refine: int) -> torch.dtype:
     import torch
 
     if name == "auto":
-        name = "bfloat16" if has_bfloat16_units(device) else "float32"
+        # What the products are rounded by, the solver's iterations take away; alone it would add up over frames.
+        name = "bfloat16" if refine and has_bfloat16_units(device) else "float32"
     return torch.bfloat16 if name == "bfloat16" else torch.float32
 
 

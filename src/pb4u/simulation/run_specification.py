@@ -74,7 +74,7 @@ class RunSpecification:
             released code of "release" (Pb4U-GNet), "hood", "mgn" or "contourcraft" begins; "auto" is settled where the
             solver runs.
         precision: of a network's products: "float32", "bfloat16", or "auto": bfloat16 where the device multiplies
-            faster in it.
+            faster in it and the solver refines.
 
     Raises:
         InputError: a value of a wrong type or out of range.
