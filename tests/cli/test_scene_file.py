@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.garment.cloth_shapes import saved as cloth_file
+from tests.garment.cloth_shapes import triangle_tube
 
 from pb4u.scene.specification import GarmentSpecification
 from pb4u.scene.trajectory import Trajectory
@@ -197,6 +199,20 @@ def test_a_garment_is_tucked_into_the_trousers(pb4u: Callable, tmp_path: Path, m
     made = Trajectory.open("a.npz").metadata
     assert made["garment"] == "tanktop+trousers"
     assert [each["source"] for each in made["garments"]] == ["tanktop", "trousers"]
+
+
+def test_two_files_of_one_name_keep_their_sources(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder, radius in (("a", 0.2), ("b", 0.23)):
+        Path(folder).mkdir()
+        cloth_file(Path(folder), triangle_tube(low=0.6, high=1.0, radius=radius), "x.obj")
+    flags = ("--garment", "a/x.obj", "--garment", "b/x.obj", "--model", "skinning", "--frames", 1, "--lead-in", 0)
+    ended = pb4u("simulate", *flags, "--out", "c.npz")
+    assert ended.code == 0, ended.err
+    garments = Trajectory.open("c.npz").metadata["garments"]
+    assert [(each["name"], each["source"]) for each in garments] == [("x", "a/x.obj"), ("x", "b/x.obj")]
 
 
 def test_check_takes_garments_in_one_way(pb4u: Callable) -> None:

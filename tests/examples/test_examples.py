@@ -125,6 +125,14 @@ def test_scene_file(example: Run, tmp_path: Path) -> None:
     assert "pb4u simulate scene_wool.toml" in said
 
 
+@pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
+def test_wear_an_outfit(example: Run, tmp_path: Path) -> None:
+    said = example("12_wear_an_outfit.py", "--model", "skinning", *TINY)
+    assert "as_it_comes: trousers under tanktop under cardigan" in said
+    assert "tucked_in: tanktop under trousers under cardigan" in said
+    assert Trajectory.open(tmp_path / "outfit_tucked_in.npz").metadata["garment"] == "tanktop+trousers+cardigan"
+
+
 def require_uncrossed(said: str, file: Path) -> Trajectory:
     """The trajectory of a standard scene, which crosses nowhere as it is written and left few steps unsolved."""
     trajectory = Trajectory.open(file)

@@ -42,6 +42,7 @@ def test_a_material_file_is_read(tmp_path: Path) -> None:
         ('{"density": 1, "lame_mu": 1, "lame_lambda": 1, "bending": 1, "colour": 1}', "unknown entries"),
         ('{"density": "x", "lame_mu": 1, "lame_lambda": 1, "bending": 1}', "must be a number"),
         ('{"density": -1, "lame_mu": 1, "lame_lambda": 1, "bending": 1}', "must be positive"),
+        ('{"density": 1, "lame_mu": 1, "lame_lambda": 1, "bending": 1, "thickness": 0}', "thickness must be positive"),
         ('{"density": NaN, "lame_mu": 1, "lame_lambda": 1, "bending": 1}', "must be positive"),
     ],
 )

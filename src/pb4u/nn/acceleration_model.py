@@ -18,7 +18,7 @@ from pb4u.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.graph.graph import EdgeSet, Graph
 from pb4u.graph.pins import PinsAtPresent, PinsAtTarget, PinsAtTargetInEdges
 from pb4u.graph.world_edges import NearestFaceRule, WorldEdgeRule
-from pb4u.nn.mlp import MLP
+from pb4u.nn.mlp import SplitMLP
 from pb4u.nn.normaliser import Normaliser
 from pb4u.scene.packed import PackedGarments
 
@@ -242,16 +242,17 @@ class AccelerationModel(nn.Module):
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
     def with_products_in(self, precision: torch.dtype) -> AccelerationModel:
-        """Copy whose perceptrons hold their weights, and so multiply, in another precision.
+        """Copy whose perceptrons over several parts hold their weights, and so multiply, in another precision.
 
-        Latents, norms, sums over nodes, normalisers and accelerations keep theirs.
+        Those are nine tenths of the products. Encoders, decoder, latents, norms, sums over nodes, normalisers and
+        accelerations keep theirs: features rounded to bfloat16 alone made three quarters of the error.
 
         Args:
             precision: such as `torch.bfloat16`.
         """
         copied = copy.deepcopy(self)
         for module in copied.modules():
-            if isinstance(module, MLP):
+            if isinstance(module, SplitMLP):
                 for layer in (module.first, module.second, module.last):
                     layer.to(precision)
         return copied

@@ -137,11 +137,7 @@ def assemble(specification: SceneSpecification) -> Scene:
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
-    named = {
-        worn.garment.name: str(each.garment)
-        for worn, each in zip(dressed, specified, strict=True)
-        if isinstance(each.garment, str | Path)
-    }
+    sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
     return Scene(
         garments=tuple(dressed),
         colliders=(collider,),
@@ -153,7 +149,7 @@ def assemble(specification: SceneSpecification) -> Scene:
         seed=specification.seed,
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
-            "sources": named,
+            "sources": sources,
             "body": collider.name,
             "body_shape": dict(body.shape) if isinstance(body, ShapedBody) else {},
             "motion": performance.motion,
@@ -363,6 +359,8 @@ def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
     """A garment of a dictionary, which stands where SMPL's own origin is, at the height of the body that wears it."""
     if isinstance(body, ShapedBody):
         garment = replace(garment, vertices=garment.vertices + np.array([0.0, body.lift, 0.0]))
+        if garment.skinning is not None and garment.skinning.bone_count == body.skeleton.bone_count:
+            return garment  # its file says how this body wears it
     require_worn(garment, body, garment.name, pins_given=bool(garment.pinned.any()))
     return garment
 
@@ -391,7 +389,8 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
         source=SourceMap(simulated, *places), coarse_edges=(), skinning=own,
     )  # fmt: skip
-    remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))
+    if garment.pinned.any():
+        remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))
     if garment.source is None:
         return remeshed
     author = garment.source.source

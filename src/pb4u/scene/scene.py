@@ -47,7 +47,8 @@ class Scene:
         gravity: (3,) [m/s^2].
         ground_height: height of the ground plane [m]; None for no ground.
         seed: seed of everything random in the simulation.
-        labels: names for the metadata: garment, sources (name or file of each garment), body, body_shape, motion.
+        labels: names for the metadata: garment, sources (name or file of each, None for a loaded one), body,
+            body_shape, motion.
         notes: plain sentences about what was changed or ignored while the scene was made.
     """
 

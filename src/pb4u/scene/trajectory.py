@@ -74,13 +74,14 @@ class TrajectoryHeader:
         garments, bodies = [worn.garment for worn in scene.garments], scene.colliders
         vertices, triangles = offsets([g.vertices for g in garments]), offsets([g.faces for g in garments])
         uvs, uv_faces = joined_uvs([(g.uvs, g.uv_faces) for g in garments])
+        sources = [*scene.labels.get("sources", ()), *[None] * len(garments)]
         described = [
             {
                 "name": garment.name,
                 "material": asdict(garment.material),
                 "vertices": vertices[k : k + 2],
                 "triangles": triangles[k : k + 2],
-                "source": scene.labels.get("sources", {}).get(garment.name),
+                "source": sources[k],
             }
             for k, garment in enumerate(garments)
         ]

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
 
     from pb4u.simulation.checkpoint import Checkpoint
 
+WITHOUT_NETWORK = ("solver", "skinning", "newton")
+"""Models that take no options of a network."""
+WITHOUT_CONTACT = ("skinning", "newton")
+"""Models that answer contact in a way of their own, or not at all."""
 _BEST = "best.safetensors"
 _WITHOUT_SELF_CONTACT = {
     "skinning": "skinning carries every vertex with the body and keeps no cloth from crossing",
@@ -78,7 +82,7 @@ def load_simulator(
             paper, "placed" as it is, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto":
             settled where the solver runs.
         precision: of a network's products: "float32", "bfloat16", or "auto": bfloat16 where the device multiplies
-            faster in it.
+            faster in it and the solver refines.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
@@ -143,7 +147,7 @@ def load_simulator(
         asked,
         beginning,
         potential,
-        _precision(precision, on),
+        _precision(precision, on, refine),
     )
 
 
@@ -185,11 +189,12 @@ def _device(name: str) -> str:
     return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"
 
 
-def _precision(name: str, device: str) -> torch.dtype:
+def _precision(name: str, device: str, refine: int) -> torch.dtype:
     import torch
 
     if name == "auto":
-        name = "bfloat16" if has_bfloat16_units(device) else "float32"
+        # What the products are rounded by, the solver's iterations take away; alone it would add up over frames.
+        name = "bfloat16" if refine and has_bfloat16_units(device) else "float32"
     return torch.bfloat16 if name == "bfloat16" else torch.float32
 
 
