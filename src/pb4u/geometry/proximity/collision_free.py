@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pb4u.geometry.proximity.element_distance import compiled, free_share, nearest
+from pb4u.geometry.proximity.element_distance import compiled, free_share, gather, nearest
 from pb4u.geometry.proximity.surface_tree import ElementPairs, SurfaceTree
 
 SMALLEST_GAP = 1e-4
@@ -116,8 +116,7 @@ def _below_present(before: np.ndarray, corners: np.ndarray, vertex_faces: int, g
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
     lowered = np.empty(len(corners))
     for pair in range(len(corners)):
-        for corner in range(4):
-            points[corner] = before[corners[pair, corner]]
+        gather(before, corners[pair], points)
         distance = nearest(points, pair < vertex_faces, weights, between)
         lowered[pair] = gaps[pair] if distance > gaps[pair] else 0.9 * distance
     return lowered
@@ -131,9 +130,8 @@ def _free_shares(
     points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     shares = np.empty(len(corners))
     for pair in range(len(corners)):
-        for corner in range(4):
-            points[corner] = vertices[corners[pair, corner]]
-            way[corner] = moves[corners[pair, corner]]
+        gather(vertices, corners[pair], points)
+        gather(moves, corners[pair], way)
         shares[pair] = free_share(points, way, pair < vertex_faces, gaps[pair], weights, between)
     return shares
 
@@ -159,7 +157,8 @@ def _impulses(
     for pair in np.argsort(shares):
         ids = corners[pair]
         for corner in range(4):
-            points[corner] = before[ids[corner]] + shares[pair] * moves[ids[corner]]
+            for axis in range(3):
+                points[corner, axis] = before[ids[corner], axis] + shares[pair] * moves[ids[corner], axis]
         distance = nearest(points, pair < vertex_faces, weights, between)
         if not distance > 0.0:
             continue

@@ -28,6 +28,15 @@ _MOST_ADVANCES = 200
 
 
 @compiled
+def gather(values: np.ndarray, corners: np.ndarray, rows: np.ndarray) -> None:
+    """Fill `rows` (4, 3) with those of `values` (vertices, 3) at `corners` (4,)."""
+    # Row by row, the kernels would compile for three times as long: Numba also compiles the checks of their shapes.
+    for corner in range(4):
+        for axis in range(3):
+            rows[corner, axis] = values[corners[corner], axis]
+
+
+@compiled
 def vertex_face_weights(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, weights: np.ndarray) -> None:
     """Fill `weights` (4,) of the vector from the nearest point of triangle a b c to the point p.
 
@@ -147,7 +156,8 @@ def crossing_share(points: np.ndarray, parallel: float, slopes: np.ndarray) -> f
 
     Source: the mollifier of Incremental Potential Contact (Li et al. 2020, eq. 24).
     """
-    slopes[:] = 0.0
+    for corner in range(4):
+        slopes[corner] = 0.0
     if not parallel > 0.0:
         return 1.0
     uu, vv, uv = 0.0, 0.0, 0.0
@@ -171,8 +181,7 @@ def crossing_shares(vertices: np.ndarray, corners: np.ndarray, parallels: np.nda
     """Shares (pairs,) of `crossing_share` of pairs with `corners` (pairs, 4) among `vertices` (vertices, 3) [m]."""
     points, slopes, shares = np.empty((4, 3)), np.empty((4, 3)), np.empty(len(corners))
     for pair in range(len(corners)):
-        for corner in range(4):
-            points[corner] = vertices[corners[pair, corner]]
+        gather(vertices, corners[pair], points)
         shares[pair] = crossing_share(points, parallels[pair], slopes)
     return shares
 

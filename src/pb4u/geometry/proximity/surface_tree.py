@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pb4u.geometry.proximity.element_distance import compiled, fastest_approach, nearest
+from pb4u.geometry.proximity.element_distance import compiled, fastest_approach, gather, nearest
 
 _LEAF = 2
 """Most faces of a leaf: smaller leaves cost more boxes, larger ones more comparisons of faces."""
@@ -210,13 +210,19 @@ def _fit(face_boxes: np.ndarray, order: np.ndarray, children: np.ndarray, ranges
     for node in range(len(children) - 1, -1, -1):
         box = boxes[node]
         if children[node, 0] >= 0:
-            box[:] = boxes[children[node, 0]]
+            _copy(boxes[children[node, 0]], box)
             _include(box, boxes[children[node, 1]])
         else:
-            box[:] = face_boxes[order[ranges[node, 0]]]
+            _copy(face_boxes[order[ranges[node, 0]]], box)
             for place in range(ranges[node, 0] + 1, ranges[node, 1]):
                 _include(box, face_boxes[order[place]])
     return boxes
+
+
+@compiled
+def _copy(source: np.ndarray, target: np.ndarray) -> None:
+    for k in range(len(source)):
+        target[k] = source[k]
 
 
 @compiled
@@ -248,7 +254,8 @@ def _with_room(rows: np.ndarray, count: int) -> np.ndarray:
     if count < len(rows):
         return rows
     larger = np.empty((2 * len(rows), rows.shape[1]), dtype=rows.dtype)
-    larger[:count] = rows[:count]
+    for row in range(count):
+        _copy(rows[row], larger[row])
     return larger
 
 
@@ -301,7 +308,7 @@ def _search(boxes: tuple, tree: tuple, elements: tuple) -> tuple[np.ndarray, np.
                             if _meet(vertex_boxes[v], face_boxes[two]):
                                 near_faces = _with_room(near_faces, face_count)
                                 near_faces[face_count, 0] = v
-                                near_faces[face_count, 1:] = faces[two]
+                                _copy(faces[two], near_faces[face_count, 1:])
                                 face_count += 1
                     for k in range(3):
                         p = owned_edges[f, k]
@@ -315,8 +322,8 @@ def _search(boxes: tuple, tree: tuple, elements: tuple) -> tuple[np.ndarray, np.
                                 continue
                             if _meet(edge_boxes[p], edge_boxes[q]):
                                 near_edges = _with_room(near_edges, edge_count)
-                                near_edges[edge_count, :2] = edges[p]
-                                near_edges[edge_count, 2:] = edges[q]
+                                _copy(edges[p], near_edges[edge_count, :2])
+                                _copy(edges[q], near_edges[edge_count, 2:])
                                 edge_count += 1
     return near_faces[:face_count], near_edges[:edge_count]
 
@@ -329,10 +336,8 @@ def _may_meet(
     points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     near = np.empty(len(corners), dtype=np.bool_)
     for pair in range(len(corners)):
-        for corner in range(4):
-            for axis in range(3):
-                points[corner, axis] = vertices[corners[pair, corner], axis]
-                way[corner, axis] = moves[corners[pair, corner], axis]
+        gather(vertices, corners[pair], points)
+        gather(moves, corners[pair], way)
         near[pair] = nearest(points, vertex_face, weights, between) <= reach + fastest_approach(way, vertex_face)
     return near
 
@@ -346,10 +351,10 @@ def _all_nearest(
     distances, weights, normals = np.empty(count), np.empty((count, 4)), np.empty((count, 3))
     points = np.empty((4, 3))
     for pair in range(count):
-        for corner in range(4):
-            points[corner] = vertices[corners[pair, corner]]
+        gather(vertices, corners[pair], points)
         distances[pair] = nearest(points, pair < vertex_faces, weights[pair], normals[pair])
-        normals[pair] /= max(distances[pair], 1e-300)
+        for axis in range(3):
+            normals[pair, axis] /= max(distances[pair], 1e-300)
     return distances, weights, normals
 
 
@@ -361,7 +366,6 @@ def _rest_distances(rest: np.ndarray, part: np.ndarray, corners: np.ndarray, ver
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
     for pair in range(count):
         if part[corners[pair, 0]] == part[corners[pair, 2]]:
-            for corner in range(4):
-                points[corner] = rest[corners[pair, corner]]
+            gather(rest, corners[pair], points)
             distances[pair] = nearest(points, pair < vertex_faces, weights, between)
     return distances

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.geometry.proximity.element_distance import compiled, crossing_share, nearest
+from pb4u.geometry.proximity.element_distance import compiled, crossing_share, gather, nearest
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
 from pb4u.physics.energy_term import EnergyTerm, dot
@@ -208,8 +208,7 @@ def _barrier(
     energies, gradient = np.zeros(len(corners)), np.zeros_like(vertices)
     points, slopes, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     for pair in range(len(corners)):
-        for corner in range(4):
-            points[corner] = vertices[corners[pair, corner]]
+        gather(vertices, corners[pair], points)
         distance = nearest(points, pair < vertex_faces, weights, between)
         if distance >= reaches[pair]:
             continue
@@ -245,8 +244,7 @@ def _barrier_rows(
     chosen, rows = np.empty((len(corners), 4), dtype=np.int64), np.empty((len(corners), 4, 3))
     count = 0
     for pair in range(len(corners)):
-        for corner in range(4):
-            points[corner] = vertices[corners[pair, corner]]
+        gather(vertices, corners[pair], points)
         distance = nearest(points, pair < vertex_faces, weights, between)
         if distance >= reaches[pair]:
             continue
@@ -255,9 +253,9 @@ def _barrier_rows(
         bend = -2.0 * np.log(s) + 4.0 * (1.0 - s) / s + ((1.0 - s) / s) ** 2
         area = crossing_share(points, parallels[pair], slopes) * areas[pair]
         root = np.sqrt(stiffness * area * bend / room) / distance
-        chosen[count] = corners[pair]
         for corner in range(4):
+            chosen[count, corner] = corners[pair, corner]
             for axis in range(3):
                 rows[count, corner, axis] = root * weights[corner] * between[axis]
         count += 1
-    return chosen[:count].copy(), rows[:count].copy()
+    return chosen[:count], rows[:count]
