@@ -38,7 +38,7 @@ def placed(garment: pb4u.Garment, frames: np.ndarray, pinned: np.ndarray | None 
 def solid(name: str, vertices: np.ndarray, faces: np.ndarray, felt: bool = True) -> VertexSequence:
     """A surface (frames, vertices, 3) [m] that the cloth meets, or that is only seen where it is not `felt`."""
     moving = np.asarray(vertices, dtype=np.float32).reshape(-1, np.shape(vertices)[-2], 3)
-    return VertexSequence(name, moving, np.asarray(faces, np.int64), contact=np.full(moving.shape[1], felt))
+    return VertexSequence(name, moving, np.ascontiguousarray(faces, np.int64), contact=np.full(moving.shape[1], felt))
 
 
 def simulate(scene: pb4u.Scene, out: str, self_contact: bool = True) -> Trajectory:

@@ -47,8 +47,8 @@ def test_writes_trajectory_objs_and_report_by_the_contract(pb4u: Callable, tmp_p
     assert names <= set(report["metrics_paper"]) == set(ENERGIES)
     assert set(report["metrics"]) == {*ENERGIES, *GEOMETRY}
     assert set(GEOMETRY) == {
-        "strain_p95", "strain_max", "penetration_percent", "penetration_depth_max", "self_intersections",
-        "body_intersections",
+        "strain_p95", "strain_max", "penetration_percent", "penetration_depth_max", "visible_skin_percent",
+        "self_intersections", "body_intersections",
     }  # fmt: skip
     assert all(len(entry["per_frame"]) == 3 for entry in report["metrics"].values())
     assert report["diverged"] is False
@@ -256,3 +256,52 @@ def test_recording_that_ends_early_says_so(pb4u: Callable, test_data: Path, tmp_
 
 def test_debug_shows_where_an_error_came_from(pb4u: Callable) -> None:
     assert "Traceback" in pb4u("simulate", "--garment", "tshrt", "--debug").err
+
+
+@pytest.mark.parametrize(
+    ("model", "flags"),
+    [
+        ("solver", ("--refine", 3)), ("solver", ("--passes", 2)), ("solver", ("--propagation-steps", 5)),
+        ("skinning", ("--propagation-steps", 5)), ("skinning", ("--contact", "off")), ("newton", ("--contact", "on")),
+    ],
+)  # fmt: skip
+def test_a_flag_that_would_do_nothing_is_refused(pb4u: Callable, tmp_path: Path, model: str, flags: tuple) -> None:
+    ended = pb4u("simulate", "--model", model, *flags, "--out", tmp_path / "a.npz")
+    assert ended.code == 1
+    assert ended.err == f"pb4u: {flags[0]} does nothing with --model {model}; leave it out.\n"
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (("--propagation-steps", -1), "propagation steps must be 0 or more"),
+        (("--refine", 99999999999), "10000 at most"),
+        (("--passes", 0), "at least 1 pass"),
+    ],
+)
+def test_a_number_out_of_range_is_refused_whatever_the_model(
+    pb4u: Callable, tmp_path: Path, flags: tuple, says: str
+) -> None:
+    ended = pb4u("simulate", "--model", "skinning", *flags, "--out", tmp_path / "a.npz")
+    assert ended.code == 1
+    assert says in ended.err
+
+
+def test_shape_parameters_add_up_and_none_is_given_twice(pb4u: Callable, tmp_path: Path) -> None:
+    out = tmp_path / "a.npz"
+    flags = ("simulate", *SMALL, "--frames", 1, "--out", out)
+    assert pb4u(*flags, "--body-shape", "height=0.7", "--body-shape", "weight=0.4").code == 0
+    shape = Trajectory.open(out).metadata["body_shape"]
+    assert (shape["height"], shape["weight"]) == (0.7, 0.4)
+    assert "twice" in pb4u(*flags, "--body-shape", "height=0.5,height=0.9").err
+    assert "twice" in pb4u(*flags, "--body-shape", "height=0.5", "--body-shape", "height=0.9").err
+
+
+def test_a_run_that_is_broken_from_its_start_fails(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pb4u.evaluation.metrics.first_diverged", lambda *_, **__: 0)
+    ended = pb4u("simulate", *SMALL, "--frames", 1, "--out", tmp_path / "a.npz")
+    assert ended.code == 1
+    assert "broken at its first frame" in ended.err
+    assert (tmp_path / "a.npz").exists()

@@ -10,7 +10,7 @@ import trimesh
 from ball_scene import sheet
 
 from pb4u.errors import InputError
-from pb4u.evaluation.metrics import ENERGIES, first_diverged, measure
+from pb4u.evaluation.metrics import ENERGIES, first_diverged, measure, visible_skin
 from pb4u.garment.material import Material
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
@@ -197,3 +197,40 @@ def test_garments_of_unknown_material_are_refused(metadata: dict) -> None:
     trajectory = trajectory_of(np.stack([REST] * 2))
     with pytest.raises(InputError, match="do not say what its garments are made of"):
         measure(replace(trajectory, header=replace(trajectory.header, metadata=metadata)))
+
+
+def shell(radius: float) -> trimesh.Trimesh:
+    """The upper half of a ball's surface: cloth over the body of `trajectory_of`, which has the radius 0.2."""
+    whole = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    upper = whole.vertices[whole.faces][:, :, 1].min(axis=1) > -1e-9
+    return trimesh.Trimesh(whole.vertices, whole.faces[upper], process=False)
+
+
+def test_skin_under_cloth_is_covered_and_skin_above_it_shows() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.2)
+    body, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
+    upper = body[:, 1] > 0.03
+    for radius, which in ((0.21, 1), (0.19, 0)):
+        cloth = shell(radius)
+        masks = visible_skin(body, faces, np.asarray(cloth.vertices), np.asarray(cloth.faces))
+        assert masks[which][upper].all()
+        assert not masks[1 - which].any()
+        assert not masks[which][body[:, 1] < -0.03].any()
+        assert len(masks[2]) == masks[0].sum()
+    far = shell(0.3)
+    assert not visible_skin(body, faces, np.asarray(far.vertices), np.asarray(far.faces))[0].any()
+
+
+def test_skin_shows_between_vertices_that_are_all_outside() -> None:
+    # An octahedron around the ball: its corners are outside, and the middles of its faces within.
+    corners = 0.24 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
+    hull = trimesh.convex.convex_hull(corners)
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.2)
+    shown, covered, under = visible_skin(
+        np.asarray(ball.vertices), np.asarray(ball.faces), np.asarray(hull.vertices), np.asarray(hull.faces)
+    )
+    # The plane of a face is 0.24 / sqrt 3 from the middle, deeper than what counts as come through around its centre.
+    assert 0.05 < shown.mean() < 0.95
+    assert shown.any()
+    assert set(under.tolist()) == set(range(8))
+    assert not (shown & covered).any()

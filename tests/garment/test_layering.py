@@ -124,6 +124,14 @@ def test_a_start_crosses_nowhere_or_is_refused(seed: int) -> None:
     np.testing.assert_array_equal(start[pinned], positions[pinned].astype(np.float32))
 
 
+def test_two_garments_of_one_name_are_told_apart() -> None:
+    garments = [replace(tube, name="x") for tube in tubes((0.25, 0.25))]
+    garments = [garment.with_pins(np.ones(len(garment.vertices), dtype=bool)) for garment in garments]
+    garments[1] = replace(garments[1], vertices=garments[1].vertices + [0.1, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"x and x \(2\) cross in \d+ pairs .* wear them in another order"):
+        untangled_start(garments, np.concatenate([garment.vertices for garment in garments]))
+
+
 def test_a_garment_that_crosses_itself_by_its_pins_is_refused() -> None:
     (garment,) = tubes((0.25,))
     crossed = garment.vertices.copy()

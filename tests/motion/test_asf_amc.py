@@ -127,3 +127,32 @@ def test_skeleton_cut_inside_a_bone_is_refused(acclaim):
     asf.write_text(bones[: bones.rindex("length")] + "\n:hierarchy" + hierarchy)
     with pytest.raises(InputError, match="cut short inside the bone"):
         read_asf(asf)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("XYZ", "XYW", "axis order"),
+        ("length ", "length 0 ", "no length"),
+        ("direction ", "direction 0 0 0 ", "no direction"),
+    ],
+)
+def test_a_skeleton_that_cannot_be_posed_is_refused(acclaim, old, new, says):
+    asf = acclaim().with_name("07.asf")
+    text = asf.read_text()
+    assert old in text
+    head, _, bones = text.partition(":bonedata")
+    asf.write_text(head + ":bonedata" + bones.replace(old, new, 1))
+    with pytest.raises(InputError, match=says):
+        read_asf(asf)
+
+
+def test_bones_that_form_a_circle_are_refused(acclaim):
+    asf = acclaim().with_name("07.asf")
+    text = asf.read_text()
+    head, _, tail = text.partition(":hierarchy")
+    first = next(line for line in tail.splitlines() if line.strip().startswith("root"))
+    child = first.split()[1]
+    asf.write_text(head + ":hierarchy" + tail.replace("end", f"{child} root\nend"))
+    with pytest.raises(InputError, match="second parent"):
+        read_asf(asf)

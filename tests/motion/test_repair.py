@@ -83,3 +83,15 @@ def test_flips_of_a_real_recording_are_counted(test_data):
     motion = load_motion(test_data / "motions/cmu_asfamc/05/05_20.amc")
     assert "lfemur 1" in motion.notes[0]
     assert "lfoot 1" in motion.notes[0]
+
+
+def test_a_recording_that_leaps_is_told(bvh):
+    assert not [note for note in load_motion(bvh(frames=20)).notes if "leaps" in note]
+    path = bvh(frames=20)
+    lines = path.read_text().splitlines()
+    words = lines[-5].split()
+    lines[-5] = " ".join(["100000.0", *words[1:]])
+    path.write_text("\n".join(lines) + "\n")
+    (note,) = [note for note in load_motion(path).notes if "leaps" in note]
+    assert "2 time(s)" in note
+    assert "--crop" in note

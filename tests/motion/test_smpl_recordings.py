@@ -228,3 +228,20 @@ def test_pickle_that_is_no_dictionary_is_refused(tmp_path):
     path.write_bytes(pickle.dumps([1, 2, 3]))
     with pytest.raises(InputError, match="not the dictionary"):
         load_motion(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"poses": np.full((3, 72), 1e300)}, "beyond 1e+07"),
+        ({"poses": np.zeros((3, 72), dtype=complex)}, "should be numbers"),
+        ({"mocap_framerate": 1e-9}, "the frame rate is 1e-09"),
+        ({"mocap_framerate": 1e9}, "the frame rate is 1e+09"),
+    ],
+)
+def test_numbers_that_nobody_recorded_are_refused(tmp_path, change, says):
+    members = {"poses": np.zeros((3, 72)), "trans": np.zeros((3, 3)), "mocap_framerate": 30.0, **change}
+    np.savez(tmp_path / "odd.npz", **members)
+    with pytest.raises(InputError) as refusal:
+        load_motion(tmp_path / "odd.npz")
+    assert says in str(refusal.value)

@@ -112,5 +112,5 @@ def test_a_coloured_mesh_is_read_back_by_another_reader() -> None:
 def test_every_overlay_paints_or_does_not() -> None:
     clip = RecordedClip(trajectory(2), "a")
     painted = {name for name, overlay in OVERLAYS.items() if overlay(clip).scale is not None}
-    assert painted == {"strain", "penetration", "K and update scale"}
+    assert painted == {"strain", "penetration", "skin through cloth", "K and update scale"}
     assert [name for name, overlay in OVERLAYS.items() if overlay.wireframe] == ["wireframe"]

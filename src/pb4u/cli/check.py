@@ -101,7 +101,7 @@ def check(
     if json != "-":
         _print(report, fix)
     if refused and fix is not None:
-        raise Pb4uError(f"{fix} would still be refused; mend what stays in the program it comes from.")
+        raise Pb4uError(f"{fix} was not written: it would still be refused; mend what stays in its program first.")
     if refused:
         raise Pb4uError(f"{' with '.join(names)} would be refused; the findings above say how to mend it.")
 
@@ -160,8 +160,11 @@ def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | No
     found = {"name": name, **diagnose(source, figure, name).to_json(), "mended": [], "remaining": None}
     if fix is not None:
         mended, said = repair(source, figure)
-        write_obj(fix, mended)
-        found |= {"mended": list(said), "remaining": diagnose(mended, figure, fix).to_json()}
+        remaining = diagnose(mended, figure, fix)
+        # A file of this name is taken for a garment that can be worn.
+        if not remaining.is_refused:
+            write_obj(fix, mended)
+        found |= {"mended": list(said), "remaining": remaining.to_json()}
     return found
 
 
@@ -197,7 +200,7 @@ def _print(report: dict[str, Any], fix: Path | None) -> None:
         for finding in (garment["remaining"] or {"findings": []})["findings"]:
             if finding["severity"] != "note":
                 console.print(f"stays: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
-        if fix is not None:
+        if fix is not None and not garment["remaining"]["refused"]:
             console.print(f"written: {fix}", markup=False)
     if "crossings" in report:
         made, worn = report["crossings"]["as_made"], report["crossings"]["as_worn"]

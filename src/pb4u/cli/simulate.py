@@ -270,8 +270,21 @@ def simulate(
             first_frame=first_frame, precision=precision,
         ),
     )  # fmt: skip
+    _refuse_useless(str(run.model), propagation_steps=propagation_steps, passes=passes, refine=refine, contact=contact)
     keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])
     _simulate(run, list(out) if out else _default_targets(run.scene), save_scene, json)
+
+
+def _refuse_useless(model: str, **flags: Any) -> None:
+    """Refuse flags that a model without a network, or without contact of its own, would not look at."""
+    from pb4u.simulation.models import WITHOUT_CONTACT, WITHOUT_NETWORK, default_model
+
+    chosen = default_model() if model == "auto" else model
+    useless = set() if chosen not in WITHOUT_NETWORK else {"propagation_steps", "passes", "refine"}
+    useless |= {"contact"} if chosen in WITHOUT_CONTACT else set()
+    for name, value in flags.items():
+        if value is not None and name in useless:
+            raise InputError(f"--{name.replace('_', '-')} does nothing with --model {chosen}; leave it out.")
 
 
 def _given(**flags: Any) -> dict[str, Any]:
@@ -366,6 +379,12 @@ def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | Non
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
             "before it were written. Try --model solver, or --refine 10."
+        )
+    if diverged == 0:
+        raise Pb4uError(
+            "The run was broken at its first frame: the cloth is stretched by more than 60 %, or over 0.5 m from where "
+            "the body carries it. What was written shows it; look at the garment with `pb4u check`, or ask for more "
+            "--triangles."
         )
     if diverged is not None:
         mend = "look at it with `pb4u view`" if simulator.name == "solver" else "try --model solver, or --refine 10"

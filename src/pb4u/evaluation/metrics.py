@@ -17,6 +17,7 @@ from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.proximity.crossings import crossings, self_crossings
 from pb4u.geometry.topology import Topology
+from pb4u.geometry.triangle_mesh import area_weighted_normals, face_cross_products, vertex_areas
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.progress import Progress, unheard
@@ -30,11 +31,18 @@ ENERGIES = (*(term.name for term in IncrementalPotential().terms), "total")
 
 STRAINS = ("strain_p95", "strain_max")
 GEOMETRY = (
-    *STRAINS, "penetration_percent", "penetration_depth_max", "self_intersections", "body_intersections"
+    *STRAINS, "penetration_percent", "penetration_depth_max", "visible_skin_percent", "self_intersections",
+    "body_intersections",
 )  # fmt: skip
 
 PENETRATION_TOLERANCE = 1e-3
 """Depth [m] beyond which a vertex counts as inside the body: less is within the accuracy of a body's triangles."""
+
+SKIN_OVER_CLOTH = 0.02
+"""Height [m] of skin over cloth up to which it has come through: what lies higher wears other cloth, or none."""
+
+SKIN_UNDER_CLOTH = 0.05
+"""Distance [m] of cloth from skin up to which it covers it; a hem that flares covers more, which is left out."""
 
 DIVERGED_STRAIN = 0.6
 """95th percentile of the strain beyond which a run counts as diverged: cloth tears long before."""
@@ -215,13 +223,45 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
     return Garment(str(entry["name"]), rest, faces, material, header.pinned[vertices])
 
 
+def visible_skin(
+    body: np.ndarray, body_faces: np.ndarray, cloth: np.ndarray, cloth_faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which of the body's vertices show where cloth should cover them, and which are covered.
+
+    At a vertex cloth is looked for that faces the same way and lies along the body's normal, not at its own border:
+    above the skin it covers it, below it the skin shows.
+
+    Args:
+        body: (body vertices, 3) [m].
+        body_faces: (body faces, 3) int64, of the parts that cloth may touch.
+        cloth: (vertices, 3) of all garments [m].
+        cloth_faces: (faces, 3) int64.
+
+    Returns:
+        Two masks (body vertices,) bool, and the faces (shown vertices,) int64 of the cloth that lie under what shows.
+    """
+    shown, covered = np.zeros(len(body), dtype=bool), np.zeros(len(body), dtype=bool)
+    asked = np.unique(body_faces)
+    normals = area_weighted_normals(body, body_faces)[asked]
+    near = TriangleSurface(cloth_faces, len(cloth)).at(cloth).nearest(body[asked])
+    offset = near.positions.numpy() - body[asked]
+    height, distance = np.einsum("ij,ij->i", offset, normals), np.linalg.norm(offset, axis=1)
+    facing = face_cross_products(cloth, cloth_faces)[near.triangle.numpy()]
+    same_way = np.einsum("ij,ij->i", facing, normals) > 0.0
+    # Half: as steep as 60 degrees, which the hollow of a back can make it.
+    here = same_way & ~near.beyond_border.numpy() & (np.abs(height) >= 0.5 * distance)
+    shown[asked] = here & (height < 0.0) & (distance < SKIN_OVER_CLOTH)
+    covered[asked] = here & (height >= 0.0) & (distance < SKIN_UNDER_CLOTH)
+    return shown, covered, near.triangle.numpy()[shown[asked]]
+
+
 class FrameMetrics(NamedTuple):
     """Metrics of one frame; not a number where a position is none.
 
     Args:
         metrics: energies [J] summed over garments, strains over all faces, and penetration where the body has an
-            inside: percent of the vertices, and the greatest depth [m]; pairs of triangles that cross, of cloth with
-            cloth and of cloth with the body.
+            inside: percent of the vertices, and the greatest depth [m]; percent of the skin under cloth that shows;
+            pairs of triangles that cross, of cloth with cloth and of cloth with the body.
         paper: the energies [J] by the released convention.
         garments: energies [J] and strains of each garment.
     """
@@ -240,6 +280,7 @@ class Ruler:
     Attributes:
         garments: the garments, packed in float64.
         surface: the body's surface, or None where it is open or nothing may touch it.
+        touched: (faces, 3) of the bodies that cloth may touch.
 
     Raises:
         InputError: the metadata do not say what the garments are made of.
@@ -261,7 +302,7 @@ class Ruler:
         closed = Topology(faces, len(contact)).is_closed
         touchable = closed and bool(contact[faces].all(axis=1).any())
         self.surface = TriangleSurface(faces, len(contact), contact) if touchable else None
-        self._touched = faces[contact[faces].all(axis=1)]
+        self.touched = faces[contact[faces].all(axis=1)]
 
     def frame(self, t: int) -> FrameMetrics:
         """Metrics of frame t."""
@@ -280,9 +321,13 @@ class Ruler:
             metrics["penetration_depth_max"] = max(0.0, -float(distance.min()))
         cloth = self.garments.faces.numpy()
         metrics["self_intersections"] = float(len(self_crossings(x.numpy(), cloth)))
-        if len(self._touched):
+        if len(self.touched):
             body = self._body(t).numpy()
-            metrics["body_intersections"] = float(len(crossings(x.numpy(), cloth, body, self._touched)))
+            shown, covered, _ = visible_skin(body, self.touched, x.numpy(), cloth)
+            areas = vertex_areas(body, self.touched)
+            under = float(areas[shown | covered].sum())
+            metrics["visible_skin_percent"] = 100.0 * float(areas[shown].sum()) / under if under else 0.0
+            metrics["body_intersections"] = float(len(crossings(x.numpy(), cloth, body, self.touched)))
         garments = [energies | each for energies, each in zip(ours, each_strains, strict=True)]
         return FrameMetrics(metrics, _summed(paper), garments)
 

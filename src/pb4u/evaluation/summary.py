@@ -36,6 +36,7 @@ _BESIDE_ENERGIES = {
     "survived_percent": Quantity("frames before divergence", "%", ".0f"),
     "strain_p95": Quantity("strain, 95th percentile", "", ".3g"),
     "penetration_percent": Quantity("penetration", "%", ".3g"),
+    "visible_skin_percent": Quantity("skin through cloth", "%", ".3g"),
     "ms": Quantity("time a step", "ms", ".1f"),
 }
 

@@ -66,7 +66,14 @@ def terms_tables(summary: Summary) -> list[Block]:
                 *(with_spread(quantity, cell.quantities[quantity]) for cell in cells),
                 *(number(quantity, theirs[quantity]) if quantity in theirs else "" for theirs in paper.values()),
             ]
-            for quantity in (*summary.energies, "ratio", "survived_percent", "strain_p95", "penetration_percent")
+            for quantity in (
+                *summary.energies,
+                "ratio",
+                "survived_percent",
+                "strain_p95",
+                "penetration_percent",
+                "visible_skin_percent",
+            )
         ]
         blank = [""] * len(paper)
         deepest = ["-" if cell.deepest is None else f"{1e3 * cell.deepest:.1f}" for cell in cells]

@@ -80,6 +80,8 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
         raise InputError(
             f"The trajectory has frames 0 to {trajectory.frame_count - 1}; none lies in the range asked for."
         )
+    if every > 1 and last - first > 1 and every >= last - first:
+        raise InputError(f"Every {every}th of {last - first} frames is one frame; give a smaller stride.")
     if span is not None and span[1] > last:
         warnings.warn(
             f"The trajectory has {last} frames; of the range {first}:{span[1]}, {first}:{last} is there.",

@@ -92,6 +92,8 @@ def _from_indices(indices: np.ndarray, garment: Garment, where: str) -> np.ndarr
     count = len(garment.vertices) if garment.source is None else len(garment.source.source.vertices)
     if indices.ndim != 1 or (indices.size and indices.dtype.kind not in "iu"):
         raise InputError(f"{where} is no list of vertex indices; whole numbers from 0 to {count - 1} are needed.")
+    if not indices.size:
+        raise InputError(f'{where} names no vertex; give "none" to pin none.')
     indices = indices.astype(np.int64)
     bad = indices[(indices < 0) | (indices >= count)]
     if len(bad):

@@ -48,19 +48,20 @@ def tangles(
     """Crossing triangles by the garments they belong to, most first.
 
     Args:
-        names: of the garments.
+        names: of the garments; of those with one name, the second and later ones are told by number.
         vertex_garment: (vertices,) int64 garment of each vertex.
         vertices: (vertices, 3) [m].
         faces: (faces, 3) int64.
         pairs: (pairs, 2) int64 faces that cross.
     """
+    told = [name if name not in names[:k] else f"{name} ({names[:k].count(name) + 1})" for k, name in enumerate(names)]
     owners = np.sort(vertex_garment[faces[pairs, 0]], axis=1)
     centres = vertices[faces[pairs[:, 0]]].mean(axis=1)
     found = []
     for one, other in np.unique(owners, axis=0).tolist():
         there = centres[(owners == [one, other]).all(axis=1)]
         place = there[np.linalg.norm(there - np.median(there, axis=0), axis=1).argmin()]
-        found.append(Tangle((names[one], names[other]), len(there), tuple(np.round(place, 4).tolist())))
+        found.append(Tangle((told[one], told[other]), len(there), tuple(np.round(place, 4).tolist())))
     return tuple(sorted(found, key=lambda tangle: -tangle.pairs))
 
 

@@ -68,6 +68,19 @@ def face_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(face_cross_products(vertices, faces), axis=1)
 
 
+def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """A third of the area of the faces around each vertex of a numpy mesh.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+
+    Returns:
+        (vertices,) [m^2].
+    """
+    return np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces) / 3.0, 3), len(vertices))
+
+
 def edge_lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Lengths of the edges of a numpy mesh.
 

@@ -11,7 +11,7 @@ from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_euler
 from pb4u.motion.correspondences import BVH_SOURCES, SkeletonRoles
-from pb4u.motion.recording import Recording, finite_frames
+from pb4u.motion.recording import Recording, finite_frames, require_rate
 from pb4u.reading_limits import MOST_JOINTS, MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, parse_numbers, read_text
 
 _HEADING = 200
@@ -177,4 +177,5 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         )
     if count > frames * channels:
         raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
+    require_rate(1.0 / frame_time, path)
     return finite_frames(values.reshape(frames, channels), path), 1.0 / frame_time

@@ -9,7 +9,7 @@ from pb4u.errors import InputError, unknown_name
 from pb4u.motion.motion import Motion
 from pb4u.motion.procedural import CLIPS, ProceduralMotion
 from pb4u.motion.recording import Recording
-from pb4u.motion.repair import without_false_start, without_flips
+from pb4u.motion.repair import told_of_leaps, without_false_start, without_flips
 from pb4u.motion.retargeting import RecordedMotion
 
 READERS = {
@@ -56,7 +56,7 @@ def load_motion(
     recording = read_recording(path)
     # The crop comes first: bad frames are often what it is there to leave out.
     recording = without_false_start(recording) if crop is None else recording.cropped(*crop)
-    return RecordedMotion(without_flips(recording), arms_away_degrees)
+    return RecordedMotion(told_of_leaps(without_flips(recording)), arms_away_degrees)
 
 
 def read_recording(path: Path) -> Recording:

@@ -146,6 +146,29 @@ class Recording:
         return leg_length(self.joint)
 
 
+_LARGEST = 1e7
+"""Numbers of a recording beyond which they are damaged: ten kilometres in millimetres."""
+_RATES = (0.1, 1e5)
+"""Frames per second that a recording, or a body in motion, may have."""
+
+
+def require_rate(fps: float, path: Path) -> None:
+    """Refuse a frame rate that nothing was recorded at.
+
+    Args:
+        fps: frames per second.
+        path: the file that tells it, for the message.
+
+    Raises:
+        InputError: it is out of range.
+    """
+    if not _RATES[0] <= fps <= _RATES[1]:
+        raise InputError(
+            f"{path}: the frame rate is {fps:g}; it should be a positive number of frames per second, from "
+            f"{_RATES[0]:g} to {_RATES[1]:g}."
+        )
+
+
 def _nearest_axis(v: np.ndarray) -> np.ndarray:
     k = int(np.argmax(np.abs(v)))
     return np.sign(v[k]) * np.eye(3)[k]
@@ -162,12 +185,13 @@ def finite_frames(values: np.ndarray, path: Path) -> np.ndarray:
         (frames, numbers), the argument itself.
 
     Raises:
-        InputError: a value is a NaN or an infinity; names its frame.
+        InputError: a value is a NaN or an infinity, or too large to be an angle or a place; names its frame.
     """
-    bad = ~np.isfinite(values).all(axis=1)
+    bad = ~(np.abs(values) <= _LARGEST).all(axis=1)
     if bad.any():
         raise InputError(
-            f"{path}: frame {int(np.argmax(bad))} holds values that are not finite ({int(bad.sum())} such frame(s)); "
+            f"{path}: frame {int(np.argmax(bad))} holds values that are not finite, or beyond {_LARGEST:g} "
+            f"({int(bad.sum())} such frame(s)); "
             f"leave them out or mend the file."
         )
     return values

@@ -20,6 +20,9 @@ _REPAIR_SPEED = np.deg2rad(600.0)
 _SAME_FLIP = 0.25
 _FLIPPING = ("upper_arm", "forearm", "forearm_end", "hand", "thigh", "shin", "foot", "toes")
 _LIMB_ENDS = {"upper_arm": "forearm", "thigh": "shin", "forearm": "hand", "shin": "foot"}
+# Nobody travels faster than this [m/s]; less than that distance [m] in a frame is a tremble of slow recordings. Lengths
+# are told in the leg of an average adult [m], since files have units of their own.
+_FASTEST, _LEAST_LEAP, _LEG = 15.0, 0.3, 0.85
 # A recording may begin with a calibration pose, from which everything leaps into the performance.
 _START_FRAMES, _START_SPEED = 6, np.deg2rad(3000.0)
 
@@ -63,6 +66,22 @@ def without_false_start(recording: Recording) -> Recording:
     first = int(np.flatnonzero(bad)[-1]) + 1
     note = f"{recording.name}: the first {first} frame(s) are left out: the joints leap from them into what follows."
     return replace(recording.cropped(first, len(recording.poses)), notes=(*recording.notes, note))
+
+
+def told_of_leaps(recording: Recording) -> Recording:
+    """The recording with a note where the whole body leaps farther in a frame than a person can; nothing is mended."""
+    roots = recording.poses.root_positions
+    metres = _LEG / max(recording.leg_length, 1e-9)
+    far = metres * np.linalg.norm(np.diff(roots, axis=0), axis=1)
+    leaps = np.flatnonzero(far > max(_FASTEST / recording.poses.fps, _LEAST_LEAP))
+    if not len(leaps):
+        return recording
+    worst = int(leaps[np.argmax(far[leaps])])
+    note = (
+        f"{recording.name}: the body leaps {len(leaps)} time(s), farthest by {far[worst]:.1f} m from frame {worst} to "
+        f"{worst + 1}; cloth cannot follow, so cut the recording there with --crop."
+    )
+    return replace(recording, notes=(*recording.notes, note))
 
 
 def _local(recording: Recording) -> np.ndarray:

@@ -13,8 +13,8 @@ from pb4u.body.smpl import JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.motion.correspondences import SMPL
-from pb4u.motion.recording import Recording, finite_frames
-from pb4u.reading_limits import member_names, read_arrays, told_names
+from pb4u.motion.recording import Recording, finite_frames, require_rate
+from pb4u.reading_limits import Allowance, member_names, read_arrays, told_names
 from pb4u.restricted_pickle import load_pickle
 
 _FAMILY_OF_WIDTH = {3 * len(names): family for family, names in JOINT_NAMES.items()}
@@ -151,8 +151,8 @@ def _recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps: flo
         raise InputError(f"{path}: translations have the shape {translations.shape}, not ({len(poses)}, 3).")
     if not len(poses):
         raise InputError(f"{path} holds no frames.")
-    if not (np.isfinite(fps) and fps > 0):
-        raise InputError(f"{path}: the frame rate is {fps:g}; it should be a positive number of frames per second.")
+    require_rate(fps, path)
+    Allowance(path).take(32 * poses.size // 3, "rotations of its joints")
     skeleton = nominal_skeleton(_FAMILY_OF_WIDTH[poses.shape[1]])
     numbers = np.concatenate([poses, translations], axis=1, dtype=np.float64)
     local = from_axis_angle(finite_frames(numbers, path)[:, :-3].reshape(len(poses), -1, 3))

@@ -295,7 +295,7 @@ class Solver:
 
 
 def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, Tensor]:
-    """The potential for the move to a start, and the positions (vertices, 3) [m] reached, `wanted` unless cloth stops it.
+    """The potential for the move to a start, and the positions (vertices, 3) [m] reached of `wanted`.
 
     Layers that fall on one another in one step are stopped each at another place, crumpled beyond what a fold would
     ever be. A world starts from where it stands, its pins in place, where that has less energy.

@@ -101,7 +101,7 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
     for name in ("fps", "rest_positions", "uvs", "source_barycentric", "source_uvs"):
         if name in members and not np.isfinite(members[name]).all():
             raise refuse(f"{name} is not finite")
-    if not members["fps"] > 0.0:
+    if not 1e-3 <= members["fps"] <= 1e5:
         raise refuse(f"{float(members['fps']):g} frames per second")
     return _metadata(str(members["metadata"]), path, refuse)
 

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
 
     from pb4u.simulation.checkpoint import Checkpoint
 
+WITHOUT_NETWORK = ("solver", "skinning", "newton")
+"""Models that take no options of a network."""
+WITHOUT_CONTACT = ("skinning", "newton")
+"""Models that answer contact in a way of their own, or not at all."""
 _BEST = "best.safetensors"
 _WITHOUT_SELF_CONTACT = {
     "skinning": "skinning carries every vertex with the body and keeps no cloth from crossing",

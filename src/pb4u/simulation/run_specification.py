@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 FORMAT_VERSION = 1
 """Version of the scene files that are read and written."""
 
+MOST_REFINING = 10_000
+"""Limit against mistyped numbers: from some hundred on the solver ends by itself."""
+
 _HEADING = """\
 # A scene of pb4u: run it with `pb4u simulate` and the name of this file.
 # Garments stand inner first. A value with a dot or a slash is a file, relative to this one; any other is a name.
@@ -96,8 +99,12 @@ class RunSpecification:
         require_whole("number of refining iterations", self.refine)
         require_whole("number of passes", self.passes, optional=True)
         require_whole("number of propagation steps", self.propagation_steps, optional=True)
-        if self.refine < 0:
-            raise InputError(f"The number of refining iterations must be 0 or more, not {self.refine}.")
+        if not 0 <= self.refine <= MOST_REFINING:
+            raise InputError(
+                f"The number of refining iterations must be 0 or more, and {MOST_REFINING} at most, not {self.refine}."
+            )
+        if self.propagation_steps is not None and self.propagation_steps < 0:
+            raise InputError(f"The number of propagation steps must be 0 or more, not {self.propagation_steps}.")
         if self.passes is not None and self.passes < 1:
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
         if self.device not in get_args(Device):

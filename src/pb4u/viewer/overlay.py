@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from pb4u.errors import InputError
-from pb4u.evaluation.metrics import Ruler
+from pb4u.evaluation.metrics import Ruler, visible_skin
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.graph.features import MaterialRange
 from pb4u.graph.garment_graph import garment_graph
@@ -197,6 +197,20 @@ class Penetration(PaintedOverlay):
         return self.ruler.surface.at(body).nearest(self._garment(t)).signed_distance.numpy()
 
 
+class VisibleSkin(PaintedOverlay):
+    """Cloth under which the body lies that should lie over it: the triangles through which skin shows."""
+
+    scale = ColourScale("Skin through cloth", 0.0, 1.0, "covered", "skin shows", "coolwarm")
+
+    def values(self, t: int) -> np.ndarray:
+        cloth, faces = self.clip.garment(t).astype(np.float64), self.ruler.garments.faces.numpy()
+        shown = np.zeros(len(cloth))
+        if len(self.ruler.touched) and np.isfinite(cloth).all():
+            _, _, under = visible_skin(self.clip.body(t).astype(np.float64), self.ruler.touched, cloth, faces)
+            shown[faces[under].ravel()] = 1.0
+        return shown
+
+
 class UpdateScale(PaintedOverlay):
     """The paper's resolution-aware quantities: the factor s_i / L_ref at each vertex, and K of each garment."""
 
@@ -233,6 +247,7 @@ OVERLAYS: dict[str, type[Overlay]] = {
     "wireframe": Wireframe,
     "strain": Strain,
     "penetration": Penetration,
+    "skin through cloth": VisibleSkin,
     "K and update scale": UpdateScale,
 }
 """By the name that the page shows."""

@@ -16,6 +16,7 @@ QUANTITIES: dict[str, str] = {
     **{name: f"{name} energy [J]" for name in ENERGIES},
     "strain_p95": "strain, 95th percentile",
     "penetration_percent": "vertices inside the body [%]",
+    "visible_skin_percent": "skin that shows through cloth [%]",
 }
 """What can be plotted, and how it is written."""
 
