@@ -114,7 +114,6 @@ def test_no_file_is_read_by_running_it(tmp_path: Path, kind: str) -> None:
         (["--body", "woman"], "SMPL body"),
         (["--omitted", "{files}/recording.pkl"], "vertex_type"),
         (["--model", "{files}/recording.pkl"], "no whole safetensors file"),
-        (["--fps", "60"], "30 frames per second"),
         (["--crop", "5:90"], "not inside the recording"),
     ],
 )

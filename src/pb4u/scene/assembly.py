@@ -393,7 +393,8 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
         source=SourceMap(simulated, *places), coarse_edges=(), skinning=own,
     )  # fmt: skip
-    remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))
+    if garment.pinned.any():
+        remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))
     if garment.source is None:
         return remeshed
     author = garment.source.source
