@@ -43,3 +43,12 @@ def test_what_cannot_be_converted_is_told_in_a_sentence_and_writes_nothing(
         assert told in ended.err
         assert len(ended.err.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == [broken]
+
+
+def test_info_tells_the_licence_of_weights(compat: Path, pb4u: Callable[..., Any]) -> None:
+    ended = pb4u("info", "--model", compat / "checkpoints/fine15.pth", "--json", "-")
+    assert ended.code == 0, ended.err
+    told = json.loads(ended.out)["model"]
+    assert (told["network"], told["licence"]) == ("MeshGraphNet", "unknown: ask the author")
+    assert json.loads(pb4u("info", "--model", "pb4u-small", "--json", "-").out)["model"]["licence"] == "Apache-2.0"
+    assert pb4u("info", "--model", "absent.pth").code == 1

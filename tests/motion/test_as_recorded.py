@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.errors import InputError
@@ -81,6 +82,12 @@ def test_files_of_other_kinds_are_refused(tmp_path: Path) -> None:
         RecordingAsItIs(written(tmp_path / "a.pkl", recording()), crop=(2, 9))
     poses, translations = np.zeros((4, 156)), np.zeros((4, 3))
     np.savez(tmp_path / "slow.npz", poses=poses, trans=translations, betas=np.zeros(16), mocap_framerate=5)
+    whole, body = RecordingAsItIs(written(tmp_path / "a.pkl", recording())), load_body("woman")
+    assert isinstance(body, ShapedBody)
+    with pytest.raises(InputError, match="30 frames per second"):
+        whole.led_in(body, 60.0, 0)
+    with pytest.raises(InputError, match="another skeleton"):
+        whole.led_in(body, 30.0, 0)
     with pytest.raises(InputError, match="30 or more"):
         RecordingAsItIs(tmp_path / "slow.npz")
     with pytest.raises(InputError, match="another skeleton"):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from pb4u.cli.console import JsonFlag, check_json_target, write_json
 
@@ -20,11 +22,21 @@ _EXTRAS = {
 
 
 def info(
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Also tell of a network: what it is, its size, training and licence.",
+            show_default=False,
+        ),
+    ] = None,
     json: JsonFlag = None,
 ) -> None:
     """Show versions, the device, threads and which optional parts are installed."""
     check_json_target(json)
     found = gather()
+    if model is not None:
+        found["model"] = describe_model(model)
     if json:
         write_json(found, json)
         if json == "-":
@@ -55,6 +67,28 @@ def gather() -> dict[str, Any]:
         "device": torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu",
         "threads": torch.get_num_threads(),
         "extras": {extra: find_spec(module) is not None for extra, module in _EXTRAS.items()},
+    }
+
+
+def describe_model(name: str) -> dict[str, Any]:
+    """Network, parameters, training and licence of a model by name or file.
+
+    Args:
+        name: a shipped network, a checkpoint file or a .pth of the released code.
+
+    Raises:
+        InputError: there is none, or its file cannot be used.
+    """
+    from pb4u.simulation.models import load_checkpoint_of
+
+    checkpoint = load_checkpoint_of(name)
+    return {
+        "name": checkpoint.name,
+        "network": type(checkpoint.model.network).__name__,
+        "parameters": sum(parameter.numel() for parameter in checkpoint.model.network.parameters()),
+        "licence": checkpoint.licence,
+        "optimiser steps": checkpoint.record.optimiser_steps,
+        "time step [s]": checkpoint.record.dt,
     }
 
 

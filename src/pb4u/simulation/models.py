@@ -139,7 +139,7 @@ def load_simulator(
     asked = 1 if passes is None and refine else passes
     on = _device(device)
     return NetworkSimulator(
-        _checkpoint(wanted),
+        load_checkpoint_of(wanted),
         propagation_steps,
         refine,
         answering,
@@ -151,7 +151,14 @@ def load_simulator(
     )
 
 
-def _checkpoint(name: str) -> Checkpoint:
+def load_checkpoint_of(name: str) -> Checkpoint:
+    """Checkpoint of a shipped network, of a checkpoint file or of a .pth of the released code.
+
+    Args:
+        name: its name or path.
+
+    Raises InputError where there is none, or its file cannot be used.
+    """
     from pb4u.simulation.checkpoint import from_pretrained
     from pb4u.simulation.released_weights import SUFFIXES, read_released
 
