@@ -41,6 +41,16 @@ def without(edges: EdgeSet, kept: Tensor) -> EdgeSet:
 
 
 def hood(net, graph: Graph) -> Tensor:
+    """With HOOD's way up: world edges that had left the graph come back as they were, the others as they became."""
+    return _hood(net, graph, all_return=False)
+
+
+def hood_all_return(net, graph: Graph) -> Tensor:
+    """With the way up that `comparison-hood` was trained with: all world edges come back as they were."""
+    return _hood(net, graph, all_return=True)
+
+
+def _hood(net, graph: Graph, all_return: bool) -> Tensor:
     nodes, edges = encoded(net, graph)
     stages = [
         (("mesh", "coarse_near"), None),
@@ -57,7 +67,14 @@ def hood(net, graph: Graph) -> Tensor:
         if number in (1, 2):
             stash.append({name: edges[name] for name, s in graph.edges.items() if s.kind == "world"})
         if number in (3, 4):
-            edges = edges | stash.pop()
+            left, coarser = stash.pop(), stages[number - 1][1]
+            for name, values in left.items():
+                ends = graph.edges[name]
+                index = (ends.receivers if ends.receiver_set == "garment" else ends.senders).index
+                stayed = torch.isin(index, graph.edges[coarser].receivers.index)
+                if not all_return:
+                    values = torch.where(stayed[:, None], edges[name], values)
+                edges = edges | {name: values}
         for name, edge_set in graph.edges.items():
             if edge_set.kind != "world":
                 continue
@@ -72,7 +89,7 @@ def hood(net, graph: Graph) -> Tensor:
             if len(values) == len(edges[name]):
                 edges = edges | {name: values}
             else:
-                # Fewer, on a coarse level: thrown away on the way up, and on the way down only the others stay put.
+                # Fewer, on a coarse level: the others stay put.
                 whole = edges[name].clone()
                 ends = graph.edges[name]
                 index = (ends.receivers if ends.receiver_set == "garment" else ends.senders).index
@@ -103,4 +120,10 @@ def eslr(net, graph: Graph) -> Tensor:
     return perceptron(net.decoder, nodes["garment"])
 
 
-READABLE = {"mgn": blocks_in_a_row, "contourcraft": blocks_in_a_row, "hood": hood, "hood_metric": hood, "eslr": eslr}
+READABLE = {
+    "mgn": blocks_in_a_row,
+    "contourcraft": blocks_in_a_row,
+    "hood": hood,
+    "hood_metric": hood_all_return,
+    "eslr": eslr,
+}

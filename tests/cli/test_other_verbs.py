@@ -239,6 +239,25 @@ def test_check_of_a_built_in_garment_finds_nothing_refusable(pb4u: Callable) -> 
     assert pb4u("check").code == 1
 
 
+def test_check_of_an_outfit_says_what_crosses_as_made_and_as_worn(pb4u: Callable, tmp_path: Path) -> None:
+    outfit = ("--garment", "tanktop", "--garment", "cardigan", "--triangles", 500)
+    ended = pb4u("check", *outfit, "--json", tmp_path / "r.json")
+    assert ended.code == 0, ended.err
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert [each["name"] for each in report["garments"]] == ["tanktop", "cardigan"]
+    (tangle,) = report["crossings"]["as_made"]
+    assert tangle["garments"] == ["tanktop", "cardigan"]
+    assert tangle["pairs"] > 50
+    assert 0.8 < tangle["place"][1] < 1.6
+    assert report["crossings"]["as_worn"] == []
+    assert "they cross nowhere" in ended.out
+
+    ended = pb4u("check", "--garment", "dress", "--garment", "trousers", "--triangles", 500, "--json", "-")
+    assert ended.code == 1
+    assert json.loads(ended.out)["crossings"]["as_worn"][0]["garments"] == ["dress", "trousers"]
+    assert "dress with trousers would be refused" in ended.err
+
+
 def test_info_lists_extras(pb4u: Callable) -> None:
     found = json.loads(pb4u("info", "--json", "-").out)
     assert {"pb4u", "device", "threads", "extras"} <= set(found)

@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
+
+from pb4u.body.smpl import read_contact
+from pb4u.body.vertex_sequence import load_vertex_sequence
+from pb4u.errors import InputError
+from pb4u.export.result_pickle import read_result
+from pb4u.garment.dictionary_entry import DictionaryEntry
+from pb4u.garment.garment_dictionary import read_dictionary_garment
+from pb4u.garment.material import MATERIALS
+from pb4u.motion.as_recorded import read_smpl_sequence
+from pb4u.simulation.released_weights import read_released
 
 RUNS = [
     ("pb4u", "garments_dict.pkl:dress", "release"),
     ("pb4u", "garments_dict_skirt.pkl:skirt", "release"),
+    ("hood", "garments_dict.pkl:dress@73", "hood"),
+    ("hood", "garments_dict_skirt.pkl:skirt@388", "hood"),
+    ("hood_cvpr", "garments_dict.pkl:dress@125", "mgn"),
+    ("hood_cvpr", "garments_dict_skirt.pkl:skirt@122", "mgn"),
     ("fine15", "garments_dict.pkl:dress", "mgn"),
     ("fine15", "garments_dict_skirt.pkl:skirt", "mgn"),
 ]
@@ -22,7 +39,8 @@ def arguments(compat: Path, garment: str) -> list[object]:
     return [
         "simulate", "--garment", f"{files}/{garment}", "--body", files / "SMPL_FEMALE.pkl",
         "--omitted", files / "smpl_aux.pkl", "--motion", files / "recording.pkl", "--as-recorded", "--arms-away", 20,
-        "--lead-in", 0, "--refine", 0, "--contact", "off",
+        "--lead-in", 0, "--refine", 0, "--contact", "off", "--self-contact", "off",
+        "--precision", "float32",
     ]  # fmt: skip
 
 
@@ -42,3 +60,73 @@ def test_the_released_rollout_is_met(
     for step in range(4):
         expected = golden[f"case0/step{step}/pred_pos"]
         assert np.abs(positions[step + 2] - expected).max() < 3e-6, step
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "garment": lambda path: read_dictionary_garment(DictionaryEntry(path, None, None), MATERIALS["default"]),
+    "recording": read_smpl_sequence,
+    "result": read_result,
+    "mesh sequence": load_vertex_sequence,
+    "omitted vertices": lambda path: read_contact(path, 10),
+}
+
+
+class Calls:
+    """Pickles into a call of `function` with `arguments`."""
+
+    def __init__(self, function: Any, *arguments: Any) -> None:
+        self.function, self.arguments = function, arguments
+
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        return self.function, self.arguments
+
+
+@pytest.mark.parametrize("kind", [*READERS, "checkpoint"])
+def test_no_file_is_read_by_running_it(tmp_path: Path, kind: str) -> None:
+    proof = tmp_path / "proof"
+    attacks = {
+        "system": Calls(os.system, f"touch {proof}"),
+        "eval": Calls(eval, f"open({str(proof)!r}, 'w').close()"),
+        "save": Calls(np.save, str(proof), np.zeros(1)),
+        "import": Calls(__import__, "os"),
+    }
+    for attack in attacks.values():
+        for content in (attack, {"faces": attack, "verts": attack, "pred": attack, "training_module": attack}):
+            path = tmp_path / ("odd.pth" if kind == "checkpoint" else "odd.pkl")
+            if kind == "checkpoint":
+                torch.save(content, path)
+            else:
+                path.write_bytes(pickle.dumps(content))
+            with pytest.raises(InputError, match="nothing in it was run"):
+                (read_released if kind == "checkpoint" else READERS[kind])(path)
+            assert not list(tmp_path.glob("proof*"))
+
+
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [
+        (["--garment", "{files}/garments_dict.pkl"], "several garments"),
+        (["--garment", "{files}/garments_dict.pkl:coat"], "There are: cape, dress"),
+        (["--garment", "{files}/absent.pkl:coat"], "no garment file"),
+        (["--garment", "{files}/garments_dict.pkl:dress@5"], "no coarse levels around 5"),
+        (["--motion", "{files}/garments_dict.pkl"], "has no body_pose"),
+        (["--body", "woman"], "SMPL body"),
+        (["--omitted", "{files}/recording.pkl"], "vertex_type"),
+        (["--model", "{files}/recording.pkl"], "no whole safetensors file"),
+        (["--fps", "60"], "30 frames per second"),
+        (["--crop", "5:90"], "not inside the recording"),
+    ],
+)
+def test_a_run_that_cannot_be_is_refused_in_a_sentence(
+    compat: Path, pb4u: Callable[..., Any], tmp_path: Path, flags: list[str], told: str
+) -> None:
+    given = [flag.format(files=compat / "files") for flag in flags]
+    told_twice = [*arguments(compat, "garments_dict.pkl:dress"), "--model", "solver", "--out", tmp_path / "run.npz"]
+    if given[0] in told_twice:
+        told_twice[told_twice.index(given[0]) + 1] = given[1]
+    else:
+        told_twice += given
+    ended = pb4u(*told_twice)
+    assert ended.code == 1
+    assert told in ended.err
+    assert list(tmp_path.iterdir()) == []

@@ -15,6 +15,7 @@ from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
 from pb4u.geometry.obj_file import read_obj
+from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.scene.trajectory import Trajectory
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -29,6 +30,7 @@ def example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 
     def run(name: str, *arguments: object) -> str:
         monkeypatch.chdir(tmp_path)
+        monkeypatch.syspath_prepend(str(EXAMPLES))
         monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
         runpy.run_path(str(EXAMPLES / name), run_name="__main__")
         return capsys.readouterr().out
@@ -121,3 +123,62 @@ def test_scene_file(example: Run, tmp_path: Path) -> None:
     assert [material["density"] for material in written] == pytest.approx([0.06, 0.28])
     assert 'material = "wool"' in (tmp_path / "scene_wool.toml").read_text()
     assert "pb4u simulate scene_wool.toml" in said
+
+
+@pytest.mark.filterwarnings("ignore::pb4u.errors.InputWarning")
+def test_wear_an_outfit(example: Run, tmp_path: Path) -> None:
+    said = example("12_wear_an_outfit.py", "--model", "skinning", *TINY)
+    assert "as_it_comes: trousers under tanktop under cardigan" in said
+    assert "tucked_in: tanktop under trousers under cardigan" in said
+    assert Trajectory.open(tmp_path / "outfit_tucked_in.npz").metadata["garment"] == "tanktop+trousers+cardigan"
+
+
+def require_uncrossed(said: str, file: Path) -> Trajectory:
+    """The trajectory of a standard scene, which crosses nowhere as it is written and left few steps unsolved."""
+    trajectory = Trajectory.open(file)
+    assert "pairs of triangles that cross: 0 in all frames" in said
+    for frame in trajectory.positions:
+        assert not len(self_crossings(frame, trajectory.faces, sharing=True))
+    unsolved = int(said.split(" steps unsolved")[0].rsplit(maxsplit=1)[-1])
+    assert unsolved <= 0.05 * trajectory.frame_count
+    return trajectory
+
+
+def test_cloth_in_folds(example: Run, tmp_path: Path) -> None:
+    assert (EXAMPLES / "cloth_scenes.py").is_file()
+    small = ("--triangles", 260, "--layers", 4, "--frames", 12)
+    trajectory = require_uncrossed(example("08_cloth_in_folds.py", *small), tmp_path / "folds.npz")
+    assert trajectory.positions[-1, :, 1].min() < 0.4
+    example("08_cloth_in_folds.py", *small, "--self-contact", "off", "--out", "through")
+    free = Trajectory.open(tmp_path / "through.npz")
+    assert len(self_crossings(free.positions[-1], free.faces)) > 100
+
+
+def test_twisted_sheet(example: Run, tmp_path: Path) -> None:
+    small = ("--triangles", 200, "--frames", 40)
+    trajectory = require_uncrossed(example("09_twisted_sheet.py", *small), tmp_path / "twisted.npz")
+    # Wrung to a rope: its middle is a small part as wide as the sheet was.
+    middle = np.abs(trajectory.header.rest_positions[:, 0] - 0.5) < 0.05
+    width = trajectory.positions[:, middle].std(axis=1)[:, 1:].max(axis=1)
+    assert width[-1] < 0.4 * width[0]
+
+
+def test_stack_of_sheets(example: Run, tmp_path: Path) -> None:
+    small = ("--triangles", 72, "--frames", 30)
+    trajectory = require_uncrossed(example("10_stack_of_sheets.py", *small), tmp_path / "stack.npz")
+    assert len(np.unique(trajectory.header.vertex_garment)) == 5
+    speeds = np.linalg.norm(trajectory.velocities, axis=2).mean(axis=1)
+    assert speeds.max() > 0.3, "they fell"
+    assert speeds[-1] < 0.01, "and lie still"
+    # In the order in which they were stacked.
+    tops = [trajectory.positions[-1, trajectory.header.vertex_garment == k, 1].max() for k in range(5)]
+    assert (np.diff(tops) > 0).all()
+
+
+def test_through_a_ring(example: Run, tmp_path: Path) -> None:
+    small = ("--triangles", 200, "--frames", 30, "--hole", 0.08)
+    trajectory = require_uncrossed(example("11_through_a_ring.py", *small), tmp_path / "ring.npz")
+    pinned = trajectory.header.pinned
+    assert trajectory.positions[-1, pinned, 1].max() < 0.6
+    below = trajectory.positions[-1, :, 1] < 0.66
+    assert pinned.sum() < below.sum()

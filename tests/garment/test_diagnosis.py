@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cloth_shapes import quad_tube, triangle_tube, tube_garment
+from cloth_shapes import quad_tube, triangle_tube, tube_garment, with_open_seam
 
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputWarning
@@ -175,3 +175,39 @@ def test_a_garment_inside_out_is_told(woman):
     mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
     turned = replace(mesh, polygons=tuple(p[::-1] for p in mesh.polygons))
     assert diagnose(turned, woman).codes == ("inside-out", "unsupported")
+
+
+def dented(depth: float) -> PolygonMesh:
+    """A tube with its front drawn through its back by some of its width."""
+    mesh = triangle_tube(low=0.6, high=1.0, radius=0.3)
+    vertices = mesh.vertices.copy()
+    front = np.exp(-((vertices[:, 0] / 0.1) ** 2) - ((vertices[:, 1] - 0.8) / 0.08) ** 2) * (vertices[:, 2] > 0)
+    vertices[:, 2] -= depth * front
+    return PolygonMesh(vertices, mesh.polygons)
+
+
+def test_a_garment_that_crosses_itself_is_told_where_and_untangled_by_simulation():
+    diagnosis = diagnose(dented(0.62))
+    told = finding(diagnosis, "self-crossing")
+    assert told.severity is Severity.WARNING
+    assert told.sentence.startswith("The garment crosses itself in ")
+    assert "pairs of triangles around (" in told.sentence
+    assert "simulation untangles its start, by at most" in told.fix
+    assert diagnosis.measures["self_intersections"] > 10
+    centres = dented(0.62).vertices[np.stack(dented(0.62).polygons)[list(told.where)]].mean(axis=1)
+    assert np.abs(centres[:, 1] - 0.8).max() < 0.1
+    assert "self-crossing" not in diagnose(dented(0.5)).codes
+    assert diagnose(dented(0.5)).measures["self_intersections"] == 0.0
+
+
+def test_a_garment_that_cannot_be_untangled_is_refused():
+    mesh = triangle_tube(low=0.6, high=1.0, radius=0.22)
+    vertices = mesh.vertices.copy()
+    vertices[:, 0] *= np.where(vertices[:, 1] > 0.8, -1.0, 1.0)
+    told = finding(diagnose(PolygonMesh(vertices, mesh.polygons)), "self-crossing")
+    assert told.severity is Severity.REFUSED
+    assert "`--self-contact off`" in told.fix
+
+
+def test_an_open_seam_crosses_nothing():
+    assert "self-crossing" not in diagnose(with_open_seam(triangle_tube(low=0.6, high=1.0, radius=0.22))).codes

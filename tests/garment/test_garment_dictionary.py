@@ -18,7 +18,10 @@ from pb4u.errors import InputError
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.material import MATERIALS
+from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.restricted_pickle import load_pickle
+from pb4u.scene.assembly import assemble
+from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 
 
 def garment_fields(rows: int = 5, columns: int = 4, bones: int = 24) -> dict[str, Any]:
@@ -165,3 +168,46 @@ def _leaves(prefix: str, value: Any) -> Iterator[tuple[str, Any]]:
             yield from _leaves(f"{prefix}/{key}", item)
     else:
         yield prefix, value
+
+
+def test_skinning_is_carried_over_to_other_vertices(tmp_path: Path) -> None:
+    own = read(written(tmp_path / "mine.pkl", garment_fields())).skinning
+    faces = garment_fields()["faces"]
+    # At a corner it is that vertex's, half way between two the mean of both.
+    moved = own.at(faces[:2], np.array([[0.0, 1.0, 0.0], [0.5, 0.5, 0.0]]))
+    a, b = faces[1][:2]
+    np.testing.assert_allclose(moved.vertices[0], own.vertices[faces[0][1]])
+    np.testing.assert_allclose(moved.pose_directions[1], 0.5 * (own.pose_directions[a] + own.pose_directions[b]))
+    dense = np.zeros((2, 24))
+    for row, bones, weights in zip(dense, moved.weights.bones, moved.weights.weights, strict=True):
+        row[bones] = weights
+    lbs = garment_fields()["lbs"]["lbs_weights"]
+    np.testing.assert_allclose(dense[1], 0.5 * (lbs[a] + lbs[b]), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("garment", "pinned"), [("garments_dict.pkl:dress", False), ("garments_dict_skirt.pkl:skirt", True)]
+)
+def test_a_garment_of_a_dictionary_is_worn_at_any_triangle_count(compat: Path, garment: str, pinned: bool) -> None:
+    files = compat / "files"
+
+    def scene(triangles: int | None) -> Any:
+        worn = GarmentSpecification(f"{files}/{garment}", triangles=triangles)
+        return assemble(
+            SceneSpecification(
+                (worn,), body=files / "SMPL_FEMALE.pkl", motion=files / "recording.pkl", as_recorded=True, lead_in=0
+            )
+        ).garments[0]
+
+    given, finer = scene(None), scene(4000)
+    assert finer.garment.triangle_count == pytest.approx(4000, rel=0.1)
+    assert finer.garment.mean_edge_length < given.garment.mean_edge_length
+    assert finer.garment.coarse_edges == ()
+    assert bool(finer.garment.pinned.any()) == pinned
+    # In every frame the finer one lies on the given one, as far as its rounder shape allows.
+    for frame in (0, 7):
+        coarse, fine = (worn.placement.positions(frame, frame + 1)[0].numpy() for worn in (given, finer))
+        surface = TriangleSurface(given.garment.faces, len(coarse)).at(coarse)
+        away = np.linalg.norm(surface.nearest(fine).positions.numpy() - fine, axis=1)
+        assert np.median(away) < 1e-3
+        assert away.max() < 1e-2

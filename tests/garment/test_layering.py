@@ -12,7 +12,7 @@ from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
-from pb4u.garment.layering import LAYER_GAP, layered
+from pb4u.garment.layering import LAYER_GAP, layered, worn_order
 from pb4u.garment.library import build_garment
 from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.nearest_surface import TriangleSurface
@@ -79,6 +79,17 @@ def test_the_order_decides_who_is_over_whom(radii: tuple[float, ...]) -> None:
         assert np.ptp(place[:, 1] - garment.vertices[:, 1]) < 0.02
 
 
+def test_what_is_tucked_in_goes_beneath_what_is_worn_from_the_waist() -> None:
+    shirt = replace(tube_garment(low=0.8, high=1.4), name="shirt")
+    trousers, coat = (replace(tube_garment(low=low, high=high), name="x") for low, high in ((0.1, 1.0), (0.6, 1.42)))
+    assert worn_order([trousers, shirt, coat], [False, False, False]) == [0, 1, 2]
+    assert worn_order([trousers, shirt, coat], [False, True, False]) == [1, 0, 2]
+    assert worn_order([coat, trousers, shirt], [False, False, True]) == [0, 2, 1]
+    assert worn_order([shirt, trousers, coat], [True, False, False]) == [0, 1, 2]
+    with pytest.raises(InputError, match="shirt cannot be tucked in: no other garment has its upper edge at its waist"):
+        worn_order([shirt, coat], [True, False])
+
+
 def test_one_garment_is_where_it_was_made() -> None:
     (garment,) = tubes((0.25,))
     assert layered([garment], RestBody.of(load_body("woman")))[0] is garment.vertices
@@ -111,6 +122,14 @@ def test_a_start_crosses_nowhere_or_is_refused(seed: int) -> None:
     assert not len(self_crossings(start.astype(np.float32), faces, sharing=True))
     pinned = np.flatnonzero(garments[0].pinned)
     np.testing.assert_array_equal(start[pinned], positions[pinned].astype(np.float32))
+
+
+def test_two_garments_of_one_name_are_told_apart() -> None:
+    garments = [replace(tube, name="x") for tube in tubes((0.25, 0.25))]
+    garments = [garment.with_pins(np.ones(len(garment.vertices), dtype=bool)) for garment in garments]
+    garments[1] = replace(garments[1], vertices=garments[1].vertices + [0.1, 0.0, 0.0])
+    with pytest.raises(InputError, match=r"x and x \(2\) cross in \d+ pairs .* wear them in another order"):
+        untangled_start(garments, np.concatenate([garment.vertices for garment in garments]))
 
 
 def test_a_garment_that_crosses_itself_by_its_pins_is_refused() -> None:

@@ -11,7 +11,10 @@ from torch import Tensor
 
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
+from pb4u.graph.builder import FoundEdges
 from pb4u.graph.graph import BODY, GARMENT, Graph
+from pb4u.graph.incidence import incidence
+from pb4u.graph.pins import SeenGarments
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import ColliderFrame, PackedColliders, pack, pack_colliders
 from pb4u.scene.state import State
@@ -90,6 +93,28 @@ class GoldenScene:
         poses = (self.colliders.pose(at[name]) for name in ("body_prev_pos", "body_pos", "body_target_pos"))
         state = State(at["pos"], velocity / dt, number)
         return TimeStep(garments, state, ColliderFrame(*poses), dt, torch.zeros(3, dtype=dtype), at["target_pos"])
+
+
+class GoldenEdges:
+    """Finds the edges of self-contact that the released ContourCraft found.
+
+    Args:
+        scene: the golden one.
+        step: number of the step.
+    """
+
+    def __init__(self, scene: GoldenScene, step: int) -> None:
+        self.scene, self.step = scene, step
+
+    def found(self, seen: SeenGarments) -> dict[str, FoundEdges]:
+        count, edges = len(seen.positions), {}
+        for kind in ("repulsion", "attraction"):
+            sender, receiver = self.scene.value(self.step, f"{kind}_edge_index").astype(np.int64)
+            order = np.argsort(receiver, kind="stable")
+            ends = (incidence(torch.from_numpy(index[order]), count) for index in (sender, receiver))
+            future = torch.from_numpy(self.scene.value(self.step, f"{kind}_label")[order])
+            edges[kind] = FoundEdges(*ends, future.to(seen.positions)[:, None])
+        return edges
 
 
 def predicted(checkpoint: Checkpoint, step: TimeStep) -> tuple[Graph, Tensor, State]:

@@ -56,6 +56,23 @@ def test_k_follows_the_resolution_and_can_be_overridden(weights: Path) -> None:
     assert NetworkSimulator(checkpoint, propagation_steps=7).simulate(coarse).metadata["propagation_steps"] == 7
 
 
+def test_the_precision_of_products_is_chosen_told_and_close(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = ball_scene(frames=3)
+    found = {}
+    for name in ("float32", "bfloat16"):
+        simulator = load_simulator(weights, refine=0, precision=name)
+        found[name] = simulator.simulate(scene)
+        assert found[name].metadata["precision"] == name
+    exact, rounded = (trajectory.positions.astype(float) for trajectory in found.values())
+    # As a share of how far the cloth moved.
+    assert 0 < np.abs(exact - rounded).max() < 0.02 * np.abs(exact[-1] - exact[0]).max()
+    for has_units, expected in ((True, "bfloat16"), (False, "float32")):
+        monkeypatch.setattr("pb4u.simulation.models.has_bfloat16_units", lambda _, found=has_units: found)
+        assert load_simulator(weights).settings()["precision"] == expected
+    with pytest.raises(InputError, match="no precision 'half'"):
+        load_simulator(weights, precision="half")
+
+
 @pytest.mark.parametrize("steps", [0, 10_000])
 def test_impossible_k_is_refused(weights: Path, steps: int) -> None:
     simulator = load_simulator(weights, propagation_steps=steps)

@@ -26,6 +26,7 @@ garments = st.builds(
     material=st.none() | st.sampled_from(["silk", "denim"]),
     pins=st.none() | st.just("waist") | st.lists(st.integers(0, 10_000), max_size=4),
     triangles=st.none() | st.integers(200, 200_000),
+    tucked=st.booleans(),
 )
 scenes = st.builds(
     SceneSpecification,
@@ -52,6 +53,7 @@ runs = st.builds(
     propagation_steps=st.none() | st.integers(1, 99),
     device=st.sampled_from(["auto", "cpu", "cuda"]),
     first_frame=st.sampled_from(["auto", "settled", "long_step"]),
+    precision=st.sampled_from(["auto", "float32", "bfloat16"]),
 )
 
 
@@ -114,6 +116,7 @@ def test_a_few_lines_by_hand_are_enough(tmp_path: Path) -> None:
         ("[run]\npasses = 0", "at least 1 pass a step, not 0"),
         ("[run]\ndevice = 'gpu'", "no device 'gpu'"),
         ("[run]\nfirst_frame = 'setled'", "did you mean settled"),
+        ("[run]\nprecision = 'float16'", "no precision 'float16'"),
         ("[run]\nmodel = 3", "model must be a name"),
         ("[scene]\nframes = 3\nframes = 4", "no scene file, which is TOML"),
         ("\x00", "no scene file, which is TOML"),

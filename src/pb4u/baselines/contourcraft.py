@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from torch import Tensor, nn
 
 from pb4u.baselines.coarsening import REMEMBERED, coarse_levels
-from pb4u.baselines.rest_meshes import MeshMemory, packed_levels, require_scipy
+from pb4u.baselines.directed_self_contact import DirectedSelfEdges
+from pb4u.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require_scipy
 from pb4u.baselines.self_contact import (
     ATTRACTION,
     REPULSION,
@@ -20,11 +21,11 @@ from pb4u.baselines.self_contact import (
     PackProximity,
     Repulsion,
     SelfContactLoss,
-    SelfProximityEdges,
+    SymmetricSelfEdges,
 )
 from pb4u.errors import InputError
 from pb4u.graph.builder import NoFoundEdges
-from pb4u.graph.features import FOUND_EDGE_FEATURES, FeatureLayout
+from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import Graph
 from pb4u.nn.acceleration_model import Derived, NetworkConfiguration
 from pb4u.nn.encode_process_decode import LEVEL, EncodeProcessDecode
@@ -44,7 +45,16 @@ CONTOURCRAFT_LAYOUT = FeatureLayout(
         "relative_speed",
         "dt",
     ),
-    found_edge=tuple(FOUND_EDGE_FEATURES),
+    found_edge=(
+        "relative_position",
+        "length",
+        "previous_relative_position",
+        "previous_length",
+        "relative_velocity",
+        "relative_speed",
+        "dt",
+        "material",
+    ),
 )
 
 
@@ -57,6 +67,7 @@ class ContourCraftConfiguration(NetworkConfiguration):
         level: coarse level used besides the mesh; its edges span 2^(level + 1) mesh edges.
         radius: distance [m] within which cloth is joined to itself by edges; 0 for no such edges.
         losses: losses minimised besides the incremental potential.
+        self_edges: rule for the edges between cloth that comes near itself.
         layout: the columns read.
 
     Raises:
@@ -67,6 +78,7 @@ class ContourCraftConfiguration(NetworkConfiguration):
     level: int = 3
     radius: float = 0.03
     losses: tuple[Repulsion | ContourLength, ...] = (Repulsion(), ContourLength())
+    self_edges: SymmetricSelfEdges | DirectedSelfEdges = field(default_factory=SymmetricSelfEdges)
     layout: FeatureLayout = field(default_factory=lambda: CONTOURCRAFT_LAYOUT)
 
     def __post_init__(self) -> None:
@@ -110,11 +122,12 @@ class ContourCraft(EncodeProcessDecode):
 
     def derive(self, garments: PackedGarments) -> Derived:
         c, pack = self.configuration, PackProximity(garments)
-        levels = [self._levels.of(garments, garment, c.level + 1) for garment in range(garments.garment_count)]
+        count = garments.garment_count
+        levels = [levels_of(garments, garment, c.level + 1, self._levels) for garment in range(count)]
         edges, labels = packed_levels(garments, levels, (COARSE,))
         return Derived(
             edges=edges,
-            finder=SelfProximityEdges(pack, c.radius) if c.radius > 0 else NoFoundEdges(),
+            finder=c.self_edges.finder(pack, c.radius) if c.radius > 0 else NoFoundEdges(),
             rest={LEVEL: labels},
             losses=tuple(SelfContactLoss(loss, pack) for loss in c.losses),
         )

@@ -13,6 +13,8 @@ from torch import Tensor
 
 from pb4u.geometry.proximity.intersection_contours import ContourFinder
 from pb4u.geometry.proximity.self_proximity import SelfProximity
+from pb4u.graph.builder import FoundEdges
+from pb4u.graph.pins import SeenGarments
 from pb4u.scene.packed import PackedGarments
 
 REPULSION, ATTRACTION = "repulsion", "attraction"
@@ -52,8 +54,13 @@ class SelfProximityEdges:
     def __init__(self, pack: PackProximity, radius: float) -> None:
         self._pack, self._radius = pack, radius
 
+    def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
+        """Repulsion and attraction edges, each pair in both directions."""
+        pairs = self.find(seen.positions)
+        return {kind: FoundEdges.both_ways(edges, len(seen.positions)) for kind, edges in pairs.items()}
+
     def find(self, positions: Tensor) -> Mapping[str, Tensor]:
-        """Repulsion and attraction edges (edges, 2) int64 vertex indices of the pack, each pair once a kind.
+        """Undirected repulsion and attraction edges (edges, 2) int64 vertex indices of the pack, each pair once a kind.
 
         Args:
             positions: (vertices, 3) [m].
@@ -73,6 +80,20 @@ class SelfProximityEdges:
             kind: torch.from_numpy(np.concatenate(parts).reshape(-1, 2)).to(positions.device)
             for kind, parts in edges.items()
         }
+
+
+@dataclass(frozen=True)
+class SymmetricSelfEdges:
+    """Rule for edges of self-contact: each pair in both directions, once a kind."""
+
+    def finder(self, pack: PackProximity, radius: float) -> SelfProximityEdges:
+        """Finder of the edges of a pack.
+
+        Args:
+            pack: the garments.
+            radius: largest height over a face [m].
+        """
+        return SelfProximityEdges(pack, radius)
 
 
 @dataclass(frozen=True)

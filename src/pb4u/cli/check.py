@@ -28,7 +28,13 @@ def check(
             metavar="GARMENT", help="Built-in garment or mesh file; the same as --garment.", show_default=False
         ),
     ] = None,
-    garment: Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Built-in garment or mesh file.")] = None,
+    garment: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Built-in garment or mesh file. Repeatable, inner first: then also where they cross each other.",
+        ),
+    ] = None,
     body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = "woman",
     body_shape: ShapeFlag = None,
     motion: Annotated[
@@ -56,18 +62,23 @@ def check(
     from pb4u.body.library import load_body
     from pb4u.garment.library import garment_names
 
-    if file is not None and garment is not None:
-        raise InputError(f"One garment is checked at a time; give {file} or --garment {garment}, not both.")
-    given = garment or file
+    if file is not None and garment:
+        raise InputError(f"Give {file} or --garment {garment[0]}, not both; of several garments each as --garment.")
+    names = garment or ([] if file is None else [file])
+    given = names[0] if names else None
+    if len(names) > 1 and fix is not None:
+        raise InputError("--fix mends one garment at a time; give that one.")
+    if repeated := next((name for k, name in enumerate(names) if name in names[:k]), None):
+        raise InputError(f"The garment {repeated} is worn twice, and both would lie in the same place.")
     if given is None and motion is None:
         raise InputError("Nothing to check: give a garment file or name, or --motion.")
     if crop is not None and motion is None:
         raise InputError("--crop cuts the recording of --motion; give that as well.")
     check_json_target(json)
-    keep_inputs([given, body, motion], [("--fix", fix), ("--json", json)])
+    keep_inputs([*names, body, motion], [("--fix", fix), ("--json", json)])
     if fix is not None:
         _check_fix(fix, given)
-    if triangles is not None and given not in garment_names():
+    if triangles is not None and not set(names) <= set(garment_names()):
         warnings.warn(
             "--triangles is for a built-in garment and is not used here; what a file holds is checked as it is, and "
             "`pb4u simulate --triangles` remeshes it.",
@@ -77,7 +88,10 @@ def check(
     figure = load_body(body, BodyShape.of(body_shape))
     report: dict[str, Any] = {}
     refused = False
-    if given is not None:
+    if len(names) > 1:
+        report |= _check_outfit(names, figure, triangles)
+        refused = any(each["refused"] for each in report["garments"]) or bool(report["crossings"]["as_worn"])
+    elif given is not None:
         report["garment"] = _check_garment(given, figure, triangles, fix)
         refused = (report["garment"] if fix is None else report["garment"]["remaining"])["refused"]
     if motion is not None:
@@ -89,7 +103,34 @@ def check(
     if refused and fix is not None:
         raise Pb4uError(f"{fix} was not written: it would still be refused; mend what stays in its program first.")
     if refused:
-        raise Pb4uError(f"{given} would be refused; the findings above say how to mend it.")
+        raise Pb4uError(f"{' with '.join(names)} would be refused; the findings above say how to mend it.")
+
+
+def _check_outfit(names: list[str], figure: Any, triangles: int | None) -> dict[str, Any]:
+    """What was found of each garment, and where they cross: as each was made, and as they are worn over each other."""
+    from pb4u.garment.fit import RestBody
+    from pb4u.garment.garment_file import read_garment
+    from pb4u.garment.library import build_garment, garment_names
+    from pb4u.garment.material import MATERIALS
+    from pb4u.garment.tangles import OutfitCrossings
+
+    found = [_check_garment(name, figure, triangles, None) for name in names]
+    if any(each["refused"] for each in found):
+        # What is in other units or far away crosses nothing yet.
+        return {"garments": found, "crossings": {"as_made": [], "as_worn": []}}
+    given = {} if triangles is None else {"triangles": triangles}
+    garments = [
+        build_garment(name, figure, **given)
+        if name in garment_names()
+        else read_garment(Path(name), MATERIALS["default"])
+        for name in names
+    ]
+    crossings = OutfitCrossings.of(garments, RestBody.of(figure))
+    told = {
+        when: [tangle.to_json() | {"sentence": str(tangle)} for tangle in getattr(crossings, when)]
+        for when in ("as_made", "as_worn")
+    }
+    return {"garments": found, "crossings": told}
 
 
 def _check_fix(fix: Path, given: str | None) -> None:
@@ -149,8 +190,7 @@ def _print(report: dict[str, Any], fix: Path | None) -> None:
     from rich.console import Console
 
     console = Console(highlight=False, soft_wrap=True)
-    if "garment" in report:
-        garment = report["garment"]
+    for garment in report.get("garments", [report["garment"]] if "garment" in report else []):
         if not garment["findings"]:
             console.print(f"{garment['name']}: nothing to mend.", markup=False)
         for finding in garment["findings"]:
@@ -162,6 +202,14 @@ def _print(report: dict[str, Any], fix: Path | None) -> None:
                 console.print(f"stays: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
         if fix is not None and not garment["remaining"]["refused"]:
             console.print(f"written: {fix}", markup=False)
+    if "crossings" in report:
+        made, worn = report["crossings"]["as_made"], report["crossings"]["as_worn"]
+        for tangle in made:
+            console.print(f"as made: {tangle['sentence']}.", markup=False)
+        for tangle in worn:
+            console.print(f"refused: {tangle['sentence']} still. Fix: wear them in another order.", markup=False)
+        if not worn:
+            console.print("laid over each other in this order, they cross nowhere.", markup=False)
     if "motion" in report:
         motion = report["motion"]
         length = "without end" if motion["seconds"] is None else f"{motion['seconds']:.2f} s"

@@ -25,7 +25,7 @@ from pb4u.cli.console import (
 )
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError, unknown_name
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
-from pb4u.simulation.run_specification import Device, FirstFrameChoice, RunSpecification
+from pb4u.simulation.run_specification import Device, FirstFrameChoice, Precision, RunSpecification
 
 if TYPE_CHECKING:
     from pb4u.scene.scene import Scene
@@ -81,6 +81,14 @@ def simulate(
             help="Built-in garment, a mesh file in metres that fits the body at rest, or FILE.pkl:NAME of a garments "
             "dictionary of HOOD's family. Repeatable, inner first. "
             f"Default: {GarmentSpecification.garment}.",
+        ),
+    ] = None,
+    tuck: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Garment of the scene that goes into what is worn from the waist, such as trousers, wherever it "
+            "stands in the order. Repeatable.",
         ),
     ] = None,
     body: Annotated[
@@ -208,6 +216,13 @@ def simulate(
             "settled wherever the solver takes part.",
         ),
     ] = None,
+    precision: Annotated[
+        Precision | None,
+        typer.Option(
+            help="Precision of a network's matrix products. Default: auto, which is bfloat16 where the device "
+            "multiplies faster in it."
+        ),
+    ] = None,
     seed: Annotated[
         int | None, typer.Option(help=f"Seed of everything random. Default: {SceneSpecification.seed}.")
     ] = None,
@@ -239,7 +254,9 @@ def simulate(
         described,
         scene=replace(
             described.scene,
-            garments=_dressed(described.scene.garments, garment, material=material, pins=pins, triangles=triangles),
+            garments=_dressed(
+                described.scene.garments, garment, tuck, material=material, pins=pins, triangles=triangles
+            ),
             body_shape={**({} if body else described.scene.body_shape), **BodyShape.of(body_shape)},
             crop=crop or (None if motion else described.scene.crop),
             **_given(
@@ -250,7 +267,7 @@ def simulate(
         **_given(
             model=model, propagation_steps=propagation_steps, passes=passes, refine=refine,
             contact=contact and contact == "on", self_contact=self_contact and self_contact == "on", device=device,
-            first_frame=first_frame,
+            first_frame=first_frame, precision=precision,
         ),
     )  # fmt: skip
     _refuse_useless(str(run.model), propagation_steps=propagation_steps, passes=passes, refine=refine, contact=contact)
@@ -275,7 +292,10 @@ def _given(**flags: Any) -> dict[str, Any]:
 
 
 def _dressed(
-    described: Sequence[GarmentSpecification], named: list[str] | None, **flags: list[GarmentValue] | None
+    described: Sequence[GarmentSpecification],
+    named: list[str] | None,
+    tuck: list[str] | None,
+    **flags: list[GarmentValue] | None,
 ) -> tuple[GarmentSpecification, ...]:
     """The garments that the flags name, or those of the scene file, with what else the flags say of each."""
     garments = [GarmentSpecification(name) for name in named] if named else list(described)
@@ -285,7 +305,11 @@ def _dressed(
             garment if value is None else replace(garment, **{field: value})
             for garment, value in zip(garments, values, strict=True)
         ]
-    return tuple(garments)
+    known = [garment.name for garment in garments]
+    for name in tuck or []:
+        if name not in known:
+            raise unknown_name("garment in this scene", name, known)
+    return tuple(replace(garment, tucked=garment.tucked or garment.name in (tuck or [])) for garment in garments)
 
 
 def _one_each(flag: str, given: list[GarmentValue], names: list[str]) -> list[Any]:

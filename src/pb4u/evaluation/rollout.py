@@ -207,7 +207,8 @@ def run(job: RolloutJob) -> Rollout:
         scene = _scene(job.scene)
         _check_weights(job)
         # The six energies that the tables compare do not know contact between cloths.
-        simulator = load_simulator(job.model.name, self_contact=False, **asdict(job.settings))
+        settings = asdict(job.settings)
+        simulator = load_simulator(job.model.name, self_contact=False, precision="float32", **settings)
         record = RunRecord()
         frames = list(simulator.written_frames(scene, record))
         header, steps = simulator.header(scene), simulator.propagation_steps(scene)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from pb4u.errors import InputError
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
@@ -28,6 +29,8 @@ _FACETING = 6e-3
 """Height [m] of a vertex over a face of the other garment that is due to the faces being flat: less than a third of
 the edges of 2,500 triangles on a limb."""
 _SMOOTHING_PASSES, _PROJECTION_PASSES = 20, 20
+_BELOW_TOP = 0.15
+"""How far [m] under its own upper edge a garment is held that is tucked in: straps and necklines differ by less."""
 INNERMOST_MOBILITY = 0.2
 """Mobility of the innermost garment where cloth is parted; outwards it rises to 1."""
 
@@ -63,6 +66,35 @@ def layered(garments: Sequence[Garment], body: RestBody, gap: float = LAYER_GAP)
     # Distances are the start's to widen, which knows what the pins hold in place.
     parted = untangle(np.concatenate(places), faces, mobility_of(owner, len(garments)), gap=0.0)
     return tuple(np.split(parted.vertices, stops[:-1])) if parted.is_free else tuple(places)
+
+
+def worn_order(garments: Sequence[Garment], tucked: Sequence[bool]) -> list[int]:
+    """Indices of garments, inner first, once what is tucked in lies beneath what is worn from the waist.
+
+    A garment is tucked into the innermost one whose upper edge lies between its own upper and lower edges, at least
+    `_BELOW_TOP` under the upper; the order is otherwise as given.
+
+    Args:
+        garments: in the order given, each where it sits on the resting body.
+        tucked: (garments,) whether each is to be tucked in.
+
+    Raises:
+        InputError: no garment has its upper edge there.
+    """
+    heights = [(float(g.vertices[:, 1].min()), float(g.vertices[:, 1].max())) for g in garments]
+    order = list(range(len(garments)))
+    for which in (k for k, is_tucked in enumerate(tucked) if is_tucked):
+        low, high = heights[which]
+        holders = [k for k in order if k != which and low < heights[k][1] < high - _BELOW_TOP]
+        if not holders:
+            raise InputError(
+                f"{garments[which].name} cannot be tucked in: no other garment has its upper edge at its waist, as "
+                "trousers or a skirt have."
+            )
+        if order.index(holders[0]) < order.index(which):
+            order.remove(which)
+            order.insert(order.index(holders[0]), which)
+    return order
 
 
 def mobility_of(vertex_garment: np.ndarray, count: int) -> np.ndarray:

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
-from pb4u.garment.layering import mobility_of
+from pb4u.garment.layering import layered, mobility_of
+from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.geometry.proximity.surface_tree import SurfaceTree
 from pb4u.geometry.proximity.untangling import untangle
 
@@ -46,20 +48,60 @@ def tangles(
     """Crossing triangles by the garments they belong to, most first.
 
     Args:
-        names: of the garments.
+        names: of the garments; of those with one name, the second and later ones are told by number.
         vertex_garment: (vertices,) int64 garment of each vertex.
         vertices: (vertices, 3) [m].
         faces: (faces, 3) int64.
         pairs: (pairs, 2) int64 faces that cross.
     """
+    told = [name if name not in names[:k] else f"{name} ({names[:k].count(name) + 1})" for k, name in enumerate(names)]
     owners = np.sort(vertex_garment[faces[pairs, 0]], axis=1)
     centres = vertices[faces[pairs[:, 0]]].mean(axis=1)
     found = []
     for one, other in np.unique(owners, axis=0).tolist():
         there = centres[(owners == [one, other]).all(axis=1)]
         place = there[np.linalg.norm(there - np.median(there, axis=0), axis=1).argmin()]
-        found.append(Tangle((names[one], names[other]), len(there), tuple(np.round(place, 4).tolist())))
+        found.append(Tangle((told[one], told[other]), len(there), tuple(np.round(place, 4).tolist())))
     return tuple(sorted(found, key=lambda tangle: -tangle.pairs))
+
+
+@dataclass(frozen=True)
+class OutfitCrossings:
+    """What of several garments crosses, before and after they are laid over each other.
+
+    Args:
+        as_made: where each was made.
+        as_worn: what is left where they are worn.
+    """
+
+    as_made: tuple[Tangle, ...]
+    as_worn: tuple[Tangle, ...]
+
+    @staticmethod
+    def of(garments: Sequence[Garment], body: RestBody) -> OutfitCrossings:
+        """Crossings of `garments`, inner first, on the resting body.
+
+        Args:
+            garments: inner first.
+            body: who wears them.
+        """
+        return OutfitCrossings(
+            _found(garments, [garment.vertices for garment in garments]), _found(garments, layered(garments, body))
+        )
+
+
+def _found(garments: Sequence[Garment], places: Sequence[np.ndarray]) -> tuple[Tangle, ...]:
+    vertices, faces, owner = np.concatenate(places), *_joined(garments)
+    pairs = self_crossings(vertices.astype(np.float32), faces, sharing=True)
+    return tangles([garment.name for garment in garments], owner, vertices, faces, pairs)
+
+
+def _joined(garments: Sequence[Garment]) -> tuple[np.ndarray, np.ndarray]:
+    """Faces (faces, 3) of garments whose vertices come one after the other, and the garment (vertices,) of each."""
+    counts = [len(garment.vertices) for garment in garments]
+    firsts = np.cumsum([0, *counts[:-1]])
+    faces = np.concatenate([garment.faces + first for garment, first in zip(garments, firsts, strict=True)])
+    return faces, np.repeat(np.arange(len(garments)), counts)
 
 
 def untangled_start(
@@ -83,10 +125,7 @@ def untangled_start(
     Raises:
         InputError: some of it cannot be untangled.
     """
-    counts = [len(garment.vertices) for garment in garments]
-    firsts = np.cumsum([0, *counts[:-1]])
-    faces = np.concatenate([garment.faces + first for garment, first in zip(garments, firsts, strict=True)])
-    owner = np.repeat(np.arange(len(garments)), counts)
+    faces, owner = _joined(garments)
     pinned = np.concatenate([garment.pinned for garment in garments])
     mobility = np.where(pinned, 0.0, mobility_of(owner, len(garments)))
     freed = untangle(positions, faces, mobility, tree)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Protocol, TypeAlias
 
 import torch
@@ -15,9 +16,9 @@ from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.garment_graph import GarmentEdges, GarmentGraph
 from pb4u.graph.graph import BODY, GARMENT, EdgeSet, Graph, NodeSet, NodeType
-from pb4u.graph.incidence import both_directions, incidence
+from pb4u.graph.incidence import Incidence, both_directions, incidence
 from pb4u.graph.pins import PinRule, PinsAtPresent, SeenGarments
-from pb4u.graph.world_edges import WorldEdgeRule, nearest_within
+from pb4u.graph.world_edges import NearestFaceRule, WorldEdgeRule
 from pb4u.scene.packed import ColliderFrame, PackedColliders
 from pb4u.scene.state import State
 
@@ -28,21 +29,41 @@ REFERENCE_DT = 1.0 / 30.0
 Columns: TypeAlias = Mapping[str, Tensor]
 
 
+@dataclass(frozen=True, eq=False)
+class FoundEdges:
+    """Directed edges of one kind between garment vertices, in ascending order of receiver.
+
+    Args:
+        senders: vertex at the start of each edge.
+        receivers: vertex at the end of each.
+        future: (edges, 1) 1 for edges between where vertices will be, else 0 [1]; None where all are present ones.
+    """
+
+    senders: Incidence
+    receivers: Incidence
+    future: Tensor | None = None
+
+    @classmethod
+    def both_ways(cls, pairs: Tensor, vertex_count: int) -> FoundEdges:
+        """Undirected edges `pairs` (edges, 2) int64 between `vertex_count` vertices, in both directions."""
+        return cls(*both_directions(pairs, vertex_count))
+
+
 class EdgeFinder(Protocol):
     """Finds edges between garment vertices anew at every step, such as those of cloth that comes near itself."""
 
-    def find(self, positions: Tensor) -> Mapping[str, Tensor]:
-        """Undirected edges (edges, 2) int64 vertex indices within one garment, by kind; empty kinds are named as well.
+    def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
+        """Edges by kind; empty kinds are named as well.
 
         Args:
-            positions: (vertices, 3) [m].
+            seen: garments at the start of the step.
         """
 
 
 class NoFoundEdges(EdgeFinder):
     """The finder of a network whose edges are all known beforehand."""
 
-    def find(self, positions: Tensor) -> Mapping[str, Tensor]:
+    def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
         return {}
 
 
@@ -61,7 +82,7 @@ class GraphBuilder:
 
     static: GarmentGraph
     layout: FeatureLayout
-    world_edges: WorldEdgeRule
+    world_edges: WorldEdgeRule | NearestFaceRule
     finder: EdgeFinder = field(default_factory=NoFoundEdges)
     rest: Mapping[str, Tensor] = field(default_factory=dict)
     pins: PinRule = field(default_factory=PinsAtPresent)
@@ -106,8 +127,8 @@ class GraphBuilder:
         edges = {
             name: self._garment_edges(name, of, seen.edge_positions, duration) for name, of in self.static.edges.items()
         }
-        for name, pairs in self.finder.find(positions).items():
-            edges[name] = self._found_edges(name, pairs, positions, velocities, duration)
+        for name, found in self.finder.found(seen).items():
+            edges[name] = self._found_edges(name, found, positions, velocities, duration)
         if collider is not None:
             self._add_body(nodes, edges, collider, positions, velocities, origin, duration)
         return Graph(nodes, edges, self.static.vertex_offsets, self.rest)
@@ -119,7 +140,8 @@ class GraphBuilder:
         self, positions: Tensor, velocities: Tensor, targets: Tensor | None, origin: Tensor | None
     ) -> SeenGarments:
         if targets is None:
-            return PinsAtPresent().seen(positions, velocities, positions, positions)
+            nobody = torch.zeros(len(positions), 1, dtype=torch.bool, device=positions.device)
+            return PinsAtPresent().seen(positions, velocities, nobody, positions)
         pinned = (self.static.node_types == int(NodeType.PINNED))[:, None]
         return self.pins.seen(positions, velocities, pinned, self._localise(targets, origin))
 
@@ -134,6 +156,7 @@ class GraphBuilder:
             "normal": vertex_normals(positions, static.faces),
             "areal_density": static.areal_density,
             "vertex_mass": static.vertex_mass,
+            "mass": static.mass,
             "material": static.node_material,
         }
         chosen = [columns[name] for name in self.layout.node]
@@ -165,9 +188,9 @@ class GraphBuilder:
         return EdgeSet(kind, GARMENT, GARMENT, edges.senders, edges.receivers, features)
 
     def _found_edges(
-        self, kind: str, pairs: Tensor, positions: Tensor, velocities: Tensor, duration: Columns
+        self, kind: str, found: FoundEdges, positions: Tensor, velocities: Tensor, duration: Columns
     ) -> EdgeSet:
-        senders, receivers = both_directions(pairs, len(positions))
+        senders, receivers = found.senders, found.receivers
         sender, receiver, material = senders.index, receivers.index, self.static.node_material
         vector = positions.index_select(0, sender) - positions.index_select(0, receiver)
         velocity = velocities.index_select(0, sender) - velocities.index_select(0, receiver)
@@ -179,6 +202,7 @@ class GraphBuilder:
             "previous_length": (vector - velocity).norm(dim=1, keepdim=True),
             "relative_velocity": velocity,
             "relative_speed": velocity.norm(dim=1, keepdim=True),
+            "future_pinned": vector.new_zeros(len(vector), 1) if found.future is None else found.future,
             "material": 0.5 * (material.index_select(0, sender) + material.index_select(0, receiver)),
         }
         features = torch.cat([columns[name] for name in self.layout.found_edge], dim=1)
@@ -229,6 +253,7 @@ class GraphBuilder:
             "normal": normal,
             "areal_density": absent.expand(count, 1),
             "vertex_mass": absent.expand(count, 1),
+            "mass": absent.expand(count, 1),
             "material": absent.expand(count, 3),
         }
         chosen = [columns[name] for name in self.layout.node]
@@ -240,12 +265,10 @@ class GraphBuilder:
         """Garment vertex and body vertex, (pairs,) int64 each, of all pairs that the rule joins, world by world."""
         garment, near = [], []
         offsets = self.static.world_offsets
-        for start, stop, searched in zip(offsets, offsets[1:], self.world_edges.searched(colliders), strict=False):
-            index, within = nearest_within(positions[start:stop], body[searched], self.world_edges)
-            rows = torch.arange(start, stop, device=index.device).repeat_interleave(index.shape[1])
-            found = searched[index[within]]
+        for world, (start, stop) in enumerate(list(pairwise(offsets))[: len(colliders.surfaces)]):
+            rows, found = self.world_edges.pairs(positions[start:stop], body, colliders, world)
             allowed = colliders.contact[found]
-            garment.append(rows[within.reshape(-1)][allowed])
+            garment.append(rows[allowed] + start)
             near.append(found[allowed])
         return torch.cat(garment), torch.cat(near)
 

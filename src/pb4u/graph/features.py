@@ -53,6 +53,7 @@ NODE_FEATURES = _index(
     Feature("material", 3, "1", False, 1.0, "bending, mu, lambda, [0, 1] over the training range; -1 on the body"),
     DT,
     TIME_STEP,
+    Feature("mass", 1, "kg", True, 1e-4, "vertex mass, -1 on the body: the released ContourCraft"),
 )
 
 MESH_EDGE_FEATURES = _index(
@@ -87,6 +88,7 @@ FOUND_EDGE_FEATURES = _index(
     Feature("relative_velocity", 3, "m/step", True, 1e-2, "sender's velocity - receiver's"),
     Feature("relative_speed", 1, "m/step", True, 1e-2, "its norm"),
     DT,
+    Feature("future_pinned", 1, "1", False, 1.0, "1 between where pinned and other vertices will be (release)"),
     Feature("material", 3, "1", False, 1.0, "mean of both ends' bending, mu, lambda"),
 )
 

@@ -48,6 +48,7 @@ class GarmentGraph:
         node_world: (vertices,) int64 world.
         areal_density: (vertices, 1) log areal density mapped to [0, 1].
         vertex_mass: (vertices, 1) log of the vertex mass [kg].
+        mass: (vertices, 1) vertex mass [kg].
         node_material: (vertices, 3) bending, mu, lambda mapped to [0, 1].
         incident_length: (vertices,) mean rest length of the mesh edges at each vertex [m].
         mean_edge_lengths: mean rest edge length of each garment [m].
@@ -62,6 +63,7 @@ class GarmentGraph:
     node_world: Tensor
     areal_density: Tensor
     vertex_mass: Tensor
+    mass: Tensor
     node_material: Tensor
     incident_length: Tensor
     mean_edge_lengths: tuple[float, ...]
@@ -96,6 +98,7 @@ def garment_graph(
         node_world=garments.vertex_world,
         areal_density=map_log(density, material_range.density, material_range.margin)[:, None].to(dtype),
         vertex_mass=_known_or_mean(mass.log(), garments)[:, None].to(dtype),
+        mass=mass[:, None].to(dtype),
         node_material=material.to(dtype),
         incident_length=_mean_at(garments.edges.reshape(-1), lengths, garments).to(dtype),
         mean_edge_lengths=garments.mean_edge_lengths,

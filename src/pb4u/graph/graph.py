@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from pb4u.graph.incidence import Incidence, Span, incidence
+from pb4u.graph.incidence import Bags, Incidence, Span, incidence
 
 GARMENT, BODY = "garment", "body"
 
@@ -43,12 +44,14 @@ class EdgePiece:
 
     Args:
         edges: rows of the edge set.
-        senders: nodes at the start of the edges; of a piece that is not the whole, only `index` may be read.
-        receivers: nodes at the end of the edges, numbered from the first receiver of the run.
+        nodes: rows of the receivers.
+        ends: rows of both ends of each edge in a table of all senders, followed by all receivers.
+        receivers: incidence of the receivers, numbered from the first of the run.
     """
 
     edges: slice
-    senders: Incidence
+    nodes: slice
+    ends: Bags
     receivers: Incidence
 
 
@@ -79,11 +82,11 @@ class EdgeSet:
         """Number of directed edges."""
         return self.receivers.index.shape[0]
 
+    @cached_property
     def pieces(self) -> tuple[EdgePiece, ...]:
-        """Edges as one piece while gradients are recorded, else run by run."""
-        if torch.is_grad_enabled() or len(self.receivers.runs) < 2:
-            return (EdgePiece(slice(0, self.edge_count), self.senders, self.receivers),)
-        return tuple(self._piece(edges, nodes) for edges, nodes in self.receivers.runs)
+        """Edges run by run, each small enough for a processor's cache; made when first read."""
+        ends = torch.stack([self.senders.index, self.receivers.index + self.senders.node_count], dim=1)
+        return pieces(self.receivers, ends)
 
     def degrees(self) -> Tensor:
         """Number of edges that end at each receiver, (receivers, 1), dimensionless."""
@@ -107,12 +110,20 @@ class EdgeSet:
         features = torch.cat([self.features[e0:e1] for e0, e1 in edges])
         return replace(self, senders=senders, receivers=self.receivers.restrict(edges, nodes), features=features)
 
-    def _piece(self, edges: Span, nodes: Span) -> EdgePiece:
-        (e0, e1), (n0, n1) = edges, nodes
-        senders = Incidence(self.senders.index[e0:e1], self.senders.offsets, self.senders.order)
-        order = torch.arange(e1 - e0, device=self.features.device)
-        receivers = Incidence(self.receivers.index[e0:e1], self.receivers.offsets[n0 : n1 + 1] - e0, order)
-        return EdgePiece(slice(e0, e1), senders, receivers)
+
+def pieces(receivers: Incidence, rows: Tensor) -> tuple[EdgePiece, ...]:
+    """Edges in ascending order of receiver, run by run.
+
+    Args:
+        receivers: node at the end of each edge.
+        rows: (edges, rows of each) int64 rows of a table that belong to each edge.
+    """
+    made = []
+    for (e0, e1), (n0, n1) in receivers.runs or (((0, len(rows)), (0, receivers.node_count)),):
+        order = torch.arange(e1 - e0, device=rows.device)
+        local = Incidence(receivers.index[e0:e1] - n0, receivers.offsets[n0 : n1 + 1] - e0, order)
+        made.append(EdgePiece(slice(e0, e1), slice(n0, n1), Bags.of(rows[e0:e1]), local))
+    return tuple(made)
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,6 +57,25 @@ class Incidence:
         return Incidence(torch.cat(index), torch.cat(offsets), torch.cat(order))
 
 
+@dataclass(frozen=True, eq=False)
+class Bags:
+    """For each edge some rows of a table.
+
+    Args:
+        rows: (edges * rows of each,) int64.
+        offsets: (edges + 1,) int64 first of the rows of each edge, and the total.
+    """
+
+    rows: Tensor
+    offsets: Tensor
+
+    @classmethod
+    def of(cls, rows: Tensor) -> Bags:
+        """Bags of `rows` (edges, rows of each) int64."""
+        count, each = rows.shape
+        return cls(rows.reshape(-1), torch.arange(0, each * count + 1, each, device=rows.device))
+
+
 def incidence(index: Tensor, node_count: int) -> Incidence:
     """Incidence of one end of a list of edges.
 

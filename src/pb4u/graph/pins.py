@@ -17,11 +17,15 @@ class SeenGarments:
         positions: (vertices, 3) [m], for normals, body and found edges.
         edge_positions: (vertices, 3) [m], for edges of the mesh and of coarse levels.
         velocities: (vertices, 3) [m/step].
+        targets: (vertices, 3) where pinned vertices will be after the step, and the others are now [m].
+        pinned: (vertices, 1) bool.
     """
 
     positions: Tensor
     edge_positions: Tensor
     velocities: Tensor
+    targets: Tensor
+    pinned: Tensor
 
 
 class PinRule(Protocol):
@@ -43,7 +47,7 @@ class PinsAtPresent:
     """Pinned vertices as all others: at their present place, with the velocity that took them there."""
 
     def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
-        return SeenGarments(positions, positions, velocities)
+        return SeenGarments(positions, positions, velocities, torch.where(pinned, targets, positions), pinned)
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,8 @@ class PinsAtTarget:
 
     def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
         placed = torch.where(pinned, targets, positions)
-        return SeenGarments(placed, placed, torch.where(pinned, float(self.moving) * (targets - positions), velocities))
+        shown = torch.where(pinned, float(self.moving) * (targets - positions), velocities)
+        return SeenGarments(placed, placed, shown, placed, pinned)
 
 
 @dataclass(frozen=True)
@@ -66,4 +71,5 @@ class PinsAtTargetInEdges:
     """Pinned vertices where they will be after the step in mesh and coarse edges alone: the released ContourCraft."""
 
     def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
-        return SeenGarments(positions, torch.where(pinned, targets, positions), velocities)
+        placed = torch.where(pinned, targets, positions)
+        return SeenGarments(positions, placed, velocities, placed, pinned)

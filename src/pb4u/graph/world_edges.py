@@ -39,12 +39,50 @@ class WorldEdgeRule:
                 f"{self.neighbours}."
             )
 
-    def searched(self, colliders: PackedColliders) -> tuple[Tensor, ...]:
-        """Indices (vertices,) int64 of the packed body vertices of each world that the nearest are sought among."""
-        if not self.whole_body:
-            return colliders.touchable
-        rows = colliders.world_vertices
-        return tuple(torch.arange(own.start, own.stop, device=colliders.contact.device) for own in rows)
+    def pairs(self, points: Tensor, body: Tensor, colliders: PackedColliders, world: int) -> tuple[Tensor, Tensor]:
+        """Garment vertex and body vertex, (pairs,) int64 each, that are joined in one world.
+
+        Args:
+            points: (points, 3) garment vertices of the world [m].
+            body: (vertices, 3) of all bodies [m].
+            colliders: static quantities of the bodies.
+            world: number of the world.
+        """
+        own = colliders.world_vertices[world]
+        whole = torch.arange(own.start, own.stop, device=points.device)
+        searched = whole if self.whole_body else colliders.touchable[world]
+        index, within = nearest_within(points, body[searched], self)
+        rows = torch.arange(len(points), device=index.device).repeat_interleave(index.shape[1])
+        return rows[within.reshape(-1)], searched[index[within]]
+
+
+@dataclass(frozen=True)
+class NearestFaceRule:
+    """Rule of the released ContourCraft: the nearest corner of the nearest face of the body.
+
+    Args:
+        radius: largest distance from the face [m].
+
+    Raises:
+        InputError: a radius that is not above 0 and finite.
+    """
+
+    radius: float = 0.03
+
+    def __post_init__(self) -> None:
+        WorldEdgeRule(self.radius)
+
+    def pairs(self, points: Tensor, body: Tensor, colliders: PackedColliders, world: int) -> tuple[Tensor, Tensor]:
+        """Garment vertex and body vertex, (pairs,) int64 each, that are joined in one world; see `WorldEdgeRule`."""
+        surface, rows = colliders.whole_surfaces[world], torch.nonzero(torch.isfinite(points).all(dim=1))[:, 0]
+        if surface is None or not len(rows):
+            return rows[:0], rows[:0]
+        nearest = surface.at(body[colliders.world_vertices[world]]).nearest(points[rows])
+        within = (nearest.positions - points[rows]).norm(dim=1) <= self.radius
+        rows, triangle = rows[within], nearest.triangle[within]
+        corners = colliders.faces[colliders.world_faces[world]][triangle]
+        away = (body[corners] - points[rows][:, None]).norm(dim=2)
+        return rows, corners.gather(1, away.argmin(dim=1, keepdim=True))[:, 0]
 
 
 @torch.no_grad()

@@ -15,7 +15,7 @@ from pb4u.model.update_scaling import MeanScaling, NoScaling, PerVertexScaling, 
 from pb4u.nn.acceleration_model import NetworkConfiguration
 from pb4u.nn.encode_process_decode import EncodeProcessDecode
 from pb4u.nn.interaction_block import InteractionBlock
-from pb4u.nn.mlp import MLP, SplitMLP
+from pb4u.nn.mlp import MLP, SplitMLP, in_runs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +65,12 @@ class Pb4uGNet(EncodeProcessDecode):
         """
         nodes, edges = self.encode(graph)
         propagated = self.propagation(nodes, edges, graph, steps)
-        hidden = self.update.project(0, nodes[GARMENT], bias=True) + self.update.project(1, propagated)
-        nodes = {**nodes, GARMENT: self.update.after_first(hidden)}
+        nodes = {**nodes, GARMENT: in_runs(self._updated, nodes[GARMENT], propagated)}
         return self.decode_after(self.blocks, nodes, edges, graph)
+
+    def _updated(self, before: Tensor, propagated: Tensor) -> Tensor:
+        hidden = self.update.project(0, before, bias=True) + self.update.project(1, propagated)
+        return self.update.after_first(hidden)
 
     def propagation_steps(self, mean_edge_length: float) -> int:
         """Number K of propagation steps of a garment of `mean_edge_length` [m]."""

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.graph.graph import GARMENT, EdgeSet, Graph
-from pb4u.graph.incidence import Span
-from pb4u.nn.mlp import EDGE, RECEIVER, SENDER, edge_mlp
-from pb4u.nn.segment import gather, joined, segment_sum
+from pb4u.graph.graph import GARMENT, EdgeSet, Graph, pieces
+from pb4u.graph.incidence import Incidence, Span, incidence
+from pb4u.nn.mlp import EDGE, RECEIVER, SENDER, EdgeMLP
+from pb4u.nn.segment import gather, segment_sum, sum_of_rows
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Propagation(nn.Module):
     def __init__(self, width: int, form: PropagationForm) -> None:
         super().__init__()
         self.form = form
-        self.message = edge_mlp(width, norm=form.message_norm)
+        self.message = EdgeMLP(width, norm=form.message_norm)
         self.norm = nn.LayerNorm(width)
 
     def forward(self, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph, steps: Sequence[int]) -> Tensor:
@@ -75,9 +75,7 @@ class Propagation(nn.Module):
         running = dict(enumerate(pairwise(graph.vertex_offsets)))
         finished: dict[int, Tensor] = {}
         for depth in depths:
-            for _ in range(depth - done):
-                state = self._step(state, inflows)
-            done = depth
+            state, done = self._after(depth - done, state, inflows), depth
             finished |= {garment: state[slice(*span)] for garment, span in running.items() if steps[garment] == depth}
             running = {garment: span for garment, span in running.items() if steps[garment] > depth}
             if running:
@@ -100,28 +98,91 @@ class Propagation(nn.Module):
             inflows.append(replace(edge_set, features=constant))
         return inflows
 
-    def _step(self, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
-        form, message = self.form, self.message
+    def _after(self, steps: int, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
+        """State after `steps` steps of the garments that all `inflows` end in."""
+        if torch.is_grad_enabled():
+            for _ in range(steps):
+                state = self._recorded_step(state, inflows)
+            return state
+        return self._tiled_steps(steps, state, inflows)
+
+    def _recorded_step(self, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
+        """One step while gradients are recorded: all edges of a set at once."""
+        message = self.message
         at_receiver, at_sender = message.project(RECEIVER, state), message.project(SENDER, state)
-        total = state.new_zeros(())
-        degrees = state.new_zeros(())
+        sums = []
         for inflow in inflows:
-            sums = []
-            for piece in inflow.pieces():
-                hidden = inflow.features[piece.edges] + gather(at_receiver, piece.receivers)
-                if inflow.sender_set == GARMENT:
-                    hidden += gather(at_sender, piece.senders)
-                sent = message.up_to_last(hidden)
-                if form.message_norm:
-                    sent = message.after_second(sent)
-                sums.append(segment_sum(sent, piece.receivers))
-            total = joined(sums) + total
-            degrees = inflow.degrees() + degrees
-        if not form.message_norm:
+            hidden = inflow.features + gather(at_receiver, inflow.receivers)
+            if inflow.sender_set == GARMENT:
+                hidden = hidden + gather(at_sender, inflow.senders)
+            sent = message.up_to_last(hidden)
+            if self.form.message_norm:
+                sent = message.output_layer()(sent)
+            sums.append(segment_sum(sent, inflow.receivers))
+        total = torch.stack(sums).sum(dim=0)
+        if not self.form.message_norm:
+            degrees = torch.stack([inflow.degrees() for inflow in inflows]).sum(dim=0)
             total = message.last_of_sums(total, degrees)
-        if form.norm == "messages":
-            return form.decay * state + self.norm(total)
-        return self.norm(form.decay * state + total)
+        return self._moved(state, total)
+
+    def _tiled_steps(self, steps: int, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
+        """Steps without gradients, each run by run from messages to the new state and its shares in the next step.
+
+        Messages over all kinds of edges have the same weights and are taken together. A table holds both shares of
+        every vertex, before a step and after it, and what is the same at every step; a message's first layer is then
+        the sum of three rows, in one pass over memory.
+        """
+        message, form, vertices = self.message, self.form, state.shape[0]
+        ends = message.weight_of_both_ends().t()
+        order, senders, receivers = _merged(inflows, vertices)
+        width = ends.shape[0]
+        constants = [inflow.features for inflow in inflows]
+        # Rows: (before or after, vertex, as sender or as receiver), the constants, and zeros for senders outside.
+        table = torch.cat([constants[0].new_empty(4 * vertices, width), *constants, constants[0].new_zeros(1, width)])
+        shares = table[: 4 * vertices].view(2, vertices, 2 * width)
+        torch.mm(state.to(message.precision), ends, out=shares[0])
+        runs = []
+        for parity in range(2):
+            first = 2 * vertices * parity
+            from_sender = torch.where(senders < 0, len(table) - 1, first + 2 * senders)
+            rows = torch.stack([from_sender, first + 2 * receivers.index + 1, 4 * vertices + order], dim=1)
+            runs.append(pieces(receivers, rows))
+        output = message.output_layer() if form.message_norm else None
+        # W (sum of x) + degree b.
+        last = message.last.weight.t()
+        shift = receivers.offsets.diff()[:, None].to(last.dtype) * message.last.bias
+        state = state.clone()
+        for step in range(steps):
+            for run in runs[step % 2]:
+                sent = message.up_to_last(sum_of_rows(table, run.ends))
+                if output is None:
+                    total = torch.addmm(shift[run.nodes], segment_sum(sent, run.receivers), last)
+                else:
+                    total = segment_sum(output(sent), run.receivers)
+                at = state[run.nodes]
+                at.copy_(self._moved(at, total.to(at.dtype)))
+                torch.mm(at.to(message.precision), ends, out=shares[1 - step % 2, run.nodes])
+        return state
+
+    def _moved(self, state: Tensor, total: Tensor) -> Tensor:
+        """State after a step, given the sums `total` (vertices, width) [1] of its messages."""
+        form = self.form
+        return (
+            form.decay * state + self.norm(total) if form.norm == "messages" else self.norm(form.decay * state + total)
+        )
+
+
+def _merged(inflows: list[EdgeSet], vertices: int) -> tuple[Tensor, Tensor, Incidence]:
+    """All edges in ascending order of receiver: their numbers, the vertices they start from or -1, their receivers."""
+    receivers = torch.cat([inflow.receivers.index for inflow in inflows])
+    order = torch.argsort(receivers, stable=True)
+    senders = torch.cat(
+        [
+            inflow.senders.index if inflow.sender_set == GARMENT else torch.full_like(inflow.senders.index, -1)
+            for inflow in inflows
+        ]
+    )
+    return order, senders[order], incidence(receivers[order], vertices)
 
 
 def _packed(spans: Sequence[Span]) -> list[Span]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -16,7 +17,8 @@ from pb4u.graph.features import Feature, FeatureLayout
 from pb4u.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.graph.graph import EdgeSet, Graph
 from pb4u.graph.pins import PinsAtPresent, PinsAtTarget, PinsAtTargetInEdges
-from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.graph.world_edges import NearestFaceRule, WorldEdgeRule
+from pb4u.nn.mlp import MLP
 from pb4u.nn.normaliser import Normaliser
 from pb4u.scene.packed import PackedGarments
 
@@ -85,7 +87,7 @@ class NetworkConfiguration(ABC):
 
     width: int = 128
     layout: FeatureLayout = field(default_factory=FeatureLayout)
-    world_edges: WorldEdgeRule = field(default_factory=WorldEdgeRule)
+    world_edges: WorldEdgeRule | NearestFaceRule = field(default_factory=WorldEdgeRule)
     pins: PinsAtPresent | PinsAtTarget | PinsAtTargetInEdges = field(default_factory=PinsAtPresent)
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
@@ -198,8 +200,7 @@ class PreparedGarments:
 class AccelerationModel(nn.Module):
     """A network between its normalisers: acceleration x dt^2 from a graph of raw features.
 
-    Called as `model(prepared.graph(state, collider, dt, origin), prepared)`. On an accelerator cast the network alone,
-    `model.network.to(torch.bfloat16)`: normalisers and accelerations stay in full precision.
+    Called as `model(prepared.graph(state, collider, dt, origin), prepared)`.
 
     Args:
         network: maps normalised features to normalised accelerations.
@@ -240,6 +241,21 @@ class AccelerationModel(nn.Module):
         prepared = PreparedGarments(builder, steps, network.update_scale(static), derived.losses)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
+    def with_products_in(self, precision: torch.dtype) -> AccelerationModel:
+        """Copy whose perceptrons hold their weights, and so multiply, in another precision.
+
+        Latents, norms, sums over nodes, normalisers and accelerations keep theirs.
+
+        Args:
+            precision: such as `torch.bfloat16`.
+        """
+        copied = copy.deepcopy(self)
+        for module in copied.modules():
+            if isinstance(module, MLP):
+                for layer in (module.first, module.second, module.last):
+                    layer.to(precision)
+        return copied
+
     def forward(self, graph: Graph, prepared: PreparedGarments) -> Tensor:
         """Acceleration x dt^2 (garment vertices, 3) [m per step^2].
 
@@ -252,8 +268,8 @@ class AccelerationModel(nn.Module):
         return acceleration if prepared.scale is None else prepared.scale * acceleration
 
     def normalised(self, graph: Graph) -> Graph:
-        """Graph with centred and scaled features, in the precision of the network's weights."""
-        dtype = next(self.network.parameters()).dtype
+        """Graph with centred and scaled features, in the precision of the network's weights or float32 at least."""
+        dtype = torch.promote_types(next(self.network.parameters()).dtype, torch.float32)
         nodes = {name: self.node_normaliser(node_set.features).to(dtype) for name, node_set in graph.nodes.items()}
         edges = {name: self._edge_normaliser(s)(s.features).to(dtype) for name, s in graph.edges.items()}
         return graph.with_features(nodes, edges)

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor, nn
 
-from pb4u.graph.graph import EdgeSet, Graph
-from pb4u.nn.mlp import EDGE, RECEIVER, SENDER, SplitMLP, edge_mlp
-from pb4u.nn.segment import gather, joined, segment_sum
+from pb4u.graph.graph import Graph
+from pb4u.nn.mlp import EDGE, RECEIVER, SENDER, EdgeMLP, SplitMLP
+from pb4u.nn.segment import gather, joined, segment_sum, sum_of_rows
 
 
 class InteractionBlock(nn.Module):
@@ -25,7 +25,7 @@ class InteractionBlock(nn.Module):
     def __init__(self, width: int, kinds: Sequence[str]) -> None:
         super().__init__()
         self.kinds = tuple(kinds)
-        self.edge_mlps = nn.ModuleDict({kind: edge_mlp(width, norm=True) for kind in kinds})
+        self.edge_mlps = nn.ModuleDict({kind: EdgeMLP(width, norm=True) for kind in kinds})
         self.node_mlp = SplitMLP((width,) * (1 + len(self.kinds)), width, width, norm=True)
 
     def forward(
@@ -46,38 +46,63 @@ class InteractionBlock(nn.Module):
                 nothing reads them again.
             masks: (edges, 1) dimensionless factors on the messages by set name, 1 where a set is not named.
         """
-        hidden = {
-            name: self.node_mlp.project(0, values, bias=True)
-            for name, values in nodes.items()
-            if receivers is None or name in receivers
-        }
+        wanted = list(nodes) if receivers is None else list(receivers)
+        run = self._recorded if torch.is_grad_enabled() else self._in_runs
+        return run(nodes, edges, graph, wanted, masks or {}, receivers is None)
+
+    def _recorded(
+        self,
+        nodes: dict[str, Tensor],
+        edges: dict[str, Tensor],
+        graph: Graph,
+        wanted: Sequence[str],
+        masks: Mapping[str, Tensor],
+        keep_edges: bool,
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """The block while gradients are recorded: all edges of a set at once."""
+        hidden = {name: self.node_mlp.project(0, nodes[name], bias=True) for name in wanted}
         new_edges = {}
         for name, edge_set in graph.edges.items():
             if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
                 continue
-            mask = None if masks is None else masks.get(name)
-            sums, new_edges[name] = self._messages(edge_set, nodes, edges[name], mask, keep_edges=receivers is None)
+            mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
+            first = mlp.project(EDGE, edges[name])
+            first = first + gather(mlp.project(SENDER, nodes[edge_set.sender_set]), edge_set.senders)
+            at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set], bias=True)
+            new = mlp.after_first(first + gather(at_receiver, edge_set.receivers))
+            sums = segment_sum(new * masks[name] if name in masks else new, edge_set.receivers)
             share = self.node_mlp.project(1 + self.kinds.index(edge_set.kind), sums)
             hidden[edge_set.receiver_set] = hidden[edge_set.receiver_set] + share
-        updated = {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}
-        return updated, new_edges
+            new_edges[name] = edges[name] + new if keep_edges else edges[name]
+        return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges
 
-    def _messages(
-        self, edge_set: EdgeSet, nodes: dict[str, Tensor], latents: Tensor, mask: Tensor | None, keep_edges: bool
-    ) -> tuple[Tensor, Tensor]:
-        mlp: SplitMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
-        at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set], bias=True)
-        at_sender = mlp.project(SENDER, nodes[edge_set.sender_set])
-        sums, updated = [], []
-        for piece in edge_set.pieces():
-            old = latents[piece.edges]
-            hidden = mlp.project(EDGE, old)
-            hidden += gather(at_sender, piece.senders)
-            hidden += gather(at_receiver, piece.receivers)
-            new = mlp.after_first(hidden)
-            sums.append(segment_sum(new if mask is None else new * mask[piece.edges], piece.receivers))
-            if keep_edges:
-                updated.append(old + new if torch.is_grad_enabled() else old.add_(new))
-        if not keep_edges:
-            return joined(sums), latents
-        return joined(sums), joined(updated) if torch.is_grad_enabled() else latents
+    def _in_runs(
+        self,
+        nodes: dict[str, Tensor],
+        edges: dict[str, Tensor],
+        graph: Graph,
+        wanted: Sequence[str],
+        masks: Mapping[str, Tensor],
+        keep_edges: bool,
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """The block without gradients, on edges a run at a time; edge latents are overwritten."""
+        rounded = {name: values.to(self.node_mlp.precision) for name, values in nodes.items()}
+        hidden = {name: self.node_mlp.project(0, rounded[name], bias=True) for name in wanted}
+        new_edges = {}
+        for name, edge_set in graph.edges.items():
+            if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
+                continue
+            mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
+            table = mlp.shares_of_ends(rounded[edge_set.sender_set], rounded[edge_set.receiver_set])
+            of_edges, output, latents, sums = mlp.weight_of(EDGE).t(), mlp.output_layer(), edges[name], []
+            for piece in edge_set.pieces:
+                old = latents[piece.edges]
+                first = sum_of_rows(table, piece.ends).addmm_(old.to(mlp.precision), of_edges)
+                new = output(mlp.up_to_last(first))
+                sums.append(segment_sum(new * masks[name][piece.edges] if name in masks else new, piece.receivers))
+                if keep_edges:
+                    old += new
+            share = self.node_mlp.weight_of(1 + self.kinds.index(edge_set.kind))
+            hidden[edge_set.receiver_set].addmm_(joined(sums).to(self.node_mlp.precision), share.t())
+            new_edges[name] = latents
+        return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges

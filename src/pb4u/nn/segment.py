@@ -9,16 +9,16 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from pb4u.graph.incidence import Incidence
+from pb4u.graph.incidence import Bags, Incidence
 
 
 def _bag_sums(values: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
-    if values.shape[0] == 0:
+    if order.shape[0] == 0:
         return values.new_zeros(offsets.shape[0] - 1, values.shape[1])
-    return F.embedding_bag(order, values, offsets, mode="sum", include_last_offset=True)
+    # The operator itself: beside tiles that stay in cache, its Python wrapper takes a tenth of the time.
+    return torch.embedding_bag(values, order, offsets, mode=0, include_last_offset=True)[0]
 
 
 class _Gather(torch.autograd.Function):
@@ -54,6 +54,18 @@ def gather(nodes: Tensor, ends: Incidence) -> Tensor:
     if not torch.is_grad_enabled():
         return nodes.index_select(0, ends.index)
     return _Gather.apply(nodes, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
+
+
+def sum_of_rows(table: Tensor, bags: Bags) -> Tensor:
+    """Sums (edges, width) of each edge's rows of a table, in its unit; not differentiable.
+
+    One pass over memory, where a gather for each end and their addition are three.
+
+    Args:
+        table: (rows, width) values of any unit.
+        bags: rows of each edge.
+    """
+    return _bag_sums(table, bags.rows, bags.offsets)
 
 
 def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:

@@ -149,7 +149,7 @@ class Solver:
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
-        potential, start = potential.reached(potential.step.state.positions, lifted_off_the_body(potential, start))
+        potential, start = _reached(potential, lifted_off_the_body(potential, start))
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
         preconditioner = _StepPreconditioner(self._basis)
@@ -294,6 +294,24 @@ class Solver:
         return result, frozen.contacts.cloth
 
 
+def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, Tensor]:
+    """The potential for the move to a start, and the positions (vertices, 3) [m] reached of `wanted`.
+
+    Layers that fall on one another in one step are stopped each at another place, crumpled beyond what a fold would
+    ever be. A world starts from where it stands, its pins in place, where that has less energy.
+    """
+    step = potential.step
+    before = step.state.positions
+    moved, start = potential.reached(before, wanted)
+    if start is wanted:
+        return moved, start
+    standing, held = potential.reached(before, torch.where(step.garments.pinned[:, None], wanted, before))
+    better = standing.energies(held).per_world(step.garments) < moved.energies(start).per_world(step.garments)
+    if not bool(better.any()):
+        return moved, start
+    return potential.reached(before, torch.where(better[step.garments.vertex_world, None], held, start))
+
+
 def _factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:
     """Factors (worlds,) that scale the `moves` (vertices, 3) [m] of each world so that the longest is `size` [m].
 
@@ -349,10 +367,19 @@ def substep_count(step: TimeStep) -> int:
     return max(1, math.ceil(float(motion.norm(dim=1).max()) / LARGEST_MOTION))
 
 
+def free_flight(step: TimeStep) -> Tensor:
+    """Positions (vertices, 3) [m] where every vertex keeps its velocity, pinned ones in their places."""
+    return step.with_pins(step.state.positions + step.dt * step.state.velocities)
+
+
 def implicit_steps(
-    potential: IncrementalPotential, solver: Solver, step: TimeStep, iterations: int | None = None
+    potential: IncrementalPotential,
+    solver: Solver,
+    step: TimeStep,
+    iterations: int | None = None,
+    start: Callable[[TimeStep], Tensor] = free_flight,
 ) -> tuple[State, Solution]:
-    """The state at the end of `step`, started from free flight, and the solution of its last implicit step.
+    """The state at the end of `step`, and the solution of its last implicit step.
 
     A body that moves far in the step is moved along straight lines in several implicit steps.
 
@@ -361,13 +388,13 @@ def implicit_steps(
         solver: minimises them.
         step: garments in float64 on the CPU.
         iterations: at most this many in each implicit step; None goes to the solver's tolerance.
+        start: gives the positions (vertices, 3) [m] that an implicit step starts from.
 
     Raises DivergedError when the state is not finite.
     """
     count, state = substep_count(step), step.state
     for k in range(count):
         part = step if count == 1 else step.part(k, count, state)
-        start = part.with_pins(state.positions + part.dt * state.velocities)
-        solution = solver.minimise(potential.of(part), start, iterations)
+        solution = solver.minimise(potential.of(part), start(part), iterations)
         state = part.reached(solution.positions)
     return State(state.positions, state.velocities, step.state.frame + 1), solution

@@ -112,13 +112,14 @@ class TimeStep:
             count: number of parts.
             state: state at the end of the part before.
         """
-        pins = self.pin_positions
+        pins, motion = self.pin_positions, self.skinned_motion
         return replace(
             self,
             state=state,
             collider=None if self.bodies is None else self.bodies.between(k / count, (k + 1) / count),
             dt=self.dt / count,
             pin_positions=None if pins is None else torch.lerp(self.state.positions, pins, (k + 1) / count),
+            skinned_motion=None if motion is None else motion / count,
         )
 
     def reached(self, positions: Tensor) -> State:

@@ -6,13 +6,14 @@ from dataclasses import replace
 from typing import TypeVar
 
 from pb4u.baselines.contourcraft import ContourCraftConfiguration
+from pb4u.baselines.directed_self_contact import DirectedSelfEdges
 from pb4u.baselines.eslr import EslrConfiguration
 from pb4u.baselines.hood import HoodConfiguration, LeftReturn, LevelsByLength
 from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.errors import unknown_name
 from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout, MaterialRange
-from pb4u.graph.pins import PinsAtTarget
-from pb4u.graph.world_edges import WorldEdgeRule
+from pb4u.graph.pins import PinsAtTarget, PinsAtTargetInEdges
+from pb4u.graph.world_edges import NearestFaceRule, WorldEdgeRule
 from pb4u.model.pb4u_gnet import Pb4uConfiguration
 from pb4u.model.propagation import PAPER_PROPAGATION, RELEASED_PROPAGATION
 from pb4u.model.propagation_control import ConstantDistance, FixedSteps, TruncatedDistance
@@ -45,7 +46,7 @@ pb4u_small_two_passes = replace(pb4u_small_carried, passes=2)
 _small_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
 
 mgn = MeshGraphNetConfiguration()
-hood = HoodConfiguration()
+hood = HoodConfiguration(way_up=LeftReturn())
 eslr = EslrConfiguration()
 contourcraft = ContourCraftConfiguration()
 # The small ones take about as long as `pb4u_small` for a step of training at 2,500 triangles (docs/baselines.md), and
@@ -91,6 +92,23 @@ release_hood = HoodConfiguration(
     pins=PinsAtTarget(),
 )
 release_hood_cvpr = replace(release_hood, layout=release_mgn.layout, pins=PinsAtTarget(moving=True))
+release_contourcraft = ContourCraftConfiguration(
+    layout=FeatureLayout(
+        node=("velocity_ahead", "normal", "mass", "material"),
+        mesh_edge=("relative_position", "length", "rest_length", "material"),
+        world_edge=(
+            "relative_now", "distance_now", "relative_next", "distance_next", "relative_velocity", "relative_speed",
+        ),
+        found_edge=(
+            "relative_position", "length", "previous_relative_position", "previous_length", "relative_velocity",
+            "relative_speed", "future_pinned", "material",
+        ),
+        material_range=MaterialRange(margin=None),
+    ),
+    world_edges=NearestFaceRule(0.03),
+    pins=PinsAtTargetInEdges(),
+    self_edges=DirectedSelfEdges(),
+)  # fmt: skip
 
 PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
     "pb4u_paper": (pb4u_paper, "the paper's network"),
@@ -108,6 +126,7 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
     "release_mgn_48": (replace(release_mgn, blocks=48), "the released fine48"),
     "release_hood": (release_hood, "the released HOOD (postcvpr) to the last digit"),
     "release_hood_cvpr": (release_hood_cvpr, "the HOOD of the paper (cvpr) to the last digit"),
+    "release_contourcraft": (release_contourcraft, "the released ContourCraft"),
     "pb4u_bare_edges": (
         replace(pb4u_paper, layout=FeatureLayout(mesh_edge=("direction", "rest_direction", "length_ratio"))),
         "mesh edges with the three features that the paper names, and nothing else",

@@ -24,7 +24,7 @@ from pb4u.garment.fit import RestBody, find_holder
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import nearest_places, read_garment
-from pb4u.garment.layering import layered
+from pb4u.garment.layering import layered, worn_order
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
@@ -129,10 +129,7 @@ def assemble(specification: SceneSpecification) -> Scene:
     else:
         performance = _play(body, specification)
     collider, frames, lead_in, notes = performance.body, performance.frames, specification.lead_in, performance.notes
-    garments = []
-    for each in specification.garments:
-        garment = _load_garment(each, body)
-        garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
+    garments, specified = _load_garments(specification.garments, body)
     places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
     dressed = [
         DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
@@ -140,13 +137,9 @@ def assemble(specification: SceneSpecification) -> Scene:
     if specification.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
-    if len(dressed) > 1:
-        apart = "Garments do not feel each other yet: where their layers meet, they pass through one another."
-        notes = (*notes, apart)
-        _say(apart)
     named = {
         worn.garment.name: str(each.garment)
-        for worn, each in zip(dressed, specification.garments, strict=True)
+        for worn, each in zip(dressed, specified, strict=True)
         if isinstance(each.garment, str | Path)
     }
     return Scene(
@@ -167,6 +160,18 @@ def assemble(specification: SceneSpecification) -> Scene:
         },
         notes=notes,
     )
+
+
+def _load_garments(
+    specified: Sequence[GarmentSpecification], body: ShapedBody | VertexSequence
+) -> tuple[list[Garment], list[GarmentSpecification]]:
+    """The garments, pinned, and their specifications in the order they are worn, inner first."""
+    garments = []
+    for each in specified:
+        garment = _load_garment(each, body)
+        garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
+    order = worn_order(garments, [each.tucked for each in specified])
+    return [garments[k] for k in order], [specified[k] for k in order]
 
 
 def _specified(
@@ -360,6 +365,8 @@ def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
     """A garment of a dictionary, which stands where SMPL's own origin is, at the height of the body that wears it."""
     if isinstance(body, ShapedBody):
         garment = replace(garment, vertices=garment.vertices + np.array([0.0, body.lift, 0.0]))
+        if garment.skinning is not None and garment.skinning.bone_count == body.skeleton.bone_count:
+            return garment  # its file says how this body wears it
     require_worn(garment, body, garment.name, pins_given=bool(garment.pinned.any()))
     return garment
 

@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from pb4u.motion.motion import Motion
 
 
+MOST_GARMENTS = 8
+"""Garments of a scene: laying them over each other takes twenty times as long for eight as for two, and with more the
+outermost has no room left within the sleeves of its own cut."""
+
+
 @dataclass(frozen=True)
 class GarmentSpecification:
     """One garment of a scene.
@@ -33,6 +38,7 @@ class GarmentSpecification:
         pins: vertices that follow the body: a name, a border or a file as for `resolve_pins`, or vertex indices; None
             is the garment's own.
         triangles: number of triangles to simulate; None is the garment's own.
+        tucked: whether it goes into what is worn from the waist, such as trousers, wherever it stands in the order.
 
     Raises:
         InputError: a value of a wrong type.
@@ -42,9 +48,11 @@ class GarmentSpecification:
     material: str | Path | Material | None = None
     pins: str | Path | Sequence[int] | None = None
     triangles: int | None = None
+    tucked: bool = False
 
     def __post_init__(self) -> None:
         require_name("garment", self.garment)
+        require_switch("tucked", self.tucked)
         require_name("material", self.material, optional=True)
         require_whole("number of triangles", self.triangles, optional=True)
         if self.pins is None or isinstance(self.pins, str | Path):
@@ -130,6 +138,8 @@ class SceneSpecification:
     def _check_garments(self) -> None:
         if not self.garments:
             raise InputError("A scene has at least one garment; none is given.")
+        if len(self.garments) > MOST_GARMENTS:
+            raise InputError(f"At most {MOST_GARMENTS} garments are worn over each other, not {len(self.garments)}.")
         for worn in self.garments:
             if not isinstance(worn, GarmentSpecification):
                 raise InputError(f"The garments of a scene are GarmentSpecification objects, not {worn!r}.")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solver
 from pb4u.scene.state import State
-from pb4u.simulation.refinement import SolverRefinement
+from pb4u.simulation.refinement import SolverRefinement, carried
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.timeline import Timeline
 
@@ -32,10 +32,11 @@ class FirstFrame(ABC):
 
 
 class AsPlaced(FirstFrame):
-    """The garments where their placement puts them, such as cloth about to fall."""
+    """The garments where their placement puts them, such as cloth about to fall; untangled where cloth feels cloth."""
 
     def start(self, timeline: Timeline, method: StepMethod) -> State:
-        return timeline.skinned_state(0)
+        placed = timeline.skinned_state(0)
+        return replace(placed, positions=method.self_contact.free_start(timeline.garments, placed.positions))
 
 
 class OneLongStep(FirstFrame):
@@ -45,9 +46,9 @@ class OneLongStep(FirstFrame):
     """
 
     def start(self, timeline: Timeline, method: StepMethod) -> State:
-        begun = timeline.skinned_state(0)
+        begun = AsPlaced().start(timeline, method)
         step = timeline.settling_from(begun)
-        pushed = method.contact.respond(step, step.state)
+        pushed = carried(method.self_contact, step, step.state, method.contact.respond(step, step.state))
         return replace(begun, positions=take(timeline.settling_from(pushed), method).positions)
 
 
@@ -72,7 +73,7 @@ class Settled(FirstFrame):
     def start(self, timeline: Timeline, method: StepMethod) -> State:
         refinement = SolverRefinement(self.iterations, self.solver, self.potential)
         settling = StepMethod(refinement=refinement, contact=method.contact, self_contact=method.self_contact)
-        begun = state = timeline.skinned_state(0)
+        begun = state = AsPlaced().start(timeline, method)
         for _ in range(self.most_steps):
             settled = take(timeline.settling_from(state), settling)
             moved = float((settled.positions - state.positions).square().sum(1).mean().sqrt())

@@ -10,6 +10,8 @@ from pb4u.errors import InputError, unknown_name
 from pb4u.simulation.simulator import Simulator
 
 if TYPE_CHECKING:
+    import torch
+
     from pb4u.simulation.checkpoint import Checkpoint
 
 WITHOUT_NETWORK = ("solver", "skinning", "newton")
@@ -22,6 +24,7 @@ _WITHOUT_SELF_CONTACT = {
     "newton": "newton runs with its own self-contact off",
 }
 """What simulators that cannot keep cloth from crossing say when they are asked to."""
+_PRECISIONS = ("float32", "bfloat16")
 _TRAINING_STATE = "pb4u_training"
 """Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
 
@@ -61,6 +64,7 @@ def load_simulator(
     passes: int | None = None,
     device: str = "auto",
     first_frame: str = "auto",
+    precision: str = "auto",
 ) -> Simulator:
     """Simulator called `name`, loaded.
 
@@ -77,6 +81,8 @@ def load_simulator(
         first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
             paper, "placed" as it is, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto":
             settled where the solver runs.
+        precision: of a network's products: "float32", "bfloat16", or "auto": bfloat16 where the device multiplies
+            faster in it.
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
@@ -85,6 +91,7 @@ def load_simulator(
     from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.start_protocols import MovingStart, SkinnedStart, StandingStart
+    from pb4u.simulation.step_start import CARRIED_SHARES, CarriedStart, FreeFlight
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
     potential = IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact()
@@ -101,6 +108,8 @@ def load_simulator(
         raise unknown_name("first frame", first_frame, ("auto", *ways))
     if refine < 0:
         raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
+    if precision not in ("auto", *_PRECISIONS):
+        raise unknown_name("precision", precision, ("auto", *_PRECISIONS))
     wanted = default_model() if str(name) == "auto" else str(name)
     answering: Contact = ContactResponse() if contact else NoContact()
     if wanted in ("skinning", "newton") and first_frame != "auto":
@@ -114,7 +123,9 @@ def load_simulator(
         return SkinningSimulator()
     if wanted == "solver":
         beginning = ways.get(first_frame, ways["settled"])
-        return SolverSimulator(contact=answering, first_frame=beginning, potential=potential)
+        # Where cloth stops cloth, what free flight leaves behind a fast limb would stay hooked on it.
+        start = FreeFlight() if self_contact is False else CarriedStart(CARRIED_SHARES)
+        return SolverSimulator(contact=answering, first_frame=beginning, potential=potential, start=start)
     if wanted == "newton":
         from pb4u.simulation.newton_simulator import NewtonSimulator
 
@@ -126,8 +137,17 @@ def load_simulator(
     # The solver improves a state more, and settles it better, than a further pass or one long step at the same cost.
     beginning = ways.get(first_frame, ways["settled" if refine else "long_step"])
     asked = 1 if passes is None and refine else passes
+    on = _device(device)
     return NetworkSimulator(
-        _checkpoint(wanted), propagation_steps, refine, answering, _device(device), asked, beginning, potential
+        _checkpoint(wanted),
+        propagation_steps,
+        refine,
+        answering,
+        on,
+        asked,
+        beginning,
+        potential,
+        _precision(precision, on),
     )
 
 
@@ -167,3 +187,22 @@ def _device(name: str) -> str:
     if name == "cuda" and not torch.cuda.is_available():
         raise InputError("There is no CUDA device here; use --device cpu.")
     return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"
+
+
+def _precision(name: str, device: str) -> torch.dtype:
+    import torch
+
+    if name == "auto":
+        name = "bfloat16" if has_bfloat16_units(device) else "float32"
+    return torch.bfloat16 if name == "bfloat16" else torch.float32
+
+
+def has_bfloat16_units(device: str) -> bool:
+    """Whether a device, "cpu" or "cuda", multiplies matrices in bfloat16 faster than in float32."""
+    import torch
+
+    if device == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    # The library tells no more in public than that bfloat16 works at all, which it does on any processor.
+    asked = ("_is_amx_tile_supported", "_is_avx512_bf16_supported")
+    return any(getattr(torch.cpu, name)() for name in asked if hasattr(torch.cpu, name))

@@ -6,11 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 
+from torch import Tensor
+
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution, Solver, implicit_steps
-from pb4u.physics.time_step import TimeStep
+from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.state import State
+from pb4u.simulation.step_start import FreeFlight, StepStart
 
 
 class Refinement(ABC):
@@ -70,16 +73,35 @@ class SolverRefinement(Refinement):
 
 
 class ImplicitSteps(SolverRefinement):
-    """Minimises the incremental potential from free flight, whatever was predicted.
+    """Minimises the incremental potential from a start of its own, whatever was predicted.
 
     Where the body moves far, the step is cut into several; see `implicit_steps`.
+
+    Args:
+        iterations: at most this many an implicit step; None goes to the solver's tolerance.
+        potential: the energies.
+        watch: called with the last solution of every step.
+        start: where each implicit step starts from; free flight by default.
     """
 
+    def __init__(
+        self,
+        iterations: int | None = None,
+        potential: IncrementalPotential | None = None,
+        watch: Callable[[Solution], None] | None = None,
+        start: StepStart | None = None,
+    ) -> None:
+        super().__init__(iterations, potential=potential, watch=watch)
+        self.start = start or FreeFlight()
+
     def refine(self, step: TimeStep, predicted: State) -> State:
-        state, solution = implicit_steps(self.potential, self.solver, step, self.iterations)
+        state, solution = implicit_steps(self.potential, self.solver, step, self.iterations, self._started)
         if self.watch:
             self.watch(solution)
         return state
+
+    def _started(self, step: TimeStep) -> Tensor:
+        return integrate(step, self.start.accelerations(step)).positions
 
 
 def carried(self_contact: SelfContact, step: TimeStep, before: State, wanted: State) -> State:

@@ -19,7 +19,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file
 from torch import Tensor
 
+from pb4u.baselines.contourcraft import COARSE
 from pb4u.baselines.hood import FAR, NEAR, SCHEDULE
+from pb4u.baselines.self_contact import ATTRACTION, REPULSION
 from pb4u.errors import InputError, unknown_name
 from pb4u.graph.features import TABLES, FeatureLayout, MaterialRange, total_width
 from pb4u.graph.graph import NodeType
@@ -220,12 +222,7 @@ def read_released(path: Path | str, method: str | None = None, licence: str | No
     preset = network_preset(chosen.preset)
     width = len(file.tensor(f"{_NETWORK}node_encoder.0.layers.0.bias"))
     layout = replace(preset.layout, material_range=_material_range(file))
-    rule = replace(
-        preset.world_edges,
-        radius=float(file.setting("model", "*", "collision_radius", default=preset.world_edges.radius)),
-        neighbours=int(file.setting("model", "*", "k_world_edges", default=preset.world_edges.neighbours)),
-    )
-    configuration = chosen.configure(file, replace(preset, width=width, layout=layout, world_edges=rule))
+    configuration = chosen.configure(file, replace(preset, width=width, layout=layout))
     network = configuration.network()
     assert isinstance(network, EncodeProcessDecode)
     tensors = _folded(file, chosen, network)
@@ -305,24 +302,27 @@ def _folded(file: _File, method: _Method, network: EncodeProcessDecode) -> dict[
         levels = file.tensor("model.vertexlevel_embedding.weight", LEVEL_WIDTH)
         state["network.level.weight"] = node.embedding("level", levels)
     state |= node.normaliser("node", layout)
+    shared: dict[str, _Columns] = {}
     for kind, (encoder, table, statistics) in method.kinds.items():
         columns = _Columns(file, method.columns[table], statistics)
-        mlp = columns.fold(file.mlp(f"edgeset_encoders.{encoder}"), _names(layout, table))
+        # Kinds of one table share our normaliser, which has the statistics of the first of them.
+        first = shared.setdefault(table, columns)
+        mlp = columns.fold(file.mlp(f"edgeset_encoders.{encoder}"), _names(layout, table), first)
         state |= _named(f"network.edge_encoders.{kind}", mlp)
-        state |= columns.normaliser(table, layout)
+        state |= first.normaliser(table, layout)
     for number, (block, kinds) in enumerate(zip(method.blocks(file), _kinds(network), strict=True)):
         name = f"network.blocks.{number}"
         for kind, key in block.mlps.items():
             state |= _named(f"{name}.edge_mlps.{kind}", file.mlp(f"{block.prefix}.{key}"))
         node_mlp = file.mlp(f"{block.prefix}.{block.node_mlp}")
-        first = file.tensor(f"{_NETWORK}{block.prefix}.{block.node_mlp}.0.layers.0.weight")
-        node_mlp["first.weight"] = _reordered(first, block.order, ("node", *kinds))
+        node_mlp["first.weight"] = _reordered(node_mlp["first.weight"], block.order, ("node", *kinds))
         state |= _named(f"{name}.node_mlp", node_mlp)
     state |= _named("network.decoder", file.mlp("decoder", ".layers."))
     state |= {f"network.{name}": value for name, value in method.further(file).items()}
     mean, spread = file.statistics("output")
     state |= _normaliser_state("acceleration", mean, spread)
-    return state
+    # Encoders of one file may serve two kinds here; each gets numbers of its own.
+    return {name: value.clone() for name, value in state.items()}
 
 
 class _Columns:
@@ -335,7 +335,7 @@ class _Columns:
     """
 
     def __init__(self, file: _File, names: Sequence[str], statistics: str) -> None:
-        self.file, self.places, self.signs = file, {}, {}
+        self.file, self.statistics, self.places, self.signs = file, statistics, {}, {}
         self.mean, self.spread = file.statistics(statistics)
         stop = 0
         for name in names:
@@ -348,15 +348,38 @@ class _Columns:
                 f"{file.path} has statistics of {len(self.mean)} {statistics} columns, more than it reads."
             )
 
-    def fold(self, mlp: dict[str, Tensor], wanted: Iterable[str]) -> dict[str, Tensor]:
-        """The encoder with the columns that are wanted, in their order and sign."""
-        weight = mlp["first.weight"]
+    def fold(
+        self, mlp: dict[str, Tensor], wanted: Iterable[str], normalised_by: _Columns | None = None
+    ) -> dict[str, Tensor]:
+        """The encoder with the columns that are wanted, in their order and sign.
+
+        Args:
+            mlp: as the file has it.
+            wanted: names of our columns.
+            normalised_by: whose statistics our normaliser has; these by default.
+        """
+        weight, bias = mlp["first.weight"], mlp["first.bias"]
         if weight.shape[1] != self.width:
             raise InputError(
                 f"{self.file.path} has an encoder of {weight.shape[1]} columns, where its method reads {self.width}."
             )
-        parts = [weight[:, self.places[_theirs(name)]] * self.signs[_theirs(name)] for name in wanted]
-        return {**mlp, "first.weight": torch.cat(parts, dim=1)}
+        parts = []
+        other = normalised_by or self
+        for name in map(_theirs, wanted):
+            if name in _LABELS:
+                label, key = _LABELS[name]
+                rows = self.embedding(label, self.file.tensor(key))
+                read = weight[:, self.places[label]].to(torch.float64)
+                parts.append((read @ (rows[1] - rows[0]))[:, None])
+                bias = bias + read @ rows[0]
+                continue
+            place, read = self.places[name], weight[:, self.places[name]] * self.signs[name]
+            if other.statistics != self.statistics and place.stop <= len(self.mean):
+                read = read.to(torch.float64) / self.spread[place]
+                bias = bias + read @ (other.mean[place] - self.mean[place])
+                read = read * other.spread[place]
+            parts.append(read)
+        return {**mlp, "first.weight": torch.cat(parts, dim=1), "first.bias": bias}
 
     def embedding(self, name: str, rows: Tensor) -> Tensor:
         """Rows (labels, width) float64 of an embedding as the normalised columns have them."""
@@ -367,6 +390,10 @@ class _Columns:
         """State of our normaliser of a table."""
         mean, spread = [], []
         for feature in layout.columns(table):
+            if feature.name in _LABELS:
+                mean.append(torch.zeros(feature.width, dtype=torch.float64))
+                spread.append(torch.ones(feature.width, dtype=torch.float64))
+                continue
             place, sign = self.places[_theirs(feature.name)], self.signs[_theirs(feature.name)]
             known = feature.normalised and place.stop <= len(self.mean)
             mean.append(sign * self.mean[place] if known else torch.zeros(feature.width, dtype=torch.float64))
@@ -423,6 +450,12 @@ def _blocks_of_steps(file: _File, mlps: Mapping[str, str], node_mlp: str, order:
     return [_Block(f"processor_steps.{number}", mlps, node_mlp, order) for number in range(count)]
 
 
+def _with_world_edges(file: _File, preset: Any) -> Any:
+    radius = float(file.setting("model", "*", "collision_radius", default=preset.world_edges.radius))
+    neighbours = int(file.setting("model", "*", "k_world_edges", default=preset.world_edges.neighbours))
+    return replace(preset, world_edges=replace(preset.world_edges, radius=radius, neighbours=neighbours))
+
+
 def _require_steps(file: _File, blocks: int) -> None:
     told = file.setting("model", "*", "message_passing_steps", default=blocks)
     if told != blocks or not blocks:
@@ -434,6 +467,7 @@ def _pb4u_configuration(file: _File, preset: Any) -> NetworkConfiguration:
     _require_steps(file, blocks)
     # The number of blocks is also that of propagation steps at the base length; a file without it keeps the distance.
     base_length = float(file.setting("model", "*", "l_base", default=preset.control.distance / blocks))
+    preset = _with_world_edges(file, preset)
     return replace(preset, blocks=blocks, control=replace(preset.control, distance=blocks * base_length))
 
 
@@ -458,7 +492,7 @@ def _propagation(file: _File) -> dict[str, Tensor]:
 def _mgn_configuration(file: _File, preset: Any) -> NetworkConfiguration:
     blocks = file.count(r"processor_steps\.(\d+)\.")
     _require_steps(file, blocks)
-    return replace(preset, blocks=blocks)
+    return replace(_with_world_edges(file, preset), blocks=blocks)
 
 
 def _mgn_blocks(file: _File) -> list[_Block]:
@@ -489,7 +523,7 @@ def _hood_configuration(file: _File, preset: Any, prefix: str, first: int) -> Ne
     made, told = _architecture(repeats), file.setting("model", "*", "architecture", default=None)
     if told is not None and told != made:
         raise InputError(f"{file.path} has the schedule {told} in its settings, where its blocks are those of {made}.")
-    return replace(preset, repeats=repeats)
+    return replace(_with_world_edges(file, preset), repeats=repeats)
 
 
 def _architecture(repeats: Sequence[int]) -> str:
@@ -501,9 +535,31 @@ def _architecture(repeats: Sequence[int]) -> str:
     return "|".join(written)
 
 
+def _contourcraft_configuration(file: _File, preset: Any) -> NetworkConfiguration:
+    blocks, made = file.count(r"levels\.0\.(\d+)\."), file.setting("model", "*", "architecture", default=None)
+    if not blocks or made not in (None, "|".join(["f,c3"] * blocks)):
+        raise InputError(f"{file.path} has the schedule {made} in its settings, which is not that of {blocks} blocks.")
+    radius = float(file.setting("model", "*", "collision_radius", default=preset.radius))
+    body_radius = float(file.setting("model", "*", "body_collision_radius", default=preset.world_edges.radius))
+    return replace(preset, blocks=blocks, radius=radius, world_edges=replace(preset.world_edges, radius=body_radius))
+
+
+def _contourcraft_blocks(file: _File) -> list[_Block]:
+    parts = {"mesh": "mesh", COARSE: "coarse", REPULSION: "repulsion", ATTRACTION: "attraction", "world": "body"}
+    keys = {kind: f"edge_processor_dict.{part}_edge" for kind, part in parts.items()}
+    keys[COARSE] += "3"
+    order = ("node", *sorted(keys, key=keys.__getitem__))
+    count = file.count(r"levels\.0\.(\d+)\.")
+    return [_Block(f"levels.0.{number}", keys, "node_processor_dict.node", order) for number in range(count)]
+
+
 _HOOD_KEYS = {"mesh": "mesh_edge", NEAR: "coarse_edge0", FAR: "coarse_edge1", "world": "world_edge"}
 _HOOD_SETS = {"mesh": "f", NEAR: "c0", FAR: "c1"}
+_LABELS = {"future_pinned": ("edge_type", "model.edgetype_embedding.weight")}
+"""Flags of ours that released networks embed as labels 0 and 1: their columns, and the table of the labels."""
 _WIDTHS = {
+    "is_init": 1,  # 0 at inference, so that its columns read nothing
+    "edge_type": 4,
     "type": TYPE_WIDTH,
     "level": LEVEL_WIDTH,
     **{name: total_width((feature,)) for table in TABLES.values() for name, feature in table.items()},
@@ -564,6 +620,37 @@ METHODS: Mapping[str, _Method] = {
             },
             partial(_hood_configuration, prefix="processor_steps", first=1),
             partial(_hood_blocks, prefix="processor_steps", first=1),
+        ),
+        _Method(
+            "release_contourcraft",
+            ("ccraft",),
+            "edgeset_encoders.repulsion",
+            {
+                "node": ("velocity", "type", "level", "normal", "mass", "is_init", "material"),
+                "mesh_edge": ("relative_position", "length", "rest_length", "is_init", "material"),
+                "world_edge": (*_WORLD[:4], "-relative_velocity", "relative_speed", "is_init"),
+                "found_edge": (
+                    "relative_position",
+                    "length",
+                    "previous_relative_position",
+                    "previous_length",
+                    "relative_velocity",
+                    "relative_speed",
+                    "edge_type",
+                    "is_init",
+                    "material",
+                ),
+            },
+            {
+                "mesh": ("mesh", "mesh_edge", "mesh_edge"),
+                COARSE: ("coarse3", "mesh_edge", "coarse_edge"),
+                REPULSION: ("repulsion", "found_edge", "world_edge"),
+                ATTRACTION: ("attraction", "found_edge", "world_edge"),
+                "world": ("body", "world_edge", "body_edge"),
+            },
+            _contourcraft_configuration,
+            _contourcraft_blocks,
+            unread=(r".*edgeset_encoders\.coarse[0-2]\.",),
         ),
     )
 }

@@ -53,6 +53,7 @@ _FILES = ("garment", "material", "pins", "body", "motion", "model", "omitted")
 
 Device = Literal["auto", "cpu", "cuda"]
 FirstFrameChoice = Literal["auto", "settled", "long_step", "release", "hood", "mgn", "contourcraft"]
+Precision = Literal["auto", "float32", "bfloat16"]
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,8 @@ class RunSpecification:
         first_frame: way to make frame 0: "settled" by the solver, by one "long_step" of the method itself, or as the
             released code of "release" (Pb4U-GNet), "hood", "mgn" or "contourcraft" begins; "auto" is settled where the
             solver runs.
+        precision: of a network's products: "float32", "bfloat16", or "auto": bfloat16 where the device multiplies
+            faster in it.
 
     Raises:
         InputError: a value of a wrong type or out of range.
@@ -86,6 +89,7 @@ class RunSpecification:
     propagation_steps: int | None = None
     device: Device = "auto"
     first_frame: FirstFrameChoice = "auto"
+    precision: Precision = "auto"
 
     def __post_init__(self) -> None:
         require_name("model", self.model)
@@ -107,6 +111,8 @@ class RunSpecification:
             raise unknown_name("device", str(self.device), get_args(Device))
         if self.first_frame not in get_args(FirstFrameChoice):
             raise unknown_name("first frame", str(self.first_frame), get_args(FirstFrameChoice))
+        if self.precision not in get_args(Precision):
+            raise unknown_name("precision", str(self.precision), get_args(Precision))
 
     def simulator(self) -> Simulator:
         """Simulator that the options name, loaded.
@@ -126,6 +132,7 @@ class RunSpecification:
             passes=self.passes,
             device=self.device,
             first_frame=self.first_frame,
+            precision=self.precision,
         )
 
     def assemble(self, simulator: Simulator) -> Scene:

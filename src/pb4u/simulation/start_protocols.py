@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from pb4u.scene.packed import ColliderFrame, ColliderPose
@@ -86,20 +85,19 @@ class SkinnedStart(StartProtocol):
 def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:
     """Positions (vertices, 3) [m] pushed along the normal of the body face whose centre is nearest to each.
 
-    Source: the released code (reference 1.8). Garments all feel all bodies; without a body nothing moves.
+    Source: the released code (reference 1.8). One world; without a body nothing moves.
 
     Args:
         positions: (vertices, 3) [m].
         body: where the bodies are.
         factor: on the missing distance to `CLEARANCE`.
     """
-    faces = body.colliders.faces
-    if not len(faces):
+    (surface,) = body.whole_surfaces
+    if surface is None:
         return positions
-    corners = body.positions.to(positions)[faces]
-    centres = corners.mean(dim=1)
-    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = torch.nn.functional.normalize(normals, dim=1)
-    nearest = torch.from_numpy(cKDTree(centres.numpy()).query(positions.numpy())[1])
-    height = ((positions - centres[nearest]) * normals[nearest]).sum(dim=1, keepdim=True)
-    return positions - factor * (height - CLEARANCE).clamp_max(0.0) * normals[nearest]
+    face, _ = surface.nearest_face_centre(positions)
+    corners = body.positions.to(positions)[body.colliders.faces[face]]
+    normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = torch.nn.functional.normalize(normal, dim=1)
+    height = ((positions - corners.mean(dim=1)) * normal).sum(dim=1, keepdim=True)
+    return positions - factor * (height - CLEARANCE).clamp_max(0.0) * normal

@@ -1,4 +1,4 @@
-"""Start of a network's time step: free flight, as in the paper, or a share of the body's motion."""
+"""Start of a time step: free flight, as in the paper, or a share of the body's motion."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from pb4u.nn.acceleration_model import GraphNetwork
 from pb4u.physics.contact.tracking import lifted_off_the_body
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
+
+CARRIED_SHARES = (0.25, 0.5, 0.75, 1.0)
+"""Shares of the body's motion that a step may start from, besides none."""
 
 
 class StepStart(ABC):

@@ -26,7 +26,7 @@ from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SolverRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import start_of
+from pb4u.simulation.step_start import FreeFlight, StepStart, start_of
 from pb4u.simulation.timeline import Timeline
 
 
@@ -73,7 +73,7 @@ def _written(scene: Scene, timeline: Timeline, state: State, method: StepMethod)
 
 
 class SolverSimulator(StepwiseSimulator):
-    """Solver of every frame (`--model solver`): minimises the incremental potential from free flight, then contact.
+    """Solver of every frame (`--model solver`): minimises the incremental potential, then answers contact.
 
     The reference, and the floor that energies are measured from.
 
@@ -82,6 +82,7 @@ class SolverSimulator(StepwiseSimulator):
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; settled by default.
         potential: the energies, and whether cloth feels cloth; the six terms by default.
+        start: where a step starts from; free flight by default.
     """
 
     name = "solver"
@@ -92,9 +93,10 @@ class SolverSimulator(StepwiseSimulator):
         contact: Contact | None = None,
         first_frame: FirstFrame | None = None,
         potential: IncrementalPotential | None = None,
+        start: StepStart | None = None,
     ) -> None:
         self.iterations, self.contact = iterations, contact or NoContact()
-        self.potential = potential or IncrementalPotential()
+        self.potential, self.start = potential or IncrementalPotential(), start or FreeFlight()
         self.first_frame = first_frame or Settled()
 
     def settings(self) -> dict[str, Any]:
@@ -105,7 +107,7 @@ class SolverSimulator(StepwiseSimulator):
             record.solver_iterations.append(solution.iterations)
             record.unsolved += not solution.converged
 
-        refinement = ImplicitSteps(self.iterations, potential=self.potential, watch=note)
+        refinement = ImplicitSteps(self.iterations, self.potential, note, self.start)
         return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
 
 
@@ -124,6 +126,7 @@ class NetworkSimulator(StepwiseSimulator):
         passes: evaluations of the network in a step; None is its own number.
         first_frame: makes frame 0; by default one long step of the method's own.
         potential: the energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
+        precision: data type of the network's products.
 
     Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next.
     """
@@ -138,6 +141,7 @@ class NetworkSimulator(StepwiseSimulator):
         passes: int | None = None,
         first_frame: FirstFrame | None = None,
         potential: IncrementalPotential | None = None,
+        precision: torch.dtype = torch.float32,
     ) -> None:
         self.name = checkpoint.name
         self.potential = potential or IncrementalPotential()
@@ -155,6 +159,9 @@ class NetworkSimulator(StepwiseSimulator):
             )
         if next(checkpoint.model.parameters()).device != self.device:
             checkpoint = replace(checkpoint, model=copy.deepcopy(checkpoint.model).to(self.device))
+        self.precision = precision
+        if precision != torch.float32:
+            checkpoint = replace(checkpoint, model=checkpoint.model.with_products_in(precision))
         self.checkpoint = checkpoint
 
     def settings(self) -> dict[str, Any]:
@@ -162,6 +169,7 @@ class NetworkSimulator(StepwiseSimulator):
             "refine": self.refine,
             "passes": self.passes,
             "device": str(self.device),
+            "precision": str(self.precision).removeprefix("torch."),
             "weights_licence": self.checkpoint.licence,
         }
 

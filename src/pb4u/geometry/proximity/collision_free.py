@@ -74,29 +74,29 @@ def collision_free(
     if not moves.any():
         return wanted
     pairs, gaps = known or _met(tree, before, moves)
-    touching = free_shares(pairs, gaps, before, moves) < 1.0
-    if not touching.any():
+    shares = free_shares(pairs, gaps, before, moves)
+    if (shares >= 1.0).all():
         return wanted
     inverse, joined = 1.0 / masses, np.arange(len(before))
     worlds = tree.vertex_world.max(initial=0) + 1
     fastest = np.zeros(worlds)
     np.maximum.at(fastest, tree.vertex_world, (moves**2).sum(axis=1))
     for attempt in range(_IMPULSES + _ZONES):
-        shares = free_shares(pairs, gaps, before, moves)
-        touching = shares < 1.0
-        if not touching.any():
+        if (shares >= 1.0).all():
             # Changed moves may meet others than the first ones did.
             pairs, gaps = _met(tree, before, moves)
             shares = free_shares(pairs, gaps, before, moves)
-            touching = shares < 1.0
-            if not touching.any():
+            if (shares >= 1.0).all():
                 return before + moves
+        touching, previous = shares < 1.0, moves.copy()
         hit = pairs.chosen(touching)
         if attempt < _IMPULSES:
             stopped = (gaps[touching], shares[touching])
             _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, fastest)
         else:
             moves = _together(moves, hit.corners, joined, masses)
+        changed = (moves != previous).any(axis=1)[pairs.corners].any(axis=1)
+        shares[changed] = free_shares(pairs.chosen(changed), gaps[changed], before, moves)
     # All of a world together, as far as nothing touches: it always can be.
     pairs, gaps = _met(tree, before, moves)
     free = np.ones(worlds)

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pb4u.geometry.proximity.element_distance import compiled, nearest
+from pb4u.geometry.proximity.element_distance import compiled, fastest_approach, nearest
 
 _LEAF = 2
 """Most faces of a leaf: smaller leaves cost more boxes, larger ones more comparisons of faces."""
@@ -84,7 +84,9 @@ class SurfaceTree:
         return np.zeros_like(self.rest)
 
     def pairs(self, vertices: np.ndarray, reach: float, moves: np.ndarray | None = None) -> ElementPairs:
-        """Pairs whose boxes come within `reach` of one another, a superset of those that do.
+        """Pairs that may come within `reach` of one another, a superset of those that do.
+
+        Without moves it is those that do; with moves, those that are no further apart than they can approach.
 
         Args:
             vertices: (vertices, 3) float64 [m].
@@ -99,7 +101,11 @@ class SurfaceTree:
         boxes = (_fit(face_boxes, self._order, self._children, self._ranges), face_boxes, edge_boxes, vertex_boxes)
         tree = (self._order, self._children, self._ranges, self._roots)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
-        vertex_faces, edge_edges = _search(boxes, tree, elements)
+        # Boxes of long edges across each other meet long before the edges do.
+        vertex_faces, edge_edges = (
+            corners[_may_meet(vertices, moving, corners, kind, reach)]
+            for corners, kind in zip(_search(boxes, tree, elements), (True, False), strict=True)
+        )
         corners = np.concatenate([vertex_faces, edge_edges])
         rest = _rest_distances(self.rest, self.part, corners, len(vertex_faces))
         return ElementPairs(corners, len(vertex_faces), rest)
@@ -313,6 +319,22 @@ def _search(boxes: tuple, tree: tuple, elements: tuple) -> tuple[np.ndarray, np.
                                 near_edges[edge_count, 2:] = edges[q]
                                 edge_count += 1
     return near_faces[:face_count], near_edges[:edge_count]
+
+
+@compiled
+def _may_meet(
+    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_face: bool, reach: float
+) -> np.ndarray:
+    """Whether each pair (pairs,) is no further apart than `reach` and what it may approach by the moves."""
+    points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
+    near = np.empty(len(corners), dtype=np.bool_)
+    for pair in range(len(corners)):
+        for corner in range(4):
+            for axis in range(3):
+                points[corner, axis] = vertices[corners[pair, corner], axis]
+                way[corner, axis] = moves[corners[pair, corner], axis]
+        near[pair] = nearest(points, vertex_face, weights, between) <= reach + fastest_approach(way, vertex_face)
+    return near
 
 
 @compiled

@@ -8,17 +8,23 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.proximity.collision_free import collision_free, free_shares, smallest_gaps
+from pb4u.geometry.proximity.element_distance import crossing_shares
 from pb4u.geometry.proximity.surface_tree import ElementPairs
 from pb4u.scene.packed import PackedGarments
 
 _SHARE_OF_REST = 0.5
 """Share of their distance at rest within which two elements of one garment feel each other: at rest none does."""
+
+_PARALLEL = 1e-3
+"""Squared sine of the angle between two edges from which on they feel each other in full: 1.8 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +36,14 @@ class ClothPairs:
         gaps: (pairs,) [m] that they never come within.
         reaches: (pairs,) [m] at which they begin to feel each other.
         areas: (pairs,) [m^2] of cloth that each pair stands for.
+        parallels: (pairs,) squared cross product [m^4] below which two edges count as parallel; 0 for the others.
     """
 
     pairs: ElementPairs
     gaps: np.ndarray
     reaches: np.ndarray
     areas: np.ndarray
+    parallels: np.ndarray
 
     @staticmethod
     def along(garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor, reach: float) -> ClothPairs:
@@ -53,7 +61,11 @@ class ClothPairs:
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
         areas = 0.25 * garments.vertex_areas.detach().cpu().numpy()[pairs.corners].mean(axis=1)
-        return ClothPairs(pairs, gaps, reaches, areas)
+        ends = garments.surface_tree.rest[pairs.corners]
+        lengths = ((ends[:, [1, 3]] - ends[:, [0, 2]]) ** 2).sum(axis=2)
+        parallels = _PARALLEL * lengths.prod(axis=1)
+        parallels[: pairs.vertex_faces] = 0.0
+        return ClothPairs(pairs, gaps, reaches, areas, parallels)
 
     def touching(self, x: Tensor) -> TouchingCloth | None:
         """Those of the pairs that feel each other at `x` (vertices, 3) [m], or None."""
@@ -61,14 +73,15 @@ class ClothPairs:
         rows = distances < self.reaches
         if not rows.any():
             return None
+        corners = self.pairs.corners[rows]
         return TouchingCloth(
-            self.pairs.corners[rows],
+            corners,
             weights[rows],
             normals[rows],
             distances[rows],
             self.gaps[rows],
             self.reaches[rows],
-            self.areas[rows],
+            self.areas[rows] * crossing_shares(_array(x), corners, self.parallels[rows]),
         )
 
 
@@ -83,7 +96,7 @@ class TouchingCloth:
         distances: (pairs,) [m].
         gaps: (pairs,) [m] that they never come within.
         reaches: (pairs,) [m] at which they begin to feel each other.
-        areas: (pairs,) [m^2] of cloth that each pair stands for.
+        areas: (pairs,) [m^2] of cloth that each pair stands for, less of edges that are nearly parallel.
     """
 
     corners: np.ndarray
@@ -101,6 +114,17 @@ class SelfContact(ABC):
     @abstractmethod
     def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
         """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`; None for none."""
+
+    @abstractmethod
+    def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
+        """Positions (vertices, 3) [m] near `x` from which a simulation may begin, pinned vertices in their places.
+
+        Args:
+            garments: static quantities.
+            x: (vertices, 3) [m].
+
+        Raises InputError where what crosses cannot be untangled.
+        """
 
     @abstractmethod
     def carried(
@@ -135,6 +159,9 @@ class NoSelfContact(SelfContact):
     def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
         return None
 
+    def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
+        return x
+
     def carried(
         self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
     ) -> Tensor:
@@ -156,6 +183,13 @@ class CollisionFree(SelfContact):
 
     def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
         return ClothPairs.along(garments, x, moves, before, self.reach)
+
+    def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
+        positions, freed = _array(x), []
+        for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
+            worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
+            freed.append(untangled_start(worn, positions[first:stop]))
+        return torch.from_numpy(np.concatenate(freed)).to(x)
 
     def carried(
         self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
