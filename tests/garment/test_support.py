@@ -6,7 +6,7 @@ from cloth_shapes import saved
 
 from pb4u.body.library import load_body
 from pb4u.garment.diagnosis import diagnose
-from pb4u.garment.fit import LEAST_AREA, RestBody, is_held_up, resting_area
+from pb4u.garment.fit import LEAST_AREA, RestBody, find_holder, is_held_up, resting_area
 from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.geometry.mesh_file import PolygonMesh
@@ -67,3 +67,25 @@ def test_the_place_of_body_and_ground_does_not_matter(woman):
     area = resting_area(top.vertices, top.faces, rest)
     moved = resting_area(top.vertices + np.array([0.3, 1.0, -0.2]), top.faces, raised)
     assert moved == pytest.approx(area, rel=1e-6)
+
+
+def test_a_waistband_and_straps_are_found_as_what_holds(woman):
+    rest = RestBody.of(woman)
+    skirt = build_garment("skirt", woman, 1000)
+    holder = find_holder(skirt.vertices, skirt.faces, rest)
+    assert holder is not None
+    assert holder.name == "waistband"
+    assert skirt.vertices[holder.vertices, 1].min() > 0.95 * skirt.vertices[:, 1].max()
+    shirt = build_garment("tshirt", woman, 1000)
+    assert find_holder(shirt.vertices, shirt.faces, rest) is None
+    # The tank top with its shoulders cut down to a strip: straps.
+    top = build_garment("tanktop", woman, 4000)
+    high = top.vertices[top.faces].mean(axis=1)[:, 1] > 0.8 * woman.height
+    middle = np.abs(np.abs(top.vertices[top.faces].mean(axis=1)[:, 0]) - 0.11) < 0.012
+    cut = top.faces[~high | middle]
+    straps = find_holder(top.vertices, cut, rest)
+    assert straps is not None
+    assert straps.name == "straps"
+    # Legs alone are round no waist.
+    leg = skirt.vertices * [0.4, 1.0, 0.4] + [0.3, -0.3, 0.0]
+    assert find_holder(leg, skirt.faces, rest) is None

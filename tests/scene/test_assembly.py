@@ -19,6 +19,7 @@ from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_garment
 from pb4u.garment.library import build_garment
 from pb4u.garment.material import MATERIALS
+from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.proximity.crossings import self_crossings
@@ -40,11 +41,12 @@ def exported(name: str, body: ShapedBody, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", ["skirt", "trousers"])
-def test_a_file_that_nothing_holds_up_is_told_with_the_cure(name: str, woman: ShapedBody, tmp_path: Path) -> None:
+def test_the_waistband_of_a_file_is_found_and_holds_it(name: str, woman: ShapedBody, tmp_path: Path) -> None:
     file = exported(name, woman, tmp_path)
-    with pytest.warns(InputWarning, match=rf"^{name}: Nothing holds the garment up.*`--pins waist`\.$") as told:
-        make_scene(file, woman, frames=2, lead_in=0)
+    with pytest.warns(InputWarning, match=rf"^{name}: its waistband, \d+ vertices, was found and holds it") as told:
+        worn = make_scene(file, woman, frames=2, lead_in=0).garments[0].garment
     assert len(told) == 1
+    np.testing.assert_array_equal(worn.pinned, worn.with_pins(resolve_pins("waist", worn)).pinned)
 
 
 @pytest.mark.parametrize("pins", ["waist", "none"])

@@ -13,7 +13,7 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_held_up
+from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, find_holder, is_held_up
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import SourceSurface
@@ -284,6 +284,10 @@ def _support_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -
     """A garment without pins, its (vertices, 3) where it is worn, that will slide down."""
     if is_held_up(vertices, faces, body):
         return []
+    if (holder := find_holder(vertices, faces, body)) is not None:
+        sentence = f"Its {holder.name}, {int(holder.vertices.sum())} vertices, is all that can hold the garment up."
+        fix = "nothing: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
+        return [Finding("unsupported", Severity.NOTE, sentence, fix)]
     sentence = "Nothing holds the garment up: none of it lies on the shoulders."
     return [Finding("unsupported", Severity.NOTE, sentence, "simulate it with `--pins waist`")]
 

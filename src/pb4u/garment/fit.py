@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -47,6 +48,10 @@ _FACING_UP = 0.75
 _RESTING = 0.1
 LEAST_AREA = 5e-4
 """Cloth [m^2] over such skin that is a rest: a few square centimetres, as of a strap."""
+STRAP_AREA = 6e-3
+"""Cloth [m^2] on the shoulders below which it is straps: two of 3 cm by 10; a T-shirt has four times as much."""
+# Shares of the body's height between which a waistband sits, and its mean distance to the skin [m] at most.
+_WAIST, _CLOSE = (0.5, 0.75), 0.03
 _UP = np.array([0.0, 1.0, 0.0])
 
 UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
@@ -327,14 +332,19 @@ def resting_area(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> flo
         faces: (faces, 3) int64.
         body: the resting body.
     """
+    return float(face_areas(vertices, faces[_resting(vertices, faces, body)]).sum())
+
+
+def _resting(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndarray:
+    """Mask (faces,) of the cloth that lies on skin which faces up."""
     ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
     centres = vertices[faces].mean(axis=1)
-    high = centres[:, 1] > ground + _LEAST_HEIGHT * (top - ground)
-    if not high.any():
-        return 0.0
-    below = body.surface.nearest(centres[high])
-    rests = (below.normals.numpy()[:, 1] > _FACING_UP) & (np.abs(below.signed_distance.numpy()) < _RESTING)
-    return float(face_areas(vertices, faces[high])[rests].sum())
+    rests = centres[:, 1] > ground + _LEAST_HEIGHT * (top - ground)
+    if rests.any():
+        below = body.surface.nearest(centres[rests])
+        upward = below.normals.numpy()[:, 1] > _FACING_UP
+        rests[rests] = upward & (np.abs(below.signed_distance.numpy()) < _RESTING)
+    return rests
 
 
 def is_held_up(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
@@ -349,3 +359,48 @@ def is_held_up(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
         body: the resting body.
     """
     return resting_area(vertices, faces, body) >= LEAST_AREA
+
+
+class Holder(NamedTuple):
+    """What holds a garment that nothing else does.
+
+    Args:
+        name: "straps" or "waistband".
+        vertices: (vertices,) bool, the cloth of it.
+    """
+
+    name: str
+    vertices: np.ndarray
+
+
+def find_holder(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
+    """Straps that are too narrow to stay on the shoulders by friction, or a border close around the waist.
+
+    None where broad cloth lies on the shoulders, and where nothing of the kind is found. A real waistband is elastic or
+    buttoned, and straps are sewn on under tension; cloth alone is neither.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
+    resting = _resting(vertices, faces, body)
+    area = float(face_areas(vertices, faces[resting]).sum())
+    if area >= LEAST_AREA:
+        held = np.zeros(len(vertices), dtype=bool)
+        held[faces[resting].ravel()] = True
+        return Holder("straps", held) if area < STRAP_AREA else None
+    ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
+    middle = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0))
+    for loop in sorted(Topology(faces, len(vertices)).boundary_loops, key=lambda loop: -vertices[loop, 1].mean()):
+        ring = vertices[loop]
+        height = (float(ring[:, 1].mean()) - ground) / (top - ground)
+        x, z = (ring - middle)[:, [0, 2]].T
+        # Once around the body's axis; a leg's border goes around none of it.
+        turn = np.angle(np.exp(1j * np.diff(np.arctan2(z, x), append=np.arctan2(z[:1], x[:1])))).sum()
+        close = float(np.abs(body.signed_distances(ring)).mean()) < _CLOSE
+        if _WAIST[0] < height < _WAIST[1] and abs(turn) > np.pi and close:
+            held = np.zeros(len(vertices), dtype=bool)
+            held[loop] = True
+            return Holder("waistband", held)
+    return None

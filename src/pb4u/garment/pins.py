@@ -37,7 +37,10 @@ def resolve_pins(spec: str | Path | Sequence[int] | np.ndarray, garment: Garment
         return _from_name(text, garment)
     path = Path(text)
     if path.is_file():
-        return _from_indices(_read_indices(path), garment, str(path))
+        indices = _read_indices(path)
+        if not indices.size:
+            raise InputError(f'{path} names no vertex; give "none" to pin none.')
+        return _from_indices(indices, garment, str(path))
     raise InputError(
         f'There are no pins "{text}" and no such file; choose {_choices(garment)}, or give a file of indices.'
     )
@@ -92,8 +95,6 @@ def _from_indices(indices: np.ndarray, garment: Garment, where: str) -> np.ndarr
     count = len(garment.vertices) if garment.source is None else len(garment.source.source.vertices)
     if indices.ndim != 1 or (indices.size and indices.dtype.kind not in "iu"):
         raise InputError(f"{where} is no list of vertex indices; whole numbers from 0 to {count - 1} are needed.")
-    if not indices.size:
-        raise InputError(f'{where} names no vertex; give "none" to pin none.')
     indices = indices.astype(np.int64)
     bad = indices[(indices < 0) | (indices >= count)]
     if len(bad):

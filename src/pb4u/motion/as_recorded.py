@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from pb4u.errors import InputError
 from pb4u.geometry.rotation import about_axis, from_axis_angle, multiply, slerp
 from pb4u.motion.motion import Motion
 from pb4u.motion.recording import finite_frames
+from pb4u.reading_limits import member_names, read_arrays, told_names
 from pb4u.restricted_pickle import load_pickle
 
 FPS = 30.0
@@ -159,14 +159,11 @@ def _read_pickle(path: Path) -> SmplSequence:
 
 
 def _read_amass(path: Path) -> SmplSequence:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            names = ("poses", "trans", "betas", "mocap_framerate")
-            if missing := [name for name in names if name not in file]:
-                raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {', '.join(sorted(file)[:10])}.")
-            poses, translations, betas, rate = (np.asarray(file[name], dtype=np.float64) for name in names)
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise InputError(f"{path} cannot be read as an .npz of plain arrays ({error}).") from None
+    names = ("poses", "trans", "betas", "mocap_framerate")
+    file = read_arrays(path, names)
+    if missing := [name for name in names if name not in file]:
+        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {told_names(member_names(path))}.")
+    poses, translations, betas, rate = (_numbers(path, file, name) for name in names)
     if poses.ndim != 2 or poses.shape[1] < 3 * _JOINTS or translations.shape != (len(poses), 3):
         raise _of_another_skeleton(path, poses)
     if rate.size != 1 or not FPS <= float(rate) < 1e4:
@@ -191,7 +188,10 @@ def _numbers(path: Path, content: Mapping, key: str) -> np.ndarray:
     if key not in content:
         raise InputError(f"{path} has no {key}; it holds {', '.join(sorted(map(str, content))[:10])}.")
     try:
-        return np.asarray(content[key], dtype=np.float64)
+        values = np.asarray(content[key])
+        if values.dtype.kind == "c":
+            raise TypeError
+        return values.astype(np.float64, copy=False)
     except (TypeError, ValueError):
         raise InputError(f'{path}: "{key}" is not an array of numbers.') from None
 

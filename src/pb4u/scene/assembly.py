@@ -20,7 +20,7 @@ from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.diagnosis import require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
-from pb4u.garment.fit import RestBody
+from pb4u.garment.fit import RestBody, find_holder
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import nearest_places, read_garment
@@ -343,6 +343,8 @@ def _load_garment(specification: GarmentSpecification, body: ShapedBody | Vertex
         return _worn(_remeshed(read_dictionary_garment(entry, cloth), triangles), body)
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
+        if specification.pins is None:
+            loaded = _held(loaded, body)
         require_worn(loaded, body, garment, pins_given=specification.pins is not None)
         return loaded
     if not isinstance(body, ShapedBody):
@@ -363,6 +365,18 @@ def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
             return garment  # its file says how this body wears it
     require_worn(garment, body, garment.name, pins_given=bool(garment.pinned.any()))
     return garment
+
+
+def _held(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
+    """The garment, pinned by what was found to hold it."""
+    holder = find_holder(garment.vertices, garment.faces, RestBody.of(body))
+    if holder is None:
+        return garment
+    _say(
+        f"{garment.name}: its {holder.name}, {int(holder.vertices.sum())} vertices, was found and holds it; --pins "
+        "none lets it go."
+    )
+    return garment.with_pins(holder.vertices)
 
 
 def _load_material(material: str | Path | Material) -> Material:
