@@ -13,6 +13,7 @@ from tests.export.readers import Glb, assert_obj, mdd_frames, pc2_frames
 from pb4u.cli.main import main
 from pb4u.export.registry import WRITERS
 from pb4u.export.selection import on_source, select_frames
+from pb4u.restricted_pickle import load_pickle
 from pb4u.scene.trajectory import Trajectory
 
 OPTIONS = ("--range", "1:12", "--every", "2", "--on", "source")
@@ -57,6 +58,7 @@ def test_convert_writes_the_author_s_mesh(convert: Callable, saved: Path, tmp_pa
         return
     found = {
         ".npz": lambda: Trajectory.open(out).positions,
+        ".pkl": lambda: load_pickle(out)["pred"],
         ".pc2": lambda: pc2_frames(out),
         ".mdd": lambda: mdd_frames(out)[1],
         ".glb": lambda: Glb(out).blended(0, "POSITION", 6)[:, :5],

@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
 from pb4u.baselines.self_contact import ATTRACTION, REPULSION, PackProximity
 from pb4u.geometry.proximity.intersection_contours import ContourFinder, Contours
@@ -23,6 +22,9 @@ from pb4u.graph.builder import FoundEdges
 from pb4u.graph.incidence import incidence
 from pb4u.graph.pins import SeenGarments
 from pb4u.scene.packed import PackedGarments
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,9 @@ def _sides(contours: Contours, mesh: Topology) -> tuple[np.ndarray, np.ndarray]:
     places, place = np.unique(contours.contour[crossing] * len(mesh.faces) + triangle, return_inverse=True)
     at_first = place[np.cumsum(counts) - counts]
     links = _table(at_first[crossing], place, (len(places), len(places)))
+    # Scipy is absent from machines that only train other networks.
+    from scipy.sparse.csgraph import connected_components
+
     count, surface = connected_components(links, directed=False)
     side_contour = np.zeros(count, dtype=np.int64)
     side_contour[surface] = places // len(mesh.faces)
@@ -202,6 +207,8 @@ def _cut_off(contours: Contours, mesh: Topology, side: np.ndarray, count: int) -
     whole[edges] = False
     kept = mesh.edges[whole]
     # Parts of the mesh with every crossed edge cut; a side alone cuts fewer, so its parts are joined parts of these.
+    from scipy.sparse.csgraph import connected_components
+
     parts, part = connected_components(_table(kept[:, 0], kept[:, 1], (mesh.vertex_count,) * 2), directed=False)
     sizes, ends = np.bincount(part, minlength=parts), part[contours.edges]
     rows, columns, closed = [], [], np.zeros(count, dtype=bool)
@@ -230,4 +237,6 @@ def _edge_numbers(edges: np.ndarray, mesh: Topology) -> np.ndarray:
 
 def _table(rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> csr_matrix:
     """A matrix of booleans, True at the given places."""
+    from scipy.sparse import csr_matrix
+
     return csr_matrix((np.ones(len(rows), dtype=bool), (rows, columns)), shape=shape)

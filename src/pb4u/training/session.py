@@ -66,6 +66,8 @@ def train(request: Request) -> dict[str, Any]:
     """
     if (request.resume is None) == (request.out is None):
         raise InputError("Give --out FOLDER for a new training, or --resume FOLDER to go on with one.")
+    if request.resume is not None and (request.preset or request.settings or request.pack or request.recordings):
+        raise InputError("A training goes on as it began: leave out --preset, --set, --pack and --recordings.")
     begun = None if request.resume is not None else _configured(request)
     with workers(request.device) as mine:
         if begun is None:
@@ -131,8 +133,6 @@ def _data(request: Request, configuration: TrainingConfiguration) -> TrainingDat
 def _opened(request: Request) -> tuple[RunFolder, TrainingConfiguration, Budget, TrainingData]:
     """A run to go on with; its budget may be a new one."""
     assert request.resume is not None
-    if request.preset or request.settings or request.pack or request.recordings:
-        raise InputError("A training goes on as it began: leave out --preset, --set, --pack and --recordings.")
     folder = RunFolder.open(request.resume)
     record = folder.configuration()
     try:

@@ -9,14 +9,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar, cast
 
-import numba
 import numpy as np
+
+try:
+    import numba
+except ImportError:
+    # A machine that only trains from packed data needs no contact between cloths.
+    numba = None  # type: ignore[assignment]
 
 Compiled = TypeVar("Compiled", bound=Callable)
 
 
 def compiled(function: Compiled) -> Compiled:
-    """`function` compiled when first called; the machine code is kept on disk and does not hold up other threads."""
+    """`function` compiled when first called; the machine code is kept on disk and does not hold up other threads.
+
+    Without Numba it stays as it is: right, and thousands of times slower.
+    """
+    if numba is None:
+        return function
     return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 

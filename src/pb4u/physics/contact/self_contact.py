@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.proximity.collision_free import collision_free, free_shares, smallest_gaps
 from pb4u.geometry.proximity.element_distance import crossing_shares
 from pb4u.geometry.proximity.surface_tree import ElementPairs
@@ -185,6 +184,9 @@ class CollisionFree(SelfContact):
         return ClothPairs.along(garments, x, moves, before, self.reach)
 
     def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
+        # Needs what a machine that only trains may lack.
+        from pb4u.garment.tangles import untangled_start
+
         positions, freed = _array(x), []
         for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
             worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
