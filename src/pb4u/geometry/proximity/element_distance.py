@@ -27,7 +27,11 @@ def compiled(function: Compiled) -> Compiled:
     """
     if numba is None:
         return function
-    return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    try:
+        return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    except RuntimeError:
+        # No folder may be written, neither beside the package nor of the user: compiled anew in every run.
+        return cast(Compiled, numba.njit(nogil=True, error_model="numpy")(function))
 
 
 _KEPT = 0.1
