@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pb4u.geometry.proximity.element_distance import compiled, crossing_share, gather, nearest
 from pb4u.physics.contact.planes import ContactSet
-from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
+from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth, as_array
 from pb4u.physics.energy_term import EnergyTerm, dot
 from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.physics.time_step import TimeStep
@@ -30,8 +30,8 @@ class ClothContact(EnergyTerm):
 
     s_p = (d_p - g_p) / h_p with d_p the distance of the two elements [m], g_p the gap that they keep and h_p what is
     between it and the distance at which they begin to feel each other; m_p is 1, and for two edges falls to 0 where
-    they are parallel. Source: the barrier of Incremental Potential
-    Contact (Li et al. 2020) with an offset, as for the thickness of Codimensional IPC (Li et al. 2021).
+    they are parallel. Source: the barrier of Incremental Potential Contact (Li et al. 2020) with an offset, as for the
+    thickness of Codimensional IPC (Li et al. 2021).
 
     Args:
         stiffness: kappa [Pa]; cloth of 200 g/m^2 presses the one under it with 2 Pa, and comes to rest within a tenth
@@ -51,7 +51,7 @@ class ClothContact(EnergyTerm):
         cloth = contacts.cloth
         if cloth is None:
             return x.new_zeros(step.garments.garment_count), torch.zeros_like(x)
-        values, gradient = _barrier(_array(x), *_law(cloth), self.stiffness)
+        values, gradient = _barrier(as_array(x), *_law(cloth), self.stiffness)
         energies = _by_garment(step.garments, cloth.pairs.corners, torch.from_numpy(values)).to(x)
         return energies, torch.from_numpy(gradient).to(x)
 
@@ -65,7 +65,7 @@ class ClothContact(EnergyTerm):
         """
         if contacts.cloth is None:
             return None
-        return PairStiffness(*_barrier_rows(_array(x), *_law(contacts.cloth), self.stiffness))
+        return PairStiffness(*_barrier_rows(as_array(x), *_law(contacts.cloth), self.stiffness))
 
     def forces(self, touching: TouchingCloth) -> np.ndarray:
         """Force (pairs,) [N] between the elements of each pair."""
@@ -156,7 +156,7 @@ class _Barrier(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, step: TimeStep, contacts: ContactSet, term: ClothContact) -> Tensor:
         assert contacts.cloth is not None
-        values, ctx.saved = _barrier(_array(x), *_law(contacts.cloth), term.stiffness)[0], (step, contacts, term, x)
+        values, ctx.saved = _barrier(as_array(x), *_law(contacts.cloth), term.stiffness)[0], (step, contacts, term, x)
         return _by_garment(step.garments, contacts.cloth.pairs.corners, torch.from_numpy(values)).to(x)
 
     @staticmethod
@@ -168,7 +168,7 @@ class _Barrier(torch.autograd.Function):
             slopes[step.garments.vertex_garment[corners[:, 0]]] + slopes[step.garments.vertex_garment[corners[:, 2]]]
         )
         areas = contacts.cloth.areas * weights.numpy()
-        _, gradient = _barrier(_array(x), *_law(replace(contacts.cloth, areas=areas)), term.stiffness)
+        _, gradient = _barrier(as_array(x), *_law(replace(contacts.cloth, areas=areas)), term.stiffness)
         return torch.from_numpy(gradient).to(x), None, None, None
 
 
@@ -187,10 +187,6 @@ def _by_garment(garments: PackedGarments, corners: np.ndarray, values: Tensor) -
     first, second = (garments.vertex_garment[torch.from_numpy(corners[:, k])] for k in (0, 2))
     sums = values.new_zeros(garments.garment_count)
     return sums.index_add(0, first, 0.5 * values).index_add(0, second, 0.5 * values)
-
-
-def _array(values: Tensor) -> np.ndarray:
-    return values.detach().to("cpu", torch.float64).contiguous().numpy()
 
 
 @compiled

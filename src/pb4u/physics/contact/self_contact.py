@@ -55,8 +55,8 @@ class ClothPairs:
             before: (vertices, 3) [m] positions that cross nowhere, as the step began.
             reach: distance [m].
         """
-        pairs = garments.surface_tree.pairs(_array(x), reach, None if moves is None else _array(moves))
-        gaps = smallest_gaps(pairs, _array(before))
+        pairs = garments.surface_tree.pairs(as_array(x), reach, None if moves is None else as_array(moves))
+        gaps = smallest_gaps(pairs, as_array(before))
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
         areas = 0.25 * garments.vertex_areas.detach().cpu().numpy()[pairs.corners].mean(axis=1)
@@ -68,7 +68,7 @@ class ClothPairs:
 
     def touching(self, x: Tensor) -> TouchingCloth | None:
         """Those of the pairs that feel each other at `x` (vertices, 3) [m], or None."""
-        distances, weights, normals = self.pairs.nearest(_array(x))
+        distances, weights, normals = self.pairs.nearest(as_array(x))
         rows = distances < self.reaches
         if not rows.any():
             return None
@@ -80,7 +80,7 @@ class ClothPairs:
             distances[rows],
             self.gaps[rows],
             self.reaches[rows],
-            self.areas[rows] * crossing_shares(_array(x), corners, self.parallels[rows]),
+            self.areas[rows] * crossing_shares(as_array(x), corners, self.parallels[rows]),
         )
 
 
@@ -187,7 +187,7 @@ class CollisionFree(SelfContact):
         # Needs what a machine that only trains may lack.
         from pb4u.garment.tangles import untangled_start
 
-        positions, freed = _array(x), []
+        positions, freed = as_array(x), []
         for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
             worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
             freed.append(untangled_start(worn, positions[first:stop]))
@@ -197,18 +197,19 @@ class CollisionFree(SelfContact):
         self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
     ) -> Tensor:
         masses = torch.where(garments.pinned, torch.inf, garments.vertex_masses.clamp_min(1e-12))
-        asked, known = _array(wanted), None if cloth is None else (cloth.pairs, cloth.gaps)
-        result = collision_free(garments.surface_tree, _array(before), asked, _array(masses), known)
+        asked, known = as_array(wanted), None if cloth is None else (cloth.pairs, cloth.gaps)
+        result = collision_free(garments.surface_tree, as_array(before), asked, as_array(masses), known)
         return wanted if result is asked else torch.from_numpy(result).to(wanted)
 
     def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
         result = x.new_ones(garments.world_count)
         if cloth is None or not len(cloth.pairs):
             return result
-        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, _array(x), _array(moves)))
+        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, as_array(x), as_array(moves)))
         world = garments.vertex_world[torch.from_numpy(cloth.pairs.corners[:, 0])]
         return result.scatter_reduce(0, world, free.to(x), "amin")
 
 
-def _array(values: Tensor) -> np.ndarray:
+def as_array(values: Tensor) -> np.ndarray:
+    """`values` as a contiguous float64 array, in their unit; its memory is that of the tensor where it can be."""
     return values.detach().to("cpu", torch.float64).contiguous().numpy()
