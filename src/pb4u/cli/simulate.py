@@ -189,7 +189,8 @@ def simulate(
         int | None,
         typer.Option(
             metavar="N",
-            help=f"Solver iterations after each step of a network. Default: {RunSpecification.refine}.",
+            help="Solver iterations after each step of a network; what they leave far from balance the solver makes "
+            f"anew. Default: {RunSpecification.refine}.",
         ),
     ] = None,
     contact: Annotated[
@@ -446,6 +447,7 @@ def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: 
         "ms_per_step": record.ms_per_step,
         "solver_iterations": record.solver_iterations,
         "unsolved_steps": record.unsolved,
+        "steps_made_anew": record.made_anew,
         "notes": list(scene.notes),
         **measured,
     }
