@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.geometry.proximity.element_distance import compiled
+from pb4u.geometry.proximity.element_distance import compiled_with_fused_products
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.contact.self_contact import as_array
 from pb4u.physics.energy_term import EnergyTerm, columns, dot, sum_by_garment, sum_by_vertex
@@ -138,7 +138,7 @@ def _tiny(x: Tensor) -> float:
     return 1e-30 if x.dtype == torch.float64 else 1e-20
 
 
-@compiled
+@compiled_with_fused_products
 def _bend(vertices: np.ndarray, hinges: np.ndarray, hinge: int, rest: float) -> tuple[float, ...]:
     """l and theta - theta0 of one hinge; then its edge, the edges to v2 and to v3, and both normals, not unit."""
     a, b, c, d = hinges[hinge, 0], hinges[hinge, 1], hinges[hinge, 2], hinges[hinge, 3]
@@ -153,7 +153,7 @@ def _bend(vertices: np.ndarray, hinges: np.ndarray, hinge: int, rest: float) -> 
     return length, angle, e0, e1, e2, c0, c1, c2, d0, d1, d2, m0, m1, m2, n0, n1, n2
 
 
-@compiled
+@compiled_with_fused_products
 def _bend_derivative(
     vertices: np.ndarray, hinges: np.ndarray, hinge: int, rest: float, derivative: np.ndarray
 ) -> float:
@@ -171,7 +171,7 @@ def _bend_derivative(
     return length * angle
 
 
-@compiled
+@compiled_with_fused_products
 def _add_energies(
     vertices: np.ndarray,
     hinges: np.ndarray,
@@ -186,7 +186,7 @@ def _add_energies(
         energies[garment[hinge]] += 0.5 * stiffness[hinge] * (bend[0] * bend[1]) ** 2
 
 
-@compiled
+@compiled_with_fused_products
 def _add_gradient(
     vertices: np.ndarray,
     hinges: np.ndarray,
@@ -206,7 +206,7 @@ def _add_gradient(
                 gradient[hinges[hinge, corner], axis] += stiffness[hinge] * bend * derivative[corner, axis]
 
 
-@compiled
+@compiled_with_fused_products
 def _add_stiffness(
     vertices: np.ndarray,
     hinges: np.ndarray,

@@ -13,13 +13,16 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from pb4u.geometry.proximity.element_distance import compiled
+from pb4u.geometry.proximity.element_distance import compiled_with_fused_products
 from pb4u.physics.pair_stiffness import PairStiffness, add_product
 from pb4u.physics.stiffness_matrix import SymmetricBlocks, multiply
 from pb4u.scene.packed import PackedGarments
 
 _PATCHES_PER_GARMENT = 40
 """Enough for a sleeve to move apart from a front; their dense matrix, 360 wide, still inverts in milliseconds."""
+
+Functions = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""A sparse matrix as first entries of its rows, columns and values of its entries."""
 
 _SMOOTHING_STEPS = 2
 """Averagings over neighbours that take the jumps at the patches' borders out of their motions."""
@@ -79,6 +82,11 @@ class PatchBasis:
     Args:
         garments: static quantities on the CPU.
         free: (vertices,) bool, vertices that move.
+
+    Attributes:
+        functions: sparse matrix (vertices, functions) of values that each vertex has along each axis.
+        by_vertex: its rows as arrays.
+        by_function: its columns as arrays.
     """
 
     def __init__(self, garments: PackedGarments, free: np.ndarray) -> None:
@@ -100,7 +108,9 @@ class PatchBasis:
         for _ in range(_SMOOTHING_STEPS):
             functions = functions / 3.0 + average @ functions * (2.0 / 3.0)
         self.functions = (diags(free.astype(np.float64)) @ functions).tocsr()
-        self.functions.sort_indices()
+        by_vertex, by_function = self.functions, self.functions.T.tocsr()
+        self.by_vertex = by_vertex.indptr, by_vertex.indices, by_vertex.data
+        self.by_function = by_function.indptr, by_function.indices, by_function.data
 
 
 class TwoLevelPreconditioner:
@@ -126,9 +136,7 @@ class TwoLevelPreconditioner:
         functions = self.basis.functions
         width = functions.shape[1]
         coarse = np.zeros((width, 3, width, 3))
-        _add_coarse(
-            matrix.starts, matrix.columns, matrix.blocks, functions.indptr, functions.indices, functions.data, coarse
-        )
+        _add_coarse(matrix.starts, matrix.columns, matrix.blocks, self.basis.by_vertex, coarse)
         coarse = coarse.reshape(3 * width, 3 * width)
         coarse += coarse.T
         if len(pairs):
@@ -146,10 +154,9 @@ class TwoLevelPreconditioner:
         self._fine_inverse = torch.linalg.inv(torch.from_numpy(diagonal)).numpy()
 
     @property
-    def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Inverses (vertices, 3, 3) and (coarse, coarse) [m/N]; starts, indices and values of functions by vertex."""
-        functions = self.basis.functions
-        return self._fine_inverse, self._coarse_inverse, functions.indptr, functions.indices, functions.data
+    def parts(self) -> tuple[np.ndarray, np.ndarray, Functions, Functions]:
+        """Inverses (vertices, 3, 3) and (coarse, coarse) [m/N]; the functions by function, and by vertex."""
+        return self._fine_inverse, self._coarse_inverse, self.basis.by_function, self.basis.by_vertex
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         """Approximate solution (vertices, 3) [m] for `residual` (vertices, 3) [N]."""
@@ -191,43 +198,55 @@ def _affine_functions(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     return np.concatenate(values), np.concatenate(rows), np.concatenate(columns)
 
 
-@compiled
+@compiled_with_fused_products
 def _precondition(
     fine: np.ndarray,
     coarse: np.ndarray,
-    starts: np.ndarray,
-    indices: np.ndarray,
-    values: np.ndarray,
+    to_patches: Functions,
+    to_vertices: Functions,
     residual: np.ndarray,
     result: np.ndarray,
 ) -> None:
     """Fill `result` (vertices, 3) [m] with the preconditioner of these `parts` times `residual` (vertices, 3) [N]."""
-    width = len(coarse)
-    restricted, moved = np.zeros(width), np.zeros(width)
-    for row in range(len(residual)):
-        x, y, z = residual[row, 0], residual[row, 1], residual[row, 2]
-        for k in range(starts[row], starts[row + 1]):
-            first = 3 * indices[k]
-            restricted[first] += values[k] * x
-            restricted[first + 1] += values[k] * y
-            restricted[first + 2] += values[k] * z
-    for column in range(width):
-        for row in range(width):
-            moved[row] += coarse[column, row] * restricted[column]
+    starts, indices, values = to_patches
+    restricted = np.empty(len(coarse))
+    for function in range(len(starts) - 1):
+        # Two sums each, since an addition waits for the one before it.
+        x0, y0, z0, x1, y1, z1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        first, stop = starts[function], starts[function + 1]
+        if (stop - first) % 2:
+            row = indices[first]
+            x1, y1, z1 = (
+                values[first] * residual[row, 0],
+                values[first] * residual[row, 1],
+                values[first] * residual[row, 2],
+            )
+            first += 1
+        for k in range(first, stop, 2):
+            row, other = indices[k], indices[k + 1]
+            x0 += values[k] * residual[row, 0]
+            y0 += values[k] * residual[row, 1]
+            z0 += values[k] * residual[row, 2]
+            x1 += values[k + 1] * residual[other, 0]
+            y1 += values[k + 1] * residual[other, 1]
+            z1 += values[k + 1] * residual[other, 2]
+        restricted[3 * function], restricted[3 * function + 1], restricted[3 * function + 2] = x0 + x1, y0 + y1, z0 + z1
+    moved = np.dot(coarse, restricted)
+    starts, indices, values = to_vertices
     for row in range(len(residual)):
         x, y, z = residual[row, 0], residual[row, 1], residual[row, 2]
         a = fine[row, 0, 0] * x + fine[row, 0, 1] * y + fine[row, 0, 2] * z
         b = fine[row, 1, 0] * x + fine[row, 1, 1] * y + fine[row, 1, 2] * z
         c = fine[row, 2, 0] * x + fine[row, 2, 1] * y + fine[row, 2, 2] * z
         for k in range(starts[row], starts[row + 1]):
-            first = 3 * indices[k]
-            a += values[k] * moved[first]
-            b += values[k] * moved[first + 1]
-            c += values[k] * moved[first + 2]
+            function = 3 * indices[k]
+            a += values[k] * moved[function]
+            b += values[k] * moved[function + 1]
+            c += values[k] * moved[function + 2]
         result[row, 0], result[row, 1], result[row, 2] = a, b, c
 
 
-@compiled
+@compiled_with_fused_products
 def _inner(a: np.ndarray, b: np.ndarray) -> float:
     """Inner product of `a` (vertices, 3) and `b` (vertices, 3)."""
     x, y, z = 0.0, 0.0, 0.0
@@ -238,10 +257,10 @@ def _inner(a: np.ndarray, b: np.ndarray) -> float:
     return x + y + z
 
 
-@compiled
+@compiled_with_fused_products
 def _iterate(
     system: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    preconditioner: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    preconditioner: tuple[np.ndarray, np.ndarray, Functions, Functions],
     right: np.ndarray,
     tolerance: float,
     max_iterations: int,
@@ -253,9 +272,9 @@ def _iterate(
     Fills `solution` (vertices, 3) [m], which begins as 0.
     """
     starts, columns, blocks, corners, rows = system
-    fine, coarse, first, indices, values = preconditioner
+    fine, coarse, to_patches, to_vertices = preconditioner
     residual, product, conditioned = right.copy(), np.empty_like(right), np.empty_like(right)
-    _precondition(fine, coarse, first, indices, values, residual, direction)
+    _precondition(fine, coarse, to_patches, to_vertices, residual, direction)
     measure = _inner(residual, direction)
     target = tolerance * tolerance * measure
     if not measure > 0.0:
@@ -271,7 +290,7 @@ def _iterate(
             for axis in range(3):
                 solution[row, axis] += step * direction[row, axis]
                 residual[row, axis] -= step * product[row, axis]
-        _precondition(fine, coarse, first, indices, values, residual, conditioned)
+        _precondition(fine, coarse, to_patches, to_vertices, residual, conditioned)
         new_measure = _inner(residual, conditioned)
         if new_measure <= target:
             return iteration, False
@@ -283,20 +302,19 @@ def _iterate(
     return max_iterations, False
 
 
-@compiled
+@compiled_with_fused_products
 def _add_coarse(
     starts: np.ndarray,
     columns: np.ndarray,
     blocks: np.ndarray,
-    first: np.ndarray,
-    indices: np.ndarray,
-    values: np.ndarray,
+    functions: Functions,
     coarse: np.ndarray,
 ) -> None:
     """Add half of P^T A P to `coarse` (functions, 3, functions, 3): with its transpose it is the whole.
 
-    A is the matrix of `SymmetricBlocks`, P has the `values` of the functions at each vertex.
+    A is the matrix of `SymmetricBlocks`, P has the values of the `functions` by vertex.
     """
+    first, indices, values = functions
     touched, known = np.empty(coarse.shape[0], dtype=np.int64), np.full(coarse.shape[0], -1)
     sums = np.empty((coarse.shape[0], 3, 3))
     for row in range(len(starts) - 1):

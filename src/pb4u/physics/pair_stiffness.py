@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.geometry.proximity.element_distance import compiled
+from pb4u.geometry.proximity.element_distance import compiled_with_fused_products
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class PairStiffness:
         return csr_matrix((self.rows.reshape(-1), columns, starts), shape=(len(self), 3 * vertex_count))
 
 
-@compiled
+@compiled_with_fused_products
 def add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, product: np.ndarray) -> None:
     """Add the matrix of `PairStiffness` times `vector` (vertices, 3) [m] to `product` (vertices, 3) [N]."""
     for row in range(len(corners)):
@@ -65,7 +65,7 @@ def add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, produ
                 product[corners[row, corner], axis] += total * rows[row, corner, axis]
 
 
-@compiled
+@compiled_with_fused_products
 def _add_diagonal(corners: np.ndarray, rows: np.ndarray, blocks: np.ndarray) -> None:
     for row in range(len(corners)):
         for corner in range(4):

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.geometry.proximity.element_distance import compiled
+from pb4u.geometry.proximity.element_distance import compiled_with_fused_products
 from pb4u.scene.packed import PackedGarments
 
 
@@ -135,7 +135,7 @@ def _pair_keys(elements: Tensor, count: int) -> Tensor:
     return torch.minimum(i, j) * count + torch.maximum(i, j)
 
 
-@compiled
+@compiled_with_fused_products
 def _shifted(blocks: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Copy of `blocks` (blocks, 3, 3) with multiples `shift` (blocks,) of the identity added."""
     result = np.empty_like(blocks)
@@ -147,7 +147,7 @@ def _shifted(blocks: np.ndarray, shift: np.ndarray) -> np.ndarray:
     return result
 
 
-@compiled
+@compiled_with_fused_products
 def multiply(
     starts: np.ndarray, columns: np.ndarray, blocks: np.ndarray, vector: np.ndarray, product: np.ndarray
 ) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.geometry.proximity.element_distance import compiled
+from pb4u.geometry.proximity.element_distance import compiled_with_fused_products
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.contact.self_contact import as_array
 from pb4u.physics.energy_term import EnergyTerm, columns, sum_by_garment, sum_by_vertex
@@ -109,7 +109,7 @@ def _stress(garments: PackedGarments, g11: Tensor, g22: Tensor, g12: Tensor) -> 
     return double_mu * g11 + pressure, double_mu * g22 + pressure, double_mu * g12
 
 
-@compiled
+@compiled_with_fused_products
 def _deformation_at(
     vertices: np.ndarray, faces: np.ndarray, inverse: np.ndarray, face: int
 ) -> tuple[float, float, float, float, float, float]:
@@ -128,7 +128,7 @@ def _deformation_at(
     )
 
 
-@compiled
+@compiled_with_fused_products
 def _add_energies(
     vertices: np.ndarray,
     faces: np.ndarray,
@@ -147,7 +147,7 @@ def _add_energies(
         energies[garment[face]] += mu[face] * squared + 0.5 * lam[face] * trace * trace
 
 
-@compiled
+@compiled_with_fused_products
 def _add_gradient(
     vertices: np.ndarray,
     faces: np.ndarray,
@@ -179,7 +179,7 @@ def _add_gradient(
             gradient[faces[face, 2], axis] += on_c
 
 
-@compiled
+@compiled_with_fused_products
 def _add_stiffness(
     vertices: np.ndarray,
     faces: np.ndarray,
