@@ -36,12 +36,11 @@ def compiled_with_fused_products(function: Compiled) -> Compiled:
 def _compiled(function: Compiled, freedom: set[str]) -> Compiled:
     if numba is None:
         return function
-    options = {"nogil": True, "error_model": "numpy", "fastmath": freedom}
     try:
-        return cast(Compiled, numba.njit(cache=True, **options)(function))
+        return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=freedom)(function))
     except RuntimeError:
         # No folder may be written, neither beside the package nor of the user: compiled anew in every run.
-        return cast(Compiled, numba.njit(**options)(function))
+        return cast(Compiled, numba.njit(nogil=True, error_model="numpy", fastmath=freedom)(function))
 
 
 _KEPT = 0.1
