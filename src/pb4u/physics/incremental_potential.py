@@ -205,8 +205,8 @@ class StepPotential:
         return replace(self, potential=self.potential.without_self_contact())
 
     def _along(self, x: Tensor, moves: Tensor) -> StepPotential:
-        before = self.step.state.positions
-        return self.with_cloth(self.potential.self_contact.pairs(self.step.garments, x, moves, before))
+        garments, before = self.step.garments, self.step.state.positions
+        return self.with_cloth(self.potential.self_contact.pairs(garments, x, moves, before, self.contacts.cloth))
 
     def energies(self, x: Tensor) -> Energies:
         """Energies at `x` (vertices, 3) [m]; differentiable by autograd."""
