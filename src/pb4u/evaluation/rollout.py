@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import tempfile
 import time
 import warnings
 from dataclasses import asdict, dataclass, replace
@@ -259,8 +258,7 @@ def _still(trajectory: Trajectory, frame: int) -> bytes:
         velocities=trajectory.velocities[kept],
         body_positions=trajectory.body_positions[kept],
     )
-    with tempfile.TemporaryDirectory() as folder:
-        return single.save(Path(folder) / "still.npz").read_bytes()
+    return single.encode()
 
 
 def _machine(device: str) -> dict[str, Any]:

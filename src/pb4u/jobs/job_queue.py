@@ -74,9 +74,7 @@ def make_all(
         raise Pb4uError(stopped()) from None
 
 
-def work_through(
-    jobs: Iterable[Job], pool: WorkerPool, keep: Callable[[Any, Any], None], progress: Progress
-) -> None:
+def work_through(jobs: Iterable[Job], pool: WorkerPool, keep: Callable[[Any, Any], None], progress: Progress) -> None:
     """Do all jobs. What ends is kept at once; a job whose worker died is given to another.
 
     Args:
