@@ -1,8 +1,8 @@
 """Every command and snippet of the README and the documentation.
 
-What stands in `console` blocks, and every Python snippet, is run, on meshes of a few hundred triangles for a few frames:
-`made_small` and `small_scenes` say how. What stands in `sh` blocks takes minutes, accelerators or files that are not here:
-its verbs, flags and values are parsed, its scripts and extras looked up, and it is not run. TOML, CSV and JSON are read.
+What stands in `console` blocks, and every Python snippet, is run, on meshes of a few hundred triangles:
+`made_small` and `small_scenes` say how. What stands in `sh` blocks takes minutes, accelerators or absent files:
+its verbs, flags and values are parsed, its scripts and extras looked up, and it is not run. Other files are read.
 """
 
 from __future__ import annotations
