@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from pb4u.evaluation import rollout
-from pb4u.evaluation.rollout import ModelRecord, RolloutJob, SceneRecord, Settings, digest
+from pb4u.evaluation.rollout import ModelRecord, RolloutJob, SceneRecord, Settings
+from pb4u.jobs.job import digest
 
 SCENE = SceneRecord("tshirt", "woman", "walk", 2000, 400, 3)
 JOB = RolloutJob(SCENE, ModelRecord("solver", "solver"), Settings())

@@ -13,7 +13,7 @@ from pb4u.cli.console import Switch, check_json_target, keep_inputs, progress_ba
 from pb4u.errors import InputError, Pb4uError
 
 if TYPE_CHECKING:
-    from pb4u.evaluation.worker_pool import WorkerPool
+    from pb4u.jobs.worker_pool import WorkerPool
 
 
 def evaluate(
@@ -99,9 +99,10 @@ def evaluate(
     )  # fmt: skip
 
     def pool() -> WorkerPool:
-        from pb4u.evaluation.worker_pool import LocalPool, RayPool
+        from pb4u.evaluation.rollout import attempt
+        from pb4u.jobs.worker_pool import LocalPool, RayPool
 
-        return LocalPool(workers) if ray is None else RayPool(ray, workers)
+        return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
 
     folder = out or Path(f"evaluate_{protocol}")
     results = run(

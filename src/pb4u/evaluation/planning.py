@@ -15,8 +15,9 @@ from pb4u.body.library import body_names, load_body
 from pb4u.errors import InputError, unknown_name
 from pb4u.evaluation.floors import FLOOR_LEAD_IN, stored_floor
 from pb4u.evaluation.protocols import PROTOCOLS, Protocol
-from pb4u.evaluation.rollout import FPS, ModelRecord, RolloutJob, SceneRecord, Settings, digest
+from pb4u.evaluation.rollout import FPS, ModelRecord, RolloutJob, SceneRecord, Settings
 from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES, garment_names
+from pb4u.jobs.job import digest
 from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
 from pb4u.motion.library import motion_names
 from pb4u.scene.catalogue import SEEDS, SceneName

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import platform
-import tempfile
 import time
-import traceback
 import warnings
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -16,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pb4u import __version__
-from pb4u.errors import InputError, InputWarning, Pb4uError
+from pb4u.errors import InputWarning
+from pb4u.jobs.job import Failure, Job, address, attempted, require_content
 
 # torch and all that needs it is imported where it is used: a worker sets its number of threads before.
 if TYPE_CHECKING:
@@ -32,15 +29,6 @@ FPS = 30.0
 
 PICTURED = 0.6
 """Where in the clip, as a fraction of its length, the frame to draw lies: by then every motion is under way."""
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    hasher = hashlib.sha256()
-    with path.open("rb") as stream:
-        while block := stream.read(1 << 20):
-            hasher.update(block)
-    return hasher.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -115,7 +103,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class RolloutJob:
+class RolloutJob(Job):
     """A rollout to make.
 
     Args:
@@ -138,7 +126,11 @@ class RolloutJob:
             "model": self.model.weights or self.model.name,
             "settings": asdict(self.settings),
         }
-        return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:24]
+        return address(identity)
+
+    @property
+    def device(self) -> str:
+        return self.settings.device
 
     def __str__(self) -> str:
         scene = self.scene
@@ -160,30 +152,9 @@ class Rollout:
     still: bytes | None
 
 
-@dataclass(frozen=True)
-class Failure:
-    """A rollout that could not be made.
-
-    Args:
-        sentence: why, in plain words.
-        trace: where, for the maintainers.
-    """
-
-    sentence: str
-    trace: str
-
-
 def attempt(job: RolloutJob) -> Rollout | Failure:
     """Run a job; whatever goes wrong comes back as a `Failure` with a sentence."""
-    try:
-        return run(job)
-    except Pb4uError as error:
-        return Failure(" ".join(str(error).split()), traceback.format_exc())
-    except MemoryError:
-        return Failure("There was not enough memory for it.", traceback.format_exc())
-    except Exception as error:
-        sentence = f"It broke off unexpectedly: {type(error).__name__}: {error}"
-        return Failure(" ".join(sentence.split()), traceback.format_exc())
+    return attempted(run, job)
 
 
 def run(job: RolloutJob) -> Rollout:
@@ -224,6 +195,7 @@ def run(job: RolloutJob) -> Rollout:
         "ms_per_step": record.ms_per_step,
         "solver_iterations": sum(record.solver_iterations),
         "unsolved_steps": record.unsolved,
+        "steps_made_anew": record.made_anew,
         "machine": _machine(job.settings.device),
         "notes": list(dict.fromkeys([*scene.notes, *(str(each.message) for each in caught)])),
         "metrics": {},
@@ -249,7 +221,7 @@ def _scene(record: SceneRecord) -> Scene:
     from pb4u.scene.assembly import make_scene
 
     for field, expected in record.digests:
-        _check_content(Path(getattr(record, field)), expected)
+        require_content(Path(getattr(record, field)), expected)
     return make_scene(
         record.garment,
         record.body,
@@ -267,14 +239,7 @@ def _check_weights(job: RolloutJob) -> None:
 
     if job.model.weights:
         with weights_file(job.model.name) as path:
-            _check_content(path, job.model.weights)
-
-
-def _check_content(path: Path, expected: str) -> None:
-    if not path.is_file():
-        raise InputError(f"The file {path} is not there on the machine that was to use it.")
-    if digest(path) != expected:
-        raise InputError(f"The file {path} changed after the run was planned; start the run again.")
+            require_content(path, job.model.weights)
 
 
 def _own_steps(simulator: Simulator, mean_edge_length: float) -> int | None:
@@ -294,8 +259,7 @@ def _still(trajectory: Trajectory, frame: int) -> bytes:
         velocities=trajectory.velocities[kept],
         body_positions=trajectory.body_positions[kept],
     )
-    with tempfile.TemporaryDirectory() as folder:
-        return single.save(Path(folder) / "still.npz").read_bytes()
+    return single.encode()
 
 
 def _machine(device: str) -> dict[str, Any]:

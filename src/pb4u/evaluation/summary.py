@@ -14,7 +14,8 @@ from pb4u.evaluation.floors import ratio
 from pb4u.evaluation.paper_figures import TERMS
 from pb4u.evaluation.planning import Case, Plan
 from pb4u.evaluation.result_folder import ResultFolder
-from pb4u.evaluation.rollout import Failure, RolloutJob
+from pb4u.evaluation.rollout import RolloutJob
+from pb4u.jobs.job import Failure
 
 
 class Quantity(NamedTuple):
