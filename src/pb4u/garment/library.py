@@ -13,7 +13,7 @@ from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import MATERIALS
 from pb4u.garment.panels import flat_panels
-from pb4u.garment.patterns import PATTERNS
+from pb4u.garment.patterns import PATTERNS, Pattern
 from pb4u.garment.tailoring import tailor
 from pb4u.geometry.implicit_surface import ImplicitSurface
 from pb4u.geometry.remeshing import remesh
@@ -24,7 +24,7 @@ LEVELS: dict[str, int] = {"base": 2500, "11K": 11000, "18K": 18000, "25K": 25000
 FEWEST_TRIANGLES, MOST_TRIANGLES = 200, 200_000
 
 _forms: WeakKeyDictionary[ShapedBody, BodyForm] = WeakKeyDictionary()
-_surfaces: WeakKeyDictionary[ShapedBody, dict[str, ImplicitSurface]] = WeakKeyDictionary()
+_surfaces: WeakKeyDictionary[ShapedBody, dict[Pattern, ImplicitSurface]] = WeakKeyDictionary()
 
 
 def garment_names() -> tuple[str, ...]:
@@ -32,7 +32,9 @@ def garment_names() -> tuple[str, ...]:
     return tuple(PATTERNS)
 
 
-def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) -> Garment:
+def build_garment(
+    name: str, body: ShapedBody, triangles: int = LEVELS["base"], pattern: Pattern | None = None
+) -> Garment:
     """A built-in garment fitted to the resting `body`, with about `triangles` triangles of even size.
 
     Every count approximates the same smooth surface. The smooth surface is kept as long as the body lives.
@@ -41,6 +43,7 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
         name: one of `garment_names()`.
         body: any body whose skeleton has shoulders, elbows, wrists, hips, knees and ankles.
         triangles: wanted number of triangles, from 200 to 200,000; met within 5 %.
+        pattern: another cut than the one that the name stands for.
 
     Raises:
         InputError: an unknown name, a count out of range, or a body without those joints.
@@ -53,8 +56,8 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
         raise InputError(
             f"A built-in garment has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles, not {triangles}."
         )
-    pattern = PATTERNS[name]
-    surface = _surface(name, body)
+    pattern = pattern or PATTERNS[name]
+    surface = _surface(pattern, body)
     vertices, faces = remesh(*surface.mesh, triangles, surface)
     vertices = clear_of_body(vertices, faces, body)
     uvs, uv_faces = flat_panels(vertices, faces, _form(body), pattern) or (None, None)
@@ -73,8 +76,8 @@ def _form(body: ShapedBody) -> BodyForm:
     return _forms[body]
 
 
-def _surface(name: str, body: ShapedBody) -> ImplicitSurface:
+def _surface(pattern: Pattern, body: ShapedBody) -> ImplicitSurface:
     surfaces = _surfaces.setdefault(body, {})
-    if name not in surfaces:
-        surfaces[name] = tailor(PATTERNS[name], _form(body))
-    return surfaces[name]
+    if pattern not in surfaces:
+        surfaces[pattern] = tailor(pattern, _form(body))
+    return surfaces[pattern]
