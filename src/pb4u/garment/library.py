@@ -24,7 +24,7 @@ LEVELS: dict[str, int] = {"base": 2500, "11K": 11000, "18K": 18000, "25K": 25000
 FEWEST_TRIANGLES, MOST_TRIANGLES = 200, 200_000
 
 _forms: WeakKeyDictionary[ShapedBody, BodyForm] = WeakKeyDictionary()
-_surfaces: WeakKeyDictionary[ShapedBody, dict[Pattern, ImplicitSurface]] = WeakKeyDictionary()
+_surfaces: WeakKeyDictionary[ShapedBody, dict[str, ImplicitSurface]] = WeakKeyDictionary()
 
 
 def garment_names() -> tuple[str, ...]:
@@ -32,9 +32,7 @@ def garment_names() -> tuple[str, ...]:
     return tuple(PATTERNS)
 
 
-def build_garment(
-    name: str, body: ShapedBody, triangles: int = LEVELS["base"], pattern: Pattern | None = None
-) -> Garment:
+def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) -> Garment:
     """A built-in garment fitted to the resting `body`, with about `triangles` triangles of even size.
 
     Every count approximates the same smooth surface. The smooth surface is kept as long as the body lives.
@@ -43,7 +41,6 @@ def build_garment(
         name: one of `garment_names()`.
         body: any body whose skeleton has shoulders, elbows, wrists, hips, knees and ankles.
         triangles: wanted number of triangles, from 200 to 200,000; met within 5 %.
-        pattern: another cut than the one that the name stands for.
 
     Raises:
         InputError: an unknown name, a count out of range, or a body without those joints.
@@ -56,8 +53,25 @@ def build_garment(
         raise InputError(
             f"A built-in garment has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles, not {triangles}."
         )
-    pattern = pattern or PATTERNS[name]
-    surface = _surface(pattern, body)
+    return _meshed(name, PATTERNS[name], _surface(name, body), body, triangles)
+
+
+def cut_garment(name: str, pattern: Pattern, body: ShapedBody, triangles: int) -> Garment:
+    """A garment of any cut, fitted and meshed as `build_garment` does it; nothing is kept.
+
+    Args:
+        name: name of the garment.
+        pattern: its cut.
+        body: resting body, with the joints that `build_garment` asks for.
+        triangles: wanted number of triangles, met within 5 %.
+
+    Raises:
+        InputError: a body without those joints, or a surface that so many triangles cannot mesh.
+    """
+    return _meshed(name, pattern, tailor(pattern, _form(body)), body, triangles)
+
+
+def _meshed(name: str, pattern: Pattern, surface: ImplicitSurface, body: ShapedBody, triangles: int) -> Garment:
     vertices, faces = remesh(*surface.mesh, triangles, surface)
     vertices = clear_of_body(vertices, faces, body)
     uvs, uv_faces = flat_panels(vertices, faces, _form(body), pattern) or (None, None)
@@ -76,8 +90,8 @@ def _form(body: ShapedBody) -> BodyForm:
     return _forms[body]
 
 
-def _surface(pattern: Pattern, body: ShapedBody) -> ImplicitSurface:
+def _surface(name: str, body: ShapedBody) -> ImplicitSurface:
     surfaces = _surfaces.setdefault(body, {})
-    if pattern not in surfaces:
-        surfaces[pattern] = tailor(pattern, _form(body))
-    return surfaces[pattern]
+    if name not in surfaces:
+        surfaces[name] = tailor(PATTERNS[name], _form(body))
+    return surfaces[name]

@@ -10,7 +10,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError
 from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.garment import Garment
-from pb4u.garment.library import FEWEST_TRIANGLES, build_garment
+from pb4u.garment.library import FEWEST_TRIANGLES, build_garment, cut_garment
 from pb4u.garment.patterns import PATTERNS, Neckline, Pattern
 from pb4u.geometry.edge_operations import split_edges
 
@@ -33,7 +33,7 @@ def varied_garment(name: str, body: ShapedBody, triangles: int, rng: np.random.G
     for _ in range(_DRAWS):
         pattern = varied_cut(PATTERNS[name], rng)
         try:
-            garment = build_garment(name, body, triangles, pattern)
+            garment = cut_garment(name, pattern, body, triangles)
         except InputError:
             continue
         mesh = garment.topology
