@@ -103,6 +103,11 @@ class IncrementalPotential:
         """This potential with contact between cloth elements."""
         return replace(self, terms=(*self.terms, *SELF_CONTACT), self_contact=CollisionFree())
 
+    def without_self_contact(self) -> IncrementalPotential:
+        """This potential without contact between cloth elements."""
+        ours = {term.name for term in SELF_CONTACT}
+        return replace(self, terms=tuple(t for t in self.terms if t.name not in ours), self_contact=NoSelfContact())
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the terms, in their order."""
@@ -193,6 +198,10 @@ class StepPotential:
     def with_cloth(self, cloth: ClothPairs | None) -> StepPotential:
         """This potential with the cloth elements that it compares fixed to `cloth`; None looks them up."""
         return self if cloth is None else replace(self, contacts=replace(self.contacts, cloth=cloth))
+
+    def without_cloth(self) -> StepPotential:
+        """This potential without contact between cloth elements: finite where cloth crosses cloth."""
+        return replace(self, potential=self.potential.without_self_contact())
 
     def _along(self, x: Tensor, moves: Tensor) -> StepPotential:
         before = self.step.state.positions

@@ -149,7 +149,8 @@ class Solver:
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
-        potential, start = _reached(potential, lifted_off_the_body(potential, start))
+        # What was asked for may cross, where contact between cloths has no finite energy to compare.
+        potential, start = _reached(potential, lifted_off_the_body(potential.without_cloth(), start))
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
         preconditioner = _StepPreconditioner(self._basis)
