@@ -17,7 +17,7 @@ from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.training import variation
 from pb4u.training.collection import collect
 from pb4u.training.configuration import DataSelection
-from pb4u.training.variation import before_refining, uneven, varied_cut, varied_garment
+from pb4u.training.variation import before_refining, cape, uneven, varied_cut, varied_garment
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +79,25 @@ def test_an_uneven_mesh_has_edges_of_two_sizes_off_the_skin(woman: ShapedBody) -
     assert made.pinned.sum() == len(waist)
     surface = TriangleSurface(woman.faces, len(woman.vertices)).at(woman.vertices)
     assert float(surface.nearest(made.vertices[~made.pinned]).signed_distance.min()) > 0.0
+
+
+def test_a_cape_hangs_down_the_back_from_pins_on_both_shoulders(woman: ShapedBody) -> None:
+    made = cape(woman, 500, np.random.default_rng(2))
+    mesh = made.topology
+    assert mesh.piece_of_vertex.max() == 0
+    assert len(mesh.boundary_loops) == 1
+    pinned = made.vertices[made.pinned]
+    assert (pinned[:, 0] > 0.05).any()
+    assert (pinned[:, 0] < -0.05).any()
+    assert pinned[:, 1].min() > np.quantile(woman.vertices[:, 1], 0.6)
+    assert np.ptp(made.vertices[:, 1]) > 0.5
+    # Nothing of it lies in front of the chest.
+    low = made.vertices[:, 1] < pinned[:, 1].min() - 0.1
+    assert made.vertices[low, 2].max() < woman.vertices[:, 2].max() - 0.05
+    collected = collect(DataSelection(("cape",), (300,), ("woman",), 1, ("walk",), 1, 8, uneven=1.0))
+    worn = collected.outfits[0].garment
+    assert np.sign(worn.vertices[worn.pinned, 0]).min() == -1.0
+    assert np.sign(worn.vertices[worn.pinned, 0]).max() == 1.0
 
 
 def test_collected_garments_are_the_same_again_and_unlike_each_other() -> None:

@@ -19,7 +19,7 @@ from pb4u.progress import Progress, unheard
 from pb4u.scene.catalogue import RECORDINGS, SEEDS
 from pb4u.training.configuration import DataSelection
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
-from pb4u.training.variation import before_refining, uneven, varied_garment
+from pb4u.training.variation import CAPE, before_refining, cape, uneven, varied_garment
 
 
 def collect(
@@ -82,7 +82,10 @@ def _garment(selection: DataSelection, name: str, body: ShapedBody, triangles: i
     rng = np.random.default_rng(seed)
     varies, refined = rng.random() < selection.varied, rng.random() < selection.uneven
     count = before_refining(triangles) if refined else triangles
-    garment = varied_garment(name, body, count, rng) if varies else build_garment(name, body, count)
+    if name == CAPE:
+        garment = cape(body, count, rng)
+    else:
+        garment = varied_garment(name, body, count, rng) if varies else build_garment(name, body, count)
     return uneven(garment, body, rng) if refined else garment
 
 

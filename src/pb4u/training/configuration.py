@@ -22,7 +22,7 @@ class DataSelection:
     """Selection of the garments, bodies and motions to train on.
 
     Args:
-        garments: names of built-in garments.
+        garments: names of built-in garments, and "cape" for one that hangs from pins.
         triangles: triangle counts of each.
         bodies: names of built-in bodies.
         shapes: number of body shapes, the first of each body its default and the others drawn.

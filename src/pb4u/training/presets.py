@@ -37,7 +37,7 @@ small = TrainingConfiguration(
 wide = replace(
     small,
     data=DataSelection(
-        garments=("tshirt", "tanktop", "longsleeve", "dress", "fitted_dress", "cardigan", "trousers", "skirt"),
+        garments=("tshirt", "tanktop", "longsleeve", "dress", "fitted_dress", "cardigan", "trousers", "skirt", "cape"),
         triangles=(1100, 2300),
         shapes=8,
         clips=24,
@@ -63,7 +63,7 @@ wide = replace(
     validation_clips=8,
     validation_frames=60,
 )
-"""To go on with `small` by `--weights`: every built-in garment, cuts, shapes and materials beyond, uneven meshes."""
+"""To go on with `small` by `--weights`: every garment and a cape, other cuts, shapes, materials and uneven meshes."""
 
 comparison = replace(
     small,

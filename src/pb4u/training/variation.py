@@ -14,8 +14,17 @@ from pb4u.garment.library import FEWEST_TRIANGLES, build_garment, cut_garment
 from pb4u.garment.patterns import PATTERNS, Neckline, Pattern
 from pb4u.geometry.edge_operations import split_edges
 
+CAPE = "cape"
+"""Name of what is worn in training alone, besides the built-in garments."""
+
 _DRAWS = 3
 """Cuts drawn for a body before the standard one is taken: few of them come out in another number of pieces."""
+
+_NO_FRONT = 4.0
+"""Width [m] of an opening in front that leaves the back alone of any garment."""
+
+_PINNED_DEPTH = 0.04
+"""Depth [m] below its highest points on which a cape is pinned on each shoulder."""
 
 _OPEN_FRONTS = 0.15
 """Share of sleeved tops that are cut open in front."""
@@ -93,6 +102,27 @@ def varied_cut(pattern: Pattern, rng: np.random.Generator) -> Pattern:
         strap=pattern.strap * factor(0.7, 1.3),
         front_gap=front,
     )
+
+
+def cape(body: ShapedBody, triangles: int, rng: np.random.Generator) -> Garment:
+    """A cape down the back, pinned on both shoulders: the back of a wide dress, where news has far to travel.
+
+    Args:
+        body: body that it is cut for.
+        triangles: wanted number of triangles.
+        rng: source of the draws, which it advances.
+    """
+    pattern = replace(
+        PATTERNS["dress"],
+        hem_offset=float(rng.uniform(0.0, 0.4)),
+        ease=(0.03, 0.05, 0.07, 0.09),
+        taper=(-0.1, float(rng.uniform(-0.6, -0.2))),
+        front_gap=_NO_FRONT,
+    )
+    garment = cut_garment(CAPE, pattern, body, triangles)
+    height, left = garment.vertices[:, 1], garment.vertices[:, 0] > 0.0
+    tops = [side & (height > height[side].max() - _PINNED_DEPTH) for side in (left, ~left)]
+    return garment.with_pins(tops[0] | tops[1])
 
 
 def uneven(garment: Garment, body: ShapedBody, rng: np.random.Generator) -> Garment:
