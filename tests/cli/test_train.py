@@ -12,7 +12,7 @@ import pytest
 import torch
 from tests.training.ball_data import TINY, ball_data
 
-from pb4u.simulation.checkpoint import load_checkpoint
+from pb4u.simulation.checkpoint import load_checkpoint, save_checkpoint
 from pb4u.training.configuration import training_to_json
 from pb4u.training.packed_data import load_training_data, save_training_data
 from pb4u.training.run_folder import RunFolder
@@ -51,6 +51,8 @@ def test_a_training_begins_with_given_weights_and_says_so(pb4u: Call, pack: Path
     first, second = tmp_path / "first", tmp_path / "second"
     assert pb4u("train", "--pack", pack, "--preset", "smoke", "--steps", 6, "--out", first, *QUICK).code == 0
     start = first / "final.safetensors"
+    made = load_checkpoint(start)
+    save_checkpoint(start, made.model, made.configuration, made.record, "CC-BY-4.0")
     begun = ("--pack", pack, "--preset", "smoke", "--weights", start, "--out", second, "--device", "cpu")
     ended = pb4u("train", *begun, "--steps", 2, "--set", "curriculum.learning_rate=1e-12")
     assert ended.code == 0, ended.err
@@ -59,6 +61,7 @@ def test_a_training_begins_with_given_weights_and_says_so(pb4u: Call, pack: Path
     assert after.configuration == before.configuration
     for (name, a), b in zip(before.model.state_dict().items(), after.model.state_dict().values(), strict=True):
         assert torch.allclose(a, b, rtol=0.0, atol=1e-9), name
+    assert after.licence == "CC-BY-4.0"
     assert after.record.optimiser_steps == 8
     assert after.record.details["before"]["optimiser_steps"] == 6
     # What it began with is needed no more.

@@ -24,11 +24,11 @@ from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.models import load_simulator
 
-REQUEST = EvaluationRequest("robustness", models=("pb4u-small", "solver"), rollouts=16, device="cpu")
+REQUEST = EvaluationRequest("robustness", models=("pb4u-small", "solver"), scenes=16, device="cpu")
 
 
 def test_scenes_follow_from_seed_and_number_and_have_every_garment_and_motion() -> None:
-    few, more, other = (plan(replace(REQUEST, **change)) for change in ({"rollouts": 3}, {}, {"seed": 1}))
+    few, more, other = (plan(replace(REQUEST, **change)) for change in ({"scenes": 3}, {}, {"seed": 1}))
     assert [case.job for case in few.cases] == [case.job for case in more.cases[: len(few.cases)]]
     scenes = {case.number: case.job.scene for case in more.cases}
     assert len({scene.garment for scene in scenes.values()}) == len({s.motion for s in scenes.values()}) == 8
@@ -41,7 +41,7 @@ def test_scenes_follow_from_seed_and_number_and_have_every_garment_and_motion() 
 
 
 def test_each_network_runs_alone_and_as_it_comes_each_beside_its_own_floor() -> None:
-    planned = plan(replace(REQUEST, rollouts=1))
+    planned = plan(replace(REQUEST, scenes=1))
     alone, as_it_comes, solver, solver_comes = planned.cases
     assert planned.protocol.models == (
         "pb4u-small, alone", "pb4u-small, as it comes", "solver, alone", "solver, as it comes"
@@ -63,9 +63,9 @@ def test_each_network_runs_alone_and_as_it_comes_each_beside_its_own_floor() -> 
     [
         ({"contact": True}, "leave out --contact, --refine and"),
         ({"refine": 3}, "leave out --contact, --refine and"),
-        ({"rollouts": 0}, "must be 1 or more"),
+        ({"scenes": 0}, "must be 1 or more"),
         ({"seed": -1}, "seed must be 0 or more"),
-        ({"protocol": "unseen"}, "--rollouts are of protocols that draw their scenes: robustness"),
+        ({"protocol": "unseen"}, "--scenes are of protocols that draw their scenes: robustness"),
     ],
 )
 def test_what_does_not_fit_drawn_scenes_is_refused(change: dict[str, Any], sentence: str) -> None:
@@ -110,7 +110,7 @@ def _result(**changes: Any) -> dict[str, Any]:
 
 
 def test_failures_are_counted_and_named_with_what_makes_them_again() -> None:
-    planned = plan(replace(REQUEST, rollouts=4))
+    planned = plan(replace(REQUEST, scenes=4))
     alone = [case for case in planned.cases if case.job.model.label == "pb4u-small, alone"]
     results = [
         (_result(), 1.1),
@@ -146,7 +146,7 @@ def test_a_run_of_drawn_scenes_ends_in_a_page_and_is_not_made_twice(
         return ball_scene(record.frames, record.lead_in, cells=4, speed=0.3)
 
     monkeypatch.setattr(rollout, "_scene", made)
-    request = replace(REQUEST, models=("skinning",), rollouts=2, frames=3, lead_in=1)
+    request = replace(REQUEST, models=("skinning",), scenes=2, frames=3, lead_in=1)
     pool = Here(attempt)
     first = evaluate(request, tmp_path / "run", lambda: pool)
     assert len(pool.did) == 4
@@ -157,13 +157,13 @@ def test_a_run_of_drawn_scenes_ends_in_a_page_and_is_not_made_twice(
     assert "| skinning | 2 |" in page
     # Its floors are kept with it; more scenes leave the first as they are.
     further = Here(attempt)
-    evaluate(replace(request, rollouts=3), tmp_path / "run", lambda: further)
+    evaluate(replace(request, scenes=3), tmp_path / "run", lambda: further)
     assert len(further.did) == 2
 
 
 def test_kept_frames_are_those_of_the_moment_and_of_the_worst(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(rollout, "_scene", lambda record: ball_scene(record.frames, record.lead_in, cells=4, speed=0.3))
-    job = plan(replace(REQUEST, models=("skinning",), rollouts=1, frames=6, lead_in=1)).cases[0].job
+    job = plan(replace(REQUEST, models=("skinning",), scenes=1, frames=6, lead_in=1)).cases[0].job
     kept = rollout.run(job)
     assert kept.still is not None
     (tmp_path / "still.npz").write_bytes(kept.still)

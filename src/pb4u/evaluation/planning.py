@@ -55,7 +55,7 @@ class EvaluationRequest:
         contact: contact response after each step of networks and solver.
         device: auto, cpu or cuda.
         floors: run the solver on scenes whose floor is not stored.
-        rollouts: scenes to draw, of a protocol that draws them.
+        scenes: number of scenes to draw, of a protocol that draws them.
         seed: of the draws.
     """
 
@@ -73,7 +73,7 @@ class EvaluationRequest:
     contact: bool = False
     device: str = "auto"
     floors: bool = True
-    rollouts: int | None = None
+    scenes: int | None = None
     seed: int = 0
 
     def as_json(self) -> dict[str, Any]:
@@ -156,8 +156,8 @@ def plan(request: EvaluationRequest) -> Plan:
         raise InputError(
             " ".join(["None of the models has propagation steps to vary; name a network with --models.", *absent])
         )
-    if protocol.rollouts:
-        protocol = replace(protocol, rollouts=request.rollouts or protocol.rollouts)
+    if protocol.scenes:
+        protocol = replace(protocol, scenes=request.scenes or protocol.scenes)
         cases = _drawn_cases(request, protocol, levels, motions, models, device)
     else:
         cases = _combined_cases(request, protocol, levels, motions, models, device)
@@ -205,7 +205,7 @@ def _drawn_cases(
 ) -> list[Case]:
     """Scenes drawn by their numbers, so that more of them leave the first as they are; each model in its ways."""
     cases = []
-    for number in range(protocol.rollouts):
+    for number in range(protocol.scenes):
         level, motion, scene = _drawn_scene(request, protocol, levels, motions, number)
         for model in models:
             for way, settings in _ways(model, device):
@@ -254,17 +254,17 @@ def _check_numbers(request: EvaluationRequest) -> None:
         raise InputError(f"The lead-in must be 0 frames or more, not {request.lead_in}.")
     if any(steps < 1 for steps in request.steps or ()):
         raise InputError(f"Numbers of propagation steps must be 1 or more, not {min(request.steps or ())}.")
-    draws = bool(PROTOCOLS[request.protocol].rollouts)
+    draws = bool(PROTOCOLS[request.protocol].scenes)
     if draws and (request.contact or request.refine or request.steps):
         raise InputError(
             f"The protocol {request.protocol} runs networks alone and as they come: leave out --contact, --refine and "
             "--propagation-steps."
         )
-    if not draws and request.rollouts is not None:
-        drawing = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.rollouts)
-        raise InputError(f"--rollouts are of protocols that draw their scenes: {drawing}.")
-    if request.rollouts is not None and request.rollouts < 1:
-        raise InputError(f"The number of rollouts must be 1 or more, not {request.rollouts}.")
+    if not draws and request.scenes is not None:
+        drawing = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.scenes)
+        raise InputError(f"--scenes are of protocols that draw their scenes: {drawing}.")
+    if request.scenes is not None and request.scenes < 1:
+        raise InputError(f"The number of scenes must be 1 or more, not {request.scenes}.")
     if request.seed < 0:
         raise InputError(f"The seed must be 0 or more, not {request.seed}.")
     if request.recordings is not None and not request.recordings.is_dir():

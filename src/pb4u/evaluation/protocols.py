@@ -42,7 +42,7 @@ class Protocol:
         bodies: built-in names.
         frames: frames to write of each scene.
         steps: numbers of propagation steps; None is the model's own rule.
-        rollouts: scenes that are drawn by number from all of these, besides body shapes and seeds of motions; 0
+        scenes: number of scenes that are drawn from all of these, with body shapes and seeds of motions; 0
             combines everything with everything else.
         materials: names of cloths that are drawn from.
     """
@@ -59,7 +59,7 @@ class Protocol:
     bodies: tuple[str, ...] = ("woman",)
     frames: int = 30
     steps: tuple[int | None, ...] = (None,)
-    rollouts: int = 0
+    scenes: int = 0
     materials: tuple[str, ...] = ()
 
     def pictures(self, level: str, motion: str, body: str) -> bool:
@@ -137,7 +137,7 @@ PROTOCOLS = {
             levels=("base",),
             frames=60,
             varied="everything",
-            rollouts=64,
+            scenes=64,
             materials=tuple(MATERIALS),
         ),
     )

@@ -135,11 +135,12 @@ def _created(
 
 
 def _origin(name: str | None) -> dict[str, Any] | None:
-    """What a training begins with: a built-in name, or a file so that it is found from any folder, and its record."""
+    """What a training begins with: a built-in name, or a file so that it is found from any folder, and what it tells."""
     if name is None:
         return None
     where = name if name in built_in_models() else str(Path(name).resolve())
-    return {"weights": where, "record": asdict(from_pretrained(name).record)}
+    begun = from_pretrained(name)
+    return {"weights": where, "licence": begun.licence, "record": asdict(begun.record)}
 
 
 def _data(request: Request, configuration: TrainingConfiguration) -> TrainingData:
@@ -185,6 +186,7 @@ def _restore(trainer: Trainer, folder: RunFolder) -> None:
     found, origin = folder.load_state(), folder.configuration().get("origin")
     if origin is not None:
         trainer.origin = training_record_from_json(origin["record"])
+        trainer.licence = str(origin["licence"])
     if found is not None:
         trainer.resume(*found)
     elif origin is not None:

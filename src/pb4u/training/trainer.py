@@ -87,6 +87,8 @@ class Trainer:
         self.recovery = Recovery(self.learner, workers, folder, self.journal)
         self.latest_collision = 0.0
         self.origin: TrainingRecord | None = None
+        # Of what is made from free assets alone; weights that go on from others keep theirs.
+        self.licence = "Apache-2.0"
         self.began = time.monotonic()
 
     def run(self) -> str:
@@ -315,7 +317,7 @@ class Trainer:
         path: Path = getattr(self.folder, which)
         with self.learner.averaged():
             try:
-                save_checkpoint(path, self.model, self.configuration.network, self.record(score), "Apache-2.0")
+                save_checkpoint(path, self.model, self.configuration.network, self.record(score), self.licence)
             except InputError as error:
                 self.journal.say(f"{error} The training goes on.")
 
