@@ -135,7 +135,7 @@ def _created(
 
 
 def _origin(name: str | None) -> dict[str, Any] | None:
-    """What a training begins with: a built-in name, or a file so that it is found from any folder, and what it tells."""
+    """What a training begins with: built-in name, or file so that it is found from any folder; licence and record."""
     if name is None:
         return None
     where = name if name in built_in_models() else str(Path(name).resolve())
