@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -115,7 +115,12 @@ class Simulator(ABC):
         return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=progress))
 
     def simulate_to(
-        self, scene: Scene, path: str | Path, record: RunRecord | None = None, progress: Progress = unheard
+        self,
+        scene: Scene,
+        path: str | Path,
+        record: RunRecord | None = None,
+        progress: Progress = unheard,
+        seen: Callable[[Frame], None] | None = None,
     ) -> Trajectory:
         """Simulate into a file as frames come, and open it; frames are kept when the state stops being finite.
 
@@ -124,6 +129,7 @@ class Simulator(ABC):
             path: trajectory file to write.
             record: receives the cost of the run and how it ended.
             progress: called with (frames done, frames in all), lead-in included.
+            seen: called with every frame that was written.
 
         Raises Pb4uError when the state stopped being finite before the first frame to write.
         """
@@ -131,6 +137,8 @@ class Simulator(ABC):
         with TrajectoryWriter(path, self.header(scene)) as writer:
             for frame in self.written_frames(scene, record, progress):
                 writer.append(frame)
+                if seen is not None:
+                    seen(frame)
         if not writer.frame_count:
             early = -(record.failed_at or 0)
             when = f"{early} frames before the first one to write" if early else "in the very first frame"
