@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from pb4u.body.body_model import PosedBody
-from pb4u.errors import Pb4uError
+from pb4u.errors import Pb4uError, interrupt_behind
 from pb4u.progress import Progress, unheard
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
@@ -91,7 +91,10 @@ class Simulator(ABC):
         states = self.rollout(scene, record)
         for frame in range(scene.total_frames):
             began = time.perf_counter()
-            state = next(states, None)
+            try:
+                state = next(states, None)
+            except SystemError as error:
+                raise interrupt_behind(error) or error from None
             if state is None:
                 return
             record.step_seconds.append(time.perf_counter() - began)
