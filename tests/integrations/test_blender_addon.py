@@ -54,7 +54,8 @@ def run(blender: str, figure: dict[str, np.ndarray], tmp_path: Path) -> Callable
 
     def call(script: str) -> Any:
         head = "import json\nfrom artist_scene import *\nseen = {}\nrig, body, skirt = artist_scene(FOLDER)\n"
-        tail = "\n(FOLDER / 'seen.json').write_text(json.dumps(seen))\n"
+        # Blender 4.2 as a module crashes while it ends wherever a property has a function of Python's; so it just ends.
+        tail = "\n(FOLDER / 'seen.json').write_text(json.dumps(seen))\nos._exit(0)\n"
         environment = os.environ | {
             "PYTHONPATH": str(Path(__file__).parent),
             "BLENDER_USER_RESOURCES": str(tmp_path / "user"),
