@@ -27,7 +27,7 @@ from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.state import State
 from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import Network, NoNetwork
-from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SolverRefinement
+from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement, SolverRefinement
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.step_start import CarriedStart, FreeFlight, StepStart
@@ -321,18 +321,19 @@ SCENES = {
 }
 
 
-def refined(iterations: int | None) -> Refinement:
-    return SolverRefinement(iterations, potential=PAIRED)
-
-
 METHODS: dict[str, tuple[StepStart, Network, Refinement, Contact, FirstFrame]] = {
     "solver": (FreeFlight(), NoNetwork(), ImplicitSteps(potential=PAIRED), ContactResponse(), AsPlaced()),
     "solver, two iterations": (FreeFlight(), NoNetwork(), ImplicitSteps(2, potential=PAIRED), NoContact(), AsPlaced()),
     "network alone": (
         CarriedStart((0.5, 1.0)), Careless(), NoRefinement(PAIRED.self_contact), ContactResponse(), OneLongStep(),
     ),
-    "network and one": (CarriedStart((0.5, 1.0)), Careless(), refined(1), ContactResponse(), Settled(potential=PAIRED)),
-    "network and five": (CarriedStart((0.5, 1.0)), Careless(), refined(5), ContactResponse(), AsPlaced()),
+    "network and one": (
+        CarriedStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=PAIRED), ContactResponse(),
+        Settled(potential=PAIRED),
+    ),
+    "network and five": (
+        CarriedStart((0.5, 1.0)), Careless(), SafeguardedRefinement(5, PAIRED), ContactResponse(), AsPlaced(),
+    ),
 }  # fmt: skip
 
 
