@@ -279,12 +279,13 @@ class Solver:
             candidate = torch.where(each_vertex(accepted), candidate, x)
             length = torch.where(accepted, length, 0.0)
             reached = energies_at(candidate)
-        nearer = lengths_of_least_energy(length, slope, reached - energies).minimum(free_length)
-        if bool(((nearer - length).abs() > _NOTICEABLE * length).any()):
-            shorter = x + each_vertex(nearer) * direction
-            there = energies_at(shorter)
-            better = there < reached
-            candidate, reached = torch.where(each_vertex(better), shorter, candidate), torch.minimum(there, reached)
+        least = lengths_of_least_energy(length, slope, reached - energies).minimum(free_length)
+        asked = (least - length).abs() > _NOTICEABLE * length
+        if bool(asked.any()):
+            other = x + each_vertex(torch.where(asked, least, length)) * direction
+            there = energies_at(other)
+            better = asked & (there < reached)
+            candidate, reached = torch.where(each_vertex(better), other, candidate), torch.where(better, there, reached)
         if solved.negative is None:
             return candidate, frozen.contacts.cloth
         buckling = torch.from_numpy(solved.negative)
