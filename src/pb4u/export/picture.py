@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -263,16 +264,30 @@ def write_gif(
         view: camera, size and colours.
         highest_fps: frames are dropped so that it plays in real time at no more than this; more make files large.
     """
-    from PIL import Image
-
     stride = max(1, round(trajectory.fps / highest_fps))
     moments = range(0, trajectory.frame_count, stride)
-    pictures = [
+    pictures = _counted(render(trajectory, moments, view), len(moments), progress)
+    save_gif(pictures, path, trajectory.fps / stride, highest_fps)
+
+
+def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float, highest_fps: float = 15.0) -> None:
+    """Write pictures as an endlessly looping GIF.
+
+    Args:
+        pictures: (height, width, 3) uint8 sRGB each, one or more.
+        path: file to write.
+        fps: of the pictures [1/s].
+        highest_fps: pictures are dropped so that it plays in real time at no more than this; more make files large.
+    """
+    from PIL import Image
+
+    stride = max(1, round(fps / highest_fps))
+    kept = [
         Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE)
-        for picture in _counted(render(trajectory, moments, view), len(moments), progress)
+        for picture in islice(pictures, 0, None, stride)
     ]
-    duration = round(1000 * stride / trajectory.fps)
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+    duration = round(1000 * stride / fps)
+    kept[0].save(path, save_all=True, append_images=kept[1:], duration=duration, loop=0)
 
 
 def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None) -> None:
@@ -288,18 +303,33 @@ def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, 
         MissingExtraError: the "render" extra is not installed.
         Pb4uError: the encoder cannot open the file.
     """
+    frames = trajectory.frame_count
+    save_mp4(_counted(render(trajectory, range(frames), view), frames, progress), path, trajectory.fps)
+
+
+def save_mp4(pictures: Iterable[np.ndarray], path: Path, fps: float) -> None:
+    """Write pictures as an MP4 (VP9).
+
+    Args:
+        pictures: (height, width, 3) uint8 sRGB each, of one even size.
+        path: file to write.
+        fps: of the pictures [1/s].
+
+    Raises:
+        MissingExtraError: the "render" extra is not installed.
+        Pb4uError: the encoder cannot open the file.
+    """
     try:
         import cv2
     except ImportError as error:
         raise MissingExtraError("render", "Writing MP4") from error
 
-    frames = trajectory.frame_count
     # VP9 because the encoder in the wheel is free of the GPL, unlike x264, and browsers play it.
     writer = None
-    for picture in _counted(render(trajectory, range(frames), view), frames, progress):
+    for picture in pictures:
         if writer is None:
             height, width = picture.shape[:2]
-            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), trajectory.fps, (width, height))
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), fps, (width, height))
             if not writer.isOpened():
                 raise Pb4uError(f"The video encoder could not open {path}; write a .gif instead.")
         writer.write(np.ascontiguousarray(picture[..., ::-1]))
