@@ -323,6 +323,7 @@ seen["checked"] = (list(bpy.ops.pb4u.check()), settings.checked)
 seen["findings"] = [(f.object, f.severity, f.sentence, f.fix, json.loads(f.vertices)) for f in settings.findings]
 group = skirt.vertex_groups["pb4u findings"].index
 seen["marked"] = [v.index for v in skirt.data.vertices if any(g.group == group for g in v.groups)]
+seen["drawn"] = draw_panels()
 turned = [k for k, f in enumerate(settings.findings) if "turned over" in f.sentence][0]
 bpy.ops.pb4u.select_finding(index=turned)
 seen["mode"] = bpy.context.mode
@@ -331,6 +332,7 @@ seen["selected"] = [v.index for v in skirt.data.vertices if v.select]
 seen["face"] = sorted(skirt.data.polygons[200].vertices)
 """)
     assert seen["checked"][0] == ["FINISHED"]
+    assert {"pb4u.check", "pb4u.simulate", "pb4u.select_finding", "pb4u.add_garment"} <= set(seen["drawn"])
     by_fix = {fix: (each, sentence, vertices) for each, _, sentence, fix, vertices in seen["findings"]}
     each, sentence, vertices = by_fix["Mesh > Merge > By Distance"]
     assert each == "Skirt"
