@@ -190,9 +190,9 @@ def draw_panels():
     """Draw every panel of the add-on; the operators that they offer."""
     module = sys.modules["bl_ext.user_default.pb4u.panels"]
     drawn = []
-    context = SimpleNamespace(
-        scene=bpy.context.scene, preferences=bpy.context.preferences, region=SimpleNamespace(width=320)
-    )
+    # Without a screen the interface has no scale.
+    screen = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0))
+    context = SimpleNamespace(scene=bpy.context.scene, preferences=screen, region=SimpleNamespace(width=320))
     for panel in module.CLASSES[1:]:
         panel.draw(SimpleNamespace(layout=Layout(drawn)), context)
     own = bpy.context.preferences.addons["bl_ext.user_default.pb4u"].preferences

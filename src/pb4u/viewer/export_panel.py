@@ -87,11 +87,13 @@ def pack_scene(run: RunSpecification, folder: Path) -> tuple[str, bytes]:
         folder: that holds the files it names, and for a moment the scene file.
     """
     with _ONE_AT_A_TIME:
-        text = run.save(folder / "scene.toml").read_bytes()
+        written = run.save(folder / "scene.toml").read_text(encoding="utf-8")
         (folder / "scene.toml").unlink()
+    # Where they are unpacked, files lie beside the scene.
+    text = written.replace(f"{folder.as_posix()}/", "")
     named = [path for path in run.files() if isinstance(path, Path)]
     if not named:
-        return "scene.toml", text
+        return "scene.toml", text.encode()
     # What belongs to a file lies beside it under the same name; a skeleton serves all recordings beside it.
     beside = {
         other
