@@ -8,7 +8,8 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from pb4u.evaluation.rollout import Failure, ModelRecord, Rollout, RolloutJob, SceneRecord, Settings
+from pb4u.evaluation.rollout import ModelRecord, Rollout, RolloutJob, SceneRecord, Settings
+from pb4u.jobs.job import Failure
 
 
 def job(motion: str, log: Path | str = "log", model: str = "skinning", **scene: object) -> RolloutJob:

@@ -22,7 +22,8 @@ from pb4u.evaluation.protocols import PROTOCOLS
 from pb4u.evaluation.report import told_once
 from pb4u.evaluation.rollout import RolloutJob, SceneRecord, attempt
 from pb4u.evaluation.tables import terms_tables
-from pb4u.evaluation.worker_pool import Attempt, Outcome, WorkerPool
+from pb4u.jobs.job import Failure
+from pb4u.jobs.worker_pool import Attempt, Outcome, WorkerPool
 from pb4u.scene.scene import Scene
 
 FRAMES = 3
@@ -157,7 +158,7 @@ def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path: Path, monke
 
 
 def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
-    def interrupted(job: RolloutJob) -> rollout.Rollout | rollout.Failure:
+    def interrupted(job: RolloutJob) -> rollout.Rollout | Failure:
         if job.scene.motion == "jump":
             raise KeyboardInterrupt
         return attempt(job)
@@ -204,7 +205,7 @@ def test_a_run_that_broke_off_is_counted_and_has_no_ratio(tmp_path: Path, monkey
 def test_weights_that_changed_after_planning_are_not_taken_for_the_old_ones(tmp_path: Path) -> None:
     file = weights(tmp_path / "net.safetensors")
 
-    def changed(job: RolloutJob) -> rollout.Rollout | rollout.Failure:
+    def changed(job: RolloutJob) -> rollout.Rollout | Failure:
         weights(tmp_path / "net.safetensors", seed=1)
         return attempt(job)
 

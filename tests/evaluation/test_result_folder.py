@@ -11,7 +11,9 @@ from tests.evaluation.quick_rollouts import job
 from pb4u.errors import InputError, Pb4uError
 from pb4u.evaluation import result_folder
 from pb4u.evaluation.result_folder import ResultFolder
-from pb4u.evaluation.rollout import Failure, Rollout
+from pb4u.evaluation.rollout import Rollout
+from pb4u.jobs import job_folder
+from pb4u.jobs.job import Failure
 
 JOB = job("walk")
 
@@ -22,8 +24,8 @@ def opened(path: Path, protocol: str = "resolution") -> ResultFolder:
 
 def kept(path: Path) -> Path:
     with opened(path) as folder:
-        folder.write_manifest("resolution", {}, (JOB,))
-        folder.keep(JOB, Rollout({"value": 1.5}, b"frame"))
+        folder.write_manifest({}, (JOB,))
+        folder.take(JOB, Rollout({"value": 1.5}, b"frame"))
     return path / "jobs" / f"{JOB.key}.json"
 
 
@@ -73,7 +75,7 @@ def test_failures_are_kept_until_they_are_forgotten_or_mended(tmp_path: Path) ->
         folder.forget_failure(JOB)
         assert folder.failure(JOB) is None
         folder.note_failure(JOB, Failure("No garment.", "trace"))
-        folder.keep(JOB, Rollout({}, None))
+        folder.take(JOB, Rollout({}, None))
         assert folder.failure(JOB) is None
 
 
@@ -117,6 +119,6 @@ def test_a_disk_that_refuses_is_a_sentence(tmp_path: Path, monkeypatch: pytest.M
         raise OSError(28, "No space left on device")
 
     with opened(tmp_path / "run") as folder:
-        monkeypatch.setattr(result_folder, "replace_file", full)
+        monkeypatch.setattr(job_folder, "replace_file", full)
         with pytest.raises(Pb4uError, match="No space left on device; what is done is kept"):
-            folder.keep(JOB, Rollout({}, None))
+            folder.take(JOB, Rollout({}, None))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -304,6 +305,14 @@ except RuntimeError as error:
     assert "turn off the modifier that adds or removes them." in changing
     # A refused scene leaves no folder behind; the last one is refused by pb4u itself.
     assert sorted(each.name for each in (tmp_path / "pb4u_cache").iterdir()) == ["run_0001"]
+
+
+def test_the_script_of_the_page_runs(run: Callable) -> None:
+    (script,) = re.findall(r"^```py\n(.*?)^```", (ROOT / "docs" / "blender.md").read_text(), re.MULTILINE | re.DOTALL)
+    before = "settings.garments.clear()\nbpy.context.scene.frame_end = 1\n"
+    before += 'settings.model, settings.self_contact = "skinning", False\n'
+    seen = run(f'{before}{script}seen["status"] = settings.status')
+    assert seen["status"] == "1 frame is there."
 
 
 def test_findings_are_marked_and_selected(run: Callable) -> None:

@@ -15,6 +15,7 @@ from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError
 from pb4u.export.registry import formats_help, is_same_file, would_overwrite, written_files
 from pb4u.progress import Progress, unheard
+from pb4u.scene.specification import with_companions
 
 Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
@@ -119,7 +120,7 @@ def keep_inputs(
         InputError: two of them are one file.
     """
     given = [Path(str(name)) for name in inputs if isinstance(name, str | Path)]
-    read = [file for path in given if path.exists() for file in _with_companions(path)]
+    read = [file for path in given if path.exists() for file in with_companions(path)]
     written: list[tuple[Path, Path]] = []
     single = [(flag, Path(path)) for flag, path in outputs if path is not None and str(path) != "-"]
     for flag, path, is_export in [*((f, p, False) for f, p in single), *(("--out", p, True) for p in exports)]:
@@ -130,17 +131,6 @@ def keep_inputs(
             if would_overwrite(path, file) if is_export else is_same_file(path, file):
                 raise InputError(f"{path} and {other} would both be written to {file}; give each a name of its own.")
         written += [(path, file) for file in (written_files(path, 1) if is_export else (path,))]
-
-
-def _with_companions(path: Path) -> list[Path]:
-    """A file and those that are read with it: the skeleton of a trial, the mesh of a point cache and its cache."""
-    suffixes = {".amc": (".asf",), ".pc2": (".obj",), ".obj": (".pc2", ".mdd"), ".mdd": (".obj",)}
-    beside = suffixes.get(path.suffix.lower(), ())
-    return [path, *(p for p in path.absolute().parent.glob("*") if p.suffix.lower() in beside and _belongs(p, path))]
-
-
-def _belongs(companion: Path, path: Path) -> bool:
-    return companion.suffix.lower() == ".asf" or companion.stem == path.stem
 
 
 class BodyShape(dict[str, float]):

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from pb4u import __version__
-from pb4u.cli import assets, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
+from pb4u.cli import assets, batch, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
 from pb4u.errors import InputWarning, Interrupted, Pb4uError, interrupt_behind
 
 app = typer.Typer(
@@ -31,6 +31,7 @@ for verb in (
     convert_weights.convert_weights,
     train.train,
     evaluate.evaluate,
+    batch.batch,
     info.info,
 ):
     app.command()(verb)

@@ -190,7 +190,8 @@ def simulate(
         int | None,
         typer.Option(
             metavar="N",
-            help=f"Solver iterations after each step of a network. Default: {RunSpecification.refine}.",
+            help="Solver iterations after each step of a network; what they leave far from balance the solver makes "
+            f"anew. Default: {RunSpecification.refine}.",
         ),
     ] = None,
     contact: Annotated[
@@ -382,7 +383,10 @@ def _simulate(
         print(wrote(targets, trajectory.frame_count))
     diverged = None
     if json:
-        report = _report(trajectory, simulator, scene, record)
+        from pb4u.evaluation.run_report import run_report
+
+        with progress_bar("measuring") as progress:
+            report = run_report(trajectory, simulator, scene, record, progress)
         write_json(report, json)
         diverged = report["diverged_at"]
     elif record.failed_at is None:
@@ -455,27 +459,3 @@ def _export(trajectory: Trajectory, targets: list[Path], saved: Path | None) -> 
     except KeyboardInterrupt as error:
         kept = saved or trajectory.save(interrupted_path(targets[0]))
         raise Interrupted(f"all {trajectory.frame_count} frames are in {kept}", getattr(error, "signal", 2)) from error
-
-
-def _report(trajectory: Trajectory, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
-    """The --json payload of the contract."""
-    from pb4u.evaluation.metrics import measure, skinned_centres
-
-    with progress_bar("measuring") as progress:
-        measured = measure(trajectory, skinned=skinned_centres(scene, trajectory), progress=progress)
-    noted = ("garment", "body", "motion", "model")
-    return {
-        **{name: trajectory.metadata[name] for name in noted},
-        "triangles": len(trajectory.faces),
-        "vertices": trajectory.positions.shape[1],
-        "mean_edge_length": trajectory.metadata["mean_edge_length"],
-        "propagation_steps": simulator.propagation_steps(scene),
-        "frames": trajectory.frame_count,
-        "fps": trajectory.fps,
-        "device": simulator.settings().get("device", "cpu"),
-        "ms_per_step": record.ms_per_step,
-        "solver_iterations": record.solver_iterations,
-        "unsolved_steps": record.unsolved,
-        "notes": list(scene.notes),
-        **measured,
-    }

@@ -167,6 +167,18 @@ class SceneSpecification:
         return replace(self, fps=fps, frames=frames, lead_in=round(self.lead_in * fps / self.fps))
 
 
+def with_companions(path: Path) -> list[Path]:
+    """A file and those that are read with it: the skeleton of a trial, the mesh of a point cache and its cache.
+
+    Args:
+        path: the file.
+    """
+    suffixes = {".amc": (".asf",), ".pc2": (".obj",), ".obj": (".pc2", ".mdd"), ".mdd": (".obj",)}
+    beside = suffixes.get(path.suffix.lower(), ())
+    near = (each for each in path.absolute().parent.glob("*") if each.suffix.lower() in beside)
+    return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem)]
+
+
 def require_name(what: str, value: object, optional: bool = False) -> None:
     """Refuse what is neither text, a path nor an object of the package.
 

@@ -15,6 +15,8 @@ _LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "positions": ("f", ("frames", "vertices", 3)),
     "velocities": ("f", ("frames", "vertices", 3)),
     "body_positions": ("f", ("frames", "body vertices", 3)),
+    "position_origins": ("f", ("frames", 3)),
+    "body_position_origins": ("f", ("frames", 3)),
     "rest_positions": ("f", ("vertices", 3)),
     "pinned": ("b", ("vertices",)),
     "vertex_garment": ("iu", ("vertices",)),

@@ -6,8 +6,8 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -175,7 +175,7 @@ class RunSpecification:
     def files(self) -> tuple[object, ...]:
         """Everything that names what is read, be it a built-in name, a file or a loaded object."""
         worn = [value for each in self.scene.garments for value in (each.garment, each.material, each.pins)]
-        return *worn, self.scene.body, self.scene.motion, self.model
+        return *worn, self.scene.body, self.scene.motion, self.scene.omitted, self.model
 
     def roll_out(
         self,
@@ -243,12 +243,7 @@ class RunSpecification:
         path = Path(path)
         if not path.is_file():
             raise InputError(f"There is no scene file {path}.")
-        try:
-            tables = tomllib.loads(read_text(path, "a scene file"))
-        except InputError:
-            raise
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path} is no scene file, which is TOML: {error}.") from None
+        tables = read_tables(path, "a scene file")
         try:
             return cls._of_tables(tables, path.parent)
         except InputError as error:
@@ -266,6 +261,37 @@ class RunSpecification:
         worn = tuple(GarmentSpecification(**_entries("[[garments]]", each, _GARMENT, folder)) for each in garments)
         scene = SceneSpecification(worn, **_entries("[scene]", tables.get("scene", {}), _SCENE, folder))
         return cls(scene, **_entries("[run]", tables.get("run", {}), _RUN, folder))
+
+    def with_entries(self, entries: Mapping[str, Any], folder: Path) -> RunSpecification:
+        """Description with other values, named as in a scene file but without its sections; they win as flags do.
+
+        Args:
+            entries: value by name, of `ENTRIES`. `garment` is one, or a list, inner first, and replaces all garments
+                with what belongs to them; `material`, `pins`, `triangles` and `tucked` are one for all garments, or a
+                list with one for each. `body` replaces its shape too, `motion` its crop.
+            folder: relative files are found from there.
+
+        Raises:
+            InputError: an entry is unknown, or a value cannot be used.
+        """
+        _refuse_unknown("entry", entries, ENTRIES)
+        given = {name: _located(name, value, folder) for name, value in entries.items()}
+        scene = {name: given[name] for name in _SCENE if name in given}
+        if "garment" in given:
+            named = given["garment"]
+            worn = [GarmentSpecification(each) for each in (named if isinstance(named, list) else [named])]
+        else:
+            worn = list(self.scene.garments)
+        for name in _GARMENT:
+            if name in given and name != "garment":
+                values = _one_each(name, given[name], len(worn))
+                worn = [replace(each, **{name: value}) for each, value in zip(worn, values, strict=True)]
+        if "body" in given:
+            scene.setdefault("body_shape", {})
+        if "motion" in given:
+            scene.setdefault("crop", None)
+        run = {name: given[name] for name in _RUN if name in given}
+        return replace(self, scene=replace(self.scene, garments=tuple(worn), **scene), **run)
 
     def save(self, path: str | Path) -> Path:
         """Write the scene file that `open` reads, with every value that is set.
@@ -293,6 +319,26 @@ _GARMENT, _SCENE, _RUN = (
     tuple(each.name for each in fields(kind) if each.name not in ("garments", "scene"))
     for kind in (GarmentSpecification, SceneSpecification, RunSpecification)
 )
+ENTRIES = (*_GARMENT, *_SCENE, *_RUN)
+"""Every entry of a scene file; no two sections have one of the same name."""
+
+
+def read_tables(path: Path, kind: str) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Args:
+        path: the file.
+        kind: what it is, such as "a scene file".
+
+    Raises:
+        InputError: it is no TOML, or too large.
+    """
+    try:
+        return tomllib.loads(read_text(path, kind))
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is no {kind.partition(' ')[2]}, which is TOML: {error}.") from None
 
 
 def _refuse_unknown(what: str, given: Iterable[str], known: tuple[str, ...]) -> None:
@@ -306,10 +352,23 @@ def _entries(section: str, table: Any, known: tuple[str, ...], folder: Path) -> 
     if not isinstance(table, dict):
         raise InputError(f"The section {section} must hold entries such as name = value, not {table!r}.")
     _refuse_unknown(f"entry of {section}", table, known)
-    return {
-        name: folder / value if name in _FILES and isinstance(value, str) and _is_file(value) else value
-        for name, value in table.items()
-    }
+    return {name: _located(name, value, folder) for name, value in table.items()}
+
+
+def _located(name: str, value: Any, folder: Path) -> Any:
+    if isinstance(value, list):
+        return [_located(name, each, folder) for each in value]
+    return folder / value if name in _FILES and isinstance(value, str) and _is_file(value) else value
+
+
+def _one_each(name: str, value: Any, count: int) -> list[Any]:
+    """The value for each of `count` garments; a list of whole numbers is one choice of pins."""
+    is_indices = name == "pins" and isinstance(value, list) and all(isinstance(each, int) for each in value)
+    if not isinstance(value, list) or is_indices:
+        return [value] * count
+    if len(value) != count:
+        raise InputError(f"{name} has {len(value)} values for {count} garments; give one for all, or one each.")
+    return value
 
 
 def _is_file(value: str) -> bool:

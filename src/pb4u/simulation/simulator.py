@@ -34,12 +34,14 @@ class RunRecord:
         failed_at: written frame at which the state stopped being finite, or None.
         solver_iterations: iterations the solver made, per step.
         unsolved: steps that the solver left above its tolerance.
+        made_anew: steps of a network that the solver made in its place.
     """
 
     step_seconds: list[float] = field(default_factory=list)
     failed_at: int | None = None
     solver_iterations: list[int] = field(default_factory=list)
     unsolved: int = 0
+    made_anew: int = 0
 
     @property
     def ms_per_step(self) -> float:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pb4u.errors import InputError, MissingExtraError, Pb4uError, unknown_name
-from pb4u.export.picture import save_gif, save_mp4
+from pb4u.export.picture import View, save_gif, save_mp4
 from pb4u.viewer.clip import Clip
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class Film:
             if self.suffix == ".gif":
                 save_gif(opaque, path, self.clip.header.fps)
             else:
-                save_mp4(opaque, path, self.clip.header.fps)
+                save_mp4(opaque, path, self.clip.header.fps, View(width, height))
             return path.name, path.read_bytes()
 
 

@@ -1,4 +1,4 @@
-"""Who does the rollouts: a pool of processes on this machine, or the workers of a Ray cluster."""
+"""Who does the jobs: a pool of processes on this machine, or the workers of a Ray cluster."""
 
 from __future__ import annotations
 
@@ -10,18 +10,21 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, TypeAlias
 
 from pb4u.errors import InputError, MissingExtraError
-from pb4u.evaluation.rollout import Failure, Rollout, RolloutJob, attempt
+from pb4u.jobs.job import Failure, Job
 
 _ANSWER_TIME = 5.0
 """Seconds in which a cluster has to answer; Ray itself takes minutes to find that nobody is there."""
 
-Attempt = Callable[[RolloutJob], Rollout | Failure]
+Made: TypeAlias = Any
+"""What a job makes; it travels between processes."""
+
+Attempt: TypeAlias = Callable[[Any], Made | Failure]
 """Does a job; what went wrong with it is a value, not an exception."""
 
-Outcome = tuple[RolloutJob, Rollout | Failure | None]
+Outcome: TypeAlias = tuple[Any, Made | Failure | None]
 """A job and how an attempt at it ended; None where its worker died, and nothing is known of the job."""
 
 
@@ -35,7 +38,7 @@ class WorkerPool(ABC):
     size: int
 
     @abstractmethod
-    def submit(self, job: RolloutJob) -> None:
+    def submit(self, job: Job) -> None:
         """Start a job. Called with at most `size` jobs under way."""
 
     @abstractmethod
@@ -58,15 +61,15 @@ class LocalPool(WorkerPool):
         InputError: `workers` is not a positive number.
     """
 
-    def __init__(self, workers: int, attempt: Attempt = attempt) -> None:
+    def __init__(self, workers: int, attempt: Attempt) -> None:
         if workers < 1:
             raise InputError(f"The number of workers must be 1 or more, not {workers}.")
         self.size = workers
         self._attempt = attempt
         self._idle: list[_Worker] = []
-        self._busy: dict[Connection, tuple[_Worker, RolloutJob]] = {}
+        self._busy: dict[Connection, tuple[_Worker, Job]] = {}
 
-    def submit(self, job: RolloutJob) -> None:
+    def submit(self, job: Job) -> None:
         # An idle worker may have died too: its pipe then breaks, and another takes its place.
         while True:
             worker = self._idle.pop() if self._idle else _Worker(self._attempt)
@@ -142,8 +145,8 @@ class RayPool(WorkerPool):
 
     Args:
         address: of the cluster, "auto" for the one of this machine, or "local" to start one for this run.
-        workers: cores of a cluster started here.
         attempt: what they do with a job; importable on every machine.
+        workers: cores of a cluster started here.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -152,7 +155,7 @@ class RayPool(WorkerPool):
 
     size = 1000  # Ray queues what its machines cannot start yet
 
-    def __init__(self, address: str, workers: int = 1, attempt: Attempt = attempt) -> None:
+    def __init__(self, address: str, attempt: Attempt, workers: int = 1) -> None:
         try:
             import ray
         except ImportError as error:
@@ -172,10 +175,10 @@ class RayPool(WorkerPool):
             raise InputError(f"There is no Ray cluster to reach at {address}: {reason}") from error
         # Ray's own second tries are off: who hands out the jobs counts them.
         self._attempt = ray.remote(num_cpus=1, max_retries=0)(attempt)
-        self._under_way: dict[Any, RolloutJob] = {}
+        self._under_way: dict[Any, Job] = {}
 
-    def submit(self, job: RolloutJob) -> None:
-        gpus = 1 if job.settings.device == "cuda" else 0
+    def submit(self, job: Job) -> None:
+        gpus = 1 if job.device == "cuda" else 0
         self._under_way[self._attempt.options(num_gpus=gpus).remote(job)] = job
 
     def next_outcome(self) -> Outcome:

@@ -12,10 +12,10 @@ import pytest
 from tests.evaluation.quick_rollouts import attempt, job, note, noted
 
 from pb4u.errors import InputError, MissingExtraError
-from pb4u.evaluation.protocol_run import MOST_TRIES, work_through
 from pb4u.evaluation.result_folder import ResultFolder
 from pb4u.evaluation.rollout import RolloutJob
-from pb4u.evaluation.worker_pool import LocalPool, RayPool, WorkerPool
+from pb4u.jobs.job_queue import MOST_TRIES, work_through
+from pb4u.jobs.worker_pool import LocalPool, RayPool, WorkerPool
 
 
 def local() -> WorkerPool:
@@ -24,7 +24,7 @@ def local() -> WorkerPool:
 
 def ray() -> WorkerPool:
     pytest.importorskip("ray", reason='needs the "ray" extra')
-    return RayPool("local", 2, attempt)
+    return RayPool("local", attempt, 2)
 
 
 @pytest.fixture(params=[local, ray], ids=["processes", "ray"])
@@ -40,7 +40,7 @@ def test_dying_workers_lose_nothing_and_nothing_is_done_twice(pool: WorkerPool, 
     refused, poison = job("refused", log), job("dies", log)
     seen: list[tuple[int, int]] = []
     with ResultFolder(tmp_path / "run", "resolution") as folder:
-        work_through([*good, refused, poison], pool, folder, lambda done, total: seen.append((done, total)))
+        work_through([*good, refused, poison], pool, folder.take, lambda done, total: seen.append((done, total)))
         results = {each.scene.motion: folder.result(each) for each in good}
         refusal, given_up = folder.failure(refused), folder.failure(poison)
 
@@ -68,7 +68,7 @@ def test_an_idle_worker_that_died_is_replaced(tmp_path: Path) -> None:
         worker.process.kill()
         worker.process.join()
         with ResultFolder(tmp_path / "run", "resolution") as folder:
-            work_through([job("b", tmp_path / "log")], pool, folder, lambda done, total: None)
+            work_through([job("b", tmp_path / "log")], pool, folder.take, lambda done, total: None)
             assert folder.result(job("b", tmp_path / "log")) is not None
     finally:
         pool.close()
@@ -98,14 +98,14 @@ def test_dismissed_workers_are_gone(tmp_path: Path) -> None:
 
 def test_impossible_pools_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="1 or more, not 0"):
-        LocalPool(0)
+        LocalPool(0, attempt)
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match=r'"ray" extra'):
-        RayPool("auto")
+        RayPool("auto", attempt)
 
 
 def test_an_address_without_a_cluster_is_refused() -> None:
     pytest.importorskip("ray", reason='needs the "ray" extra')
     for address in ("auto", "127.0.0.1:1", "ray://127.0.0.1:1", "127.0.0.1:many"):
         with pytest.raises(InputError, match=f"no Ray cluster to reach at {address}"):
-            RayPool(address)
+            RayPool(address, attempt)

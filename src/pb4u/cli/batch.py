@@ -1,0 +1,93 @@
+"""`pb4u batch`: many clips into one dataset, as a run that can stop at any time."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, progress_bar, write_json
+from pb4u.errors import InputError, Pb4uError
+
+if TYPE_CHECKING:
+    from pb4u.jobs.worker_pool import WorkerPool
+
+_FAILURES_TOLD = 10
+"""Failures that are told one by one; the index has all."""
+
+
+def batch(
+    jobs: Annotated[
+        Path,
+        typer.Argument(
+            metavar="JOBS.toml|CSV",
+            help="What to make: [fixed] entries of scene files, lists in [product] of which every combination is a "
+            "clip, and [[clips]] one by one; or a table with one clip a row.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the dataset.", show_default=False)],
+    workers: Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")] = 1,
+    ray: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
+    ] = None,
+    format: Annotated[
+        Literal["folder", "webdataset"],
+        typer.Option("--format", help="A folder of trajectories, or tar files of many as WebDataset reads them."),
+    ] = "folder",
+    clips_per_shard: Annotated[int, typer.Option(metavar="N", help="Clips in one tar file.")] = 500,
+    half: Annotated[
+        bool, typer.Option("--half", help="Keep trajectories in half precision: half the size, good to 0.25 mm.")
+    ] = False,
+    most_clips: Annotated[
+        int | None, typer.Option(metavar="N", help="Clips that one file may describe. Default: 100,000.")
+    ] = None,
+    plan: Annotated[bool, typer.Option("--plan", help="Say what it takes in disk and time, and make nothing.")] = False,
+    retry: Annotated[bool, typer.Option("--retry", help="Try clips again that failed before.")] = False,
+    json: JsonFlag = None,
+) -> None:
+    """Make a dataset: many clips with an index of every label and metric.
+
+    Killed at any instant, the same command goes on where it was. A longer jobs file with the same --out adds to it.\f
+
+    Each argument is described by its `help`.
+
+    Raises:
+        InputError: a number is out of range, or something is unknown or unusable.
+    """
+    from pb4u.dataset.dataset_folder import FolderOfTrajectories, WebDataset
+    from pb4u.dataset.dataset_run import make_dataset, told_size
+    from pb4u.dataset.jobs_file import MOST_CLIPS, read_jobs
+
+    check_json_target(json)
+    keep_inputs([jobs], [("--json", json), ("--out", out)])
+    if workers < 1:
+        raise InputError(f"The number of workers must be 1 or more, not {workers}.")
+    runs = read_jobs(jobs, MOST_CLIPS if most_clips is None else most_clips)
+
+    def pool() -> WorkerPool:
+        from pb4u.dataset.clip import attempt
+        from pb4u.jobs.worker_pool import LocalPool, RayPool
+
+        return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
+
+    made = make_dataset(
+        runs, out, pool, WebDataset(clips_per_shard) if format == "webdataset" else FolderOfTrajectories(), half=half,
+        jobs_file=jobs.name, workers=workers, retry=retry, plan_only=plan,
+        say=lambda line: print(f"pb4u: {line}", file=sys.stderr), progress=progress_bar,
+    )  # fmt: skip
+    if json:
+        write_json(made, json)
+    if plan:
+        return
+    if json != "-":
+        print(f"{made['done']} of {made['clips']} clips, {told_size(made['bytes'])}: {made['index']}")
+    failures = made["failures"]
+    for failure in failures[:_FAILURES_TOLD]:
+        print(f"pb4u: failed: {failure['job']}: {failure['sentence']}", file=sys.stderr)
+    if failures:
+        raise Pb4uError(
+            f"{len(failures)} of {made['clips']} clips failed; the index lists them, and --retry tries them again."
+        )

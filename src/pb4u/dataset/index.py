@@ -1,0 +1,111 @@
+"""The index of a dataset: a Parquet file with a row a clip, which every table reader takes column by column."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from pb4u.dataset.clip import ClipJob
+from pb4u.dataset.dataset_folder import INDEX, DatasetFolder
+from pb4u.errors import MissingExtraError
+from pb4u.evaluation.metrics import ENERGIES, GEOMETRY, STRAINS
+from pb4u.garment.material import Material
+
+if TYPE_CHECKING:
+    import pyarrow
+
+_MEASURED = ("mean", "max", "per_frame")
+_PROPERTIES = tuple(Material.__dataclass_fields__)
+
+
+def require_parquet() -> None:
+    """Refuse to begin where the index could not be written.
+
+    Raises:
+        MissingExtraError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("dataset", "The index of a dataset") from error
+
+
+def write_index(folder: DatasetFolder, jobs: Sequence[ClipJob]) -> None:
+    """Write the index, beside and moved into place.
+
+    Args:
+        folder: the dataset.
+        jobs: its clips, in the order of the rows.
+
+    Raises:
+        Pb4uError: the disk refuses.
+    """
+    import pyarrow
+    import pyarrow.parquet
+
+    rows = [_row(folder, job) for job in jobs]
+    table = pyarrow.Table.from_pylist(rows, schema=_schema())
+    content = io.BytesIO()
+    pyarrow.parquet.write_table(table, content, compression="zstd")
+    folder.write(INDEX, content.getvalue())
+
+
+def _row(folder: DatasetFolder, job: ClipJob) -> dict[str, Any]:
+    result, failure, place = folder.result(job), folder.failure(job), folder.place(job.key)
+    row: dict[str, Any] = {"key": job.key, "status": "done" if result else "failed" if failure else "missing"}
+    row |= job.labels
+    if result is None or place is None:
+        return row | {"failure": failure.sentence if failure else None}
+    row |= {"file": place.file, "member": place.member, **result}
+    for prefix, tables in (("", result["metrics"]), ("paper_", result["metrics_paper"])):
+        for name, measured in tables.items():
+            row |= {f"{prefix}{name}_{part}": measured[part] for part in _MEASURED}
+    row["garments"] = [
+        {
+            **each,
+            **{f"{name}_{part}": measured[part] for name, measured in each["metrics"].items() for part in _MEASURED},
+        }
+        for each in result["garments"]
+    ]
+    return row
+
+
+def _schema() -> pyarrow.Schema:
+    """Name and type of every column; counts and numbers are SI, as in the report of `pb4u simulate`."""
+    import pyarrow as pa
+
+    text, whole, number, switch = pa.string(), pa.int64(), pa.float64(), pa.bool_()
+
+    def measured(names: Sequence[str], prefix: str = "") -> dict[str, pa.DataType]:
+        kinds = {"mean": number, "max": number, "per_frame": pa.list_(number)}
+        return {f"{prefix}{name}_{part}": kinds[part] for name in names for part in _MEASURED}
+
+    garment = {
+        "name": text,
+        "vertices": whole,
+        "triangles": whole,
+        **dict.fromkeys(_PROPERTIES, number),
+        "diverged": switch,
+        "diverged_at": whole,
+        **measured((*ENERGIES, *STRAINS)),
+    }
+    columns = {
+        **dict.fromkeys(("key", "status", "failure", "file", "member"), text),
+        **dict.fromkeys(("garment", "material", "pins", "body", "motion", "model", "device", "first_frame"), text),
+        "triangles_asked": pa.list_(whole),
+        "body_shape": pa.map_(text, number),
+        "crop": pa.list_(whole),
+        **dict.fromkeys(("seed", "lead_in", "frames_asked", "frames", "triangles", "vertices"), whole),
+        **dict.fromkeys(
+            ("propagation_steps", "refine", "solver_iterations", "unsolved_steps", "steps_made_anew"), whole
+        ),
+        **dict.fromkeys(("failed_at", "diverged_at", "bytes"), whole),
+        **dict.fromkeys(("contact", "self_contact", "half", "diverged"), switch),
+        **dict.fromkeys(("fps", "arms_away", "mean_edge_length", "ms_per_step", "seconds"), number),
+        "notes": pa.list_(text),
+        **measured((*ENERGIES, *GEOMETRY)),
+        **measured(ENERGIES, "paper_"),
+        "garments": pa.list_(pa.struct(list(garment.items()))),
+    }
+    return pa.schema(list(columns.items()))

@@ -1,0 +1,174 @@
+"""Jobs files: many runs described at once, as products and lists of the entries of scene files.
+
+TOML holds `[fixed]` entries of every clip, lists in `[product]` of which every combination is a clip, and `[[clips]]`
+one by one; CSV one clip a row, its header naming the entries. Besides the entries of a scene file without their
+sections, `scene` names a scene file that the others change.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from pb4u.errors import InputError, unknown_name
+from pb4u.reading_limits import read_text
+from pb4u.simulation.run_specification import ENTRIES, RunSpecification, read_tables
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+MOST_CLIPS = 100_000
+"""Clips of one jobs file unless more are asked for: ten times the usual dataset, and what a slip of the pen exceeds."""
+FORMAT_VERSION = 1
+_SECTIONS = ("format_version", "fixed", "product", "clips")
+_SCENE = "scene"
+_KNOWN = (_SCENE, *ENTRIES)
+_TOLD = 4
+"""Entries of a clip that a refusal names: enough to find its line."""
+
+
+def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[RunSpecification, ...]:
+    """The runs of a jobs file, those of the product first, its last entry varying fastest.
+
+    Args:
+        path: the file, .toml or .csv; paths in it are relative to it.
+        most: clips that it may describe.
+
+    Raises:
+        InputError: it is missing or not of its format, describes none or too many, or an entry is unknown or has a
+            value that cannot be used.
+    """
+    readers = {".toml": _read_toml, ".csv": _read_csv}
+    if path.suffix.lower() not in readers:
+        raise InputError(f"{path} is no jobs file, whose name ends in {' or '.join(readers)}.")
+    if not path.is_file():
+        raise InputError(f"There is no jobs file {path}.")
+    try:
+        count, clips = readers[path.suffix.lower()](path)
+        if not count:
+            raise InputError("it describes no clip; give lists in [product], or [[clips]].")
+        if count > most:
+            raise InputError(
+                f"it describes {count:,} clips, and {most:,} are the most that are made at once; shorten a list, or "
+                "raise --most-clips."
+            )
+        scenes: dict[Path, RunSpecification] = {}
+        return tuple(_run(number, entries, path.parent, scenes) for number, entries in enumerate(clips, start=1))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _run(
+    number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Path, RunSpecification]
+) -> RunSpecification:
+    """The run of one clip; `scenes` holds the scene files that were read."""
+    changed = {name: value for name, value in entries.items() if name != _SCENE}
+    try:
+        described = RunSpecification()
+        if _SCENE in entries:
+            if not isinstance(entries[_SCENE], str):
+                raise InputError(f"A scene is the name of a scene file, not {entries[_SCENE]!r}.")
+            file = folder / entries[_SCENE]
+            if file not in scenes:
+                scenes[file] = RunSpecification.open(file)
+            described = scenes[file]
+        return described.with_entries(changed, folder)
+    except InputError as error:
+        told = ", ".join(f"{name} = {value}" for name, value in list(entries.items())[:_TOLD])
+        raise InputError(f"clip {number} ({told}): {error}") from None
+
+
+def _read_toml(path: Path) -> tuple[int, Iterator[dict[str, Any]]]:
+    """How many clips the file describes, and their entries."""
+    tables = read_tables(path, "a jobs file")
+    for name in tables:
+        if name not in _SECTIONS:
+            raise unknown_name("section", name, _SECTIONS)
+    version = tables.get("format_version", FORMAT_VERSION)
+    if version != FORMAT_VERSION:
+        raise InputError(f"it is of format version {version!r}; this version reads {FORMAT_VERSION}.")
+    fixed = _table("[fixed]", tables.get("fixed", {}))
+    varied = _table("[product]", tables.get("product", {}))
+    lists = {name: _choices(name, value) for name, value in varied.items()}
+    listed = tables.get("clips", [])
+    if not isinstance(listed, list):
+        raise InputError("each clip is a section of its own, written [[clips]].")
+    singles = [_table("[[clips]]", each) for each in listed]
+    for name in lists:
+        if name in fixed:
+            raise InputError(f"{name} stands in [fixed] and in [product]; leave it in one.")
+    products = math.prod(len(values) for values in lists.values()) if lists else 0
+
+    def clips() -> Iterator[dict[str, Any]]:
+        if lists:
+            for values in product(*lists.values()):
+                yield {**fixed, **dict(zip(lists, values, strict=True))}
+        for each in singles:
+            yield {**fixed, **each}
+
+    return products + len(singles), clips()
+
+
+def _table(section: str, table: Any) -> dict[str, Any]:
+    if not isinstance(table, dict):
+        raise InputError(f"the section {section} must hold entries such as name = value, not {table!r}.")
+    for name in table:
+        if name not in _KNOWN:
+            raise unknown_name(f"entry of {section}", name, _KNOWN)
+    return table
+
+
+def _choices(name: str, value: Any) -> Sequence[Any]:
+    """The values of an entry of the product; seeds may be a range."""
+    if name == "seed" and isinstance(value, dict):
+        if set(value) != {"first", "count"} or not all(_is_whole(each) for each in value.values()):
+            raise InputError(f"seeds are a list, or {{ first = 0, count = 10 }} in whole numbers, not {value!r}.")
+        return range(value["first"], value["first"] + value["count"])
+    if not isinstance(value, list):
+        raise InputError(f"{name} in [product] must be a list of values; a single one belongs in [fixed].")
+    return value
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _read_csv(path: Path) -> tuple[int, Iterator[dict[str, Any]]]:
+    """How many clips the file describes, and their entries; an empty cell leaves an entry at its default."""
+    try:
+        # Spreadsheets write a mark of the encoding first.
+        text = read_text(path, "a jobs file", encoding="utf-8-sig")
+        header, *rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if any(row)]
+    except InputError:
+        raise
+    except (csv.Error, ValueError) as error:
+        raise InputError(f"it is no table with a header in UTF-8: {error}.") from None
+    names = [name.strip() for name in header]
+    for name in names:
+        if name not in _KNOWN:
+            raise unknown_name("entry, as columns are called,", name, _KNOWN)
+        if names.count(name) > 1:
+            raise InputError(f"two columns are called {name}.")
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(names):
+            raise InputError(f"row {number} has {len(row)} cells, and the header {len(names)}.")
+    return len(rows), (
+        {name: _cell_value(cell.strip()) for name, cell in zip(names, row, strict=True) if cell.strip()} for row in rows
+    )
+
+
+def _cell_value(cell: str) -> Any:
+    """A cell as TOML would read it after an equals sign; what TOML cannot read is a text."""
+    try:
+        values = tomllib.loads(f"cell = {cell}")
+    except ValueError:
+        return cell
+    return values["cell"] if set(values) == {"cell"} else cell

@@ -1,0 +1,100 @@
+"""A piece of work with an address: the same for the same work, so that what is done is never done again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pb4u.errors import InputError, Pb4uError
+
+Work = TypeVar("Work")
+Made = TypeVar("Made")
+
+
+class Job(ABC):
+    """Work for one worker; its text, `str(job)`, tells it from the others in plain words."""
+
+    @property
+    @abstractmethod
+    def key(self) -> str:
+        """Address of the result, as `address` makes it."""
+
+    @property
+    @abstractmethod
+    def device(self) -> str:
+        """Where it computes: "cpu" or "cuda"."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a job has no result.
+
+    Args:
+        sentence: why, in plain words.
+        trace: where, for the maintainers.
+    """
+
+    sentence: str
+    trace: str
+
+
+def attempted(run: Callable[[Work], Made], work: Work) -> Made | Failure:
+    """Do a job; whatever goes wrong comes back as a `Failure` with a sentence.
+
+    Args:
+        run: what is done with the job.
+        work: the job.
+    """
+    try:
+        return run(work)
+    except Pb4uError as error:
+        return Failure(" ".join(str(error).split()), traceback.format_exc())
+    except MemoryError:
+        return Failure("There was not enough memory for it.", traceback.format_exc())
+    except Exception as error:
+        sentence = f"It broke off unexpectedly: {type(error).__name__}: {error}"
+        return Failure(" ".join(sentence.split()), traceback.format_exc())
+
+
+def address(identity: Mapping[str, Any]) -> str:
+    """Address of the work that has this identity.
+
+    Args:
+        identity: everything that the result depends on, as JSON.
+    """
+    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, or of all files of a folder and their names, in hexadecimal."""
+    hasher = hashlib.sha256()
+    files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+    for file in files:
+        if file != path:
+            hasher.update(file.relative_to(path).as_posix().encode())
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                hasher.update(block)
+    return hasher.hexdigest()
+
+
+def require_content(path: Path, expected: str) -> None:
+    """Refuse a file that is another than the one a job was planned with.
+
+    Args:
+        path: the file, or folder.
+        expected: its digest then.
+
+    Raises:
+        InputError: it is absent, or its content is another.
+    """
+    if not path.exists():
+        raise InputError(f"The file {path} is not there on the machine that was to use it.")
+    if digest(path) != expected:
+        raise InputError(f"The file {path} changed after the run was planned; start the run again.")

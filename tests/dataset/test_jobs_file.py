@@ -1,0 +1,139 @@
+"""Jobs files: what they describe, and one sentence on each that describes nothing usable."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pb4u.dataset.jobs_file import read_jobs
+from pb4u.errors import InputError
+from pb4u.scene.specification import GarmentSpecification
+from pb4u.simulation.run_specification import RunSpecification
+
+
+def jobs(folder: Path, text: str, name: str = "jobs.toml", most: int = 1000) -> tuple[RunSpecification, ...]:
+    (folder / name).write_text(text)
+    return read_jobs(folder / name, most)
+
+
+def test_a_product_is_every_combination_and_lists_follow(tmp_path: Path) -> None:
+    runs = jobs(
+        tmp_path,
+        """
+        [fixed]
+        frames = 8
+        model = "solver"
+        [product]
+        garment = ["tshirt", ["tanktop", "cardigan"]]
+        motion = ["walk", "recordings/07_02.amc"]
+        seed = { first = 3, count = 2 }
+        [[clips]]
+        garment = "skirt"
+        frames = 9
+        body_shape = { height = 0.7 }
+        """,
+    )
+    assert len(runs) == 9
+    named = [tuple(each.name for each in run.scene.garments) for run in runs]
+    assert named == [("tshirt",)] * 4 + [("tanktop", "cardigan")] * 4 + [("skirt",)]
+    assert [run.scene.seed for run in runs[:3]] == [3, 4, 3]
+    assert [run.scene.motion for run in runs[:3]] == ["walk", "walk", tmp_path / "recordings/07_02.amc"]
+    assert {run.model for run in runs} == {"solver"}
+    assert (runs[-1].scene.frames, runs[-1].scene.body_shape) == (9, {"height": 0.7})
+
+
+def test_lists_within_lists_are_one_for_each_garment(tmp_path: Path) -> None:
+    (run,) = jobs(
+        tmp_path,
+        '[[clips]]\ngarment = ["tanktop", "cardigan"]\nmaterial = ["silk", "wool"]\ntriangles = 500\npins = "none"\n',
+    )
+    assert run.scene.garments == (
+        GarmentSpecification("tanktop", "silk", "none", 500), GarmentSpecification("cardigan", "wool", "none", 500)
+    )  # fmt: skip
+    (pinned,) = jobs(tmp_path, '[[clips]]\ngarment = ["tanktop", "cardigan"]\npins = [0, 1, 2]\n')
+    assert [each.pins for each in pinned.scene.garments] == [(0, 1, 2)] * 2
+
+
+def test_a_scene_file_is_a_beginning_that_entries_change(tmp_path: Path) -> None:
+    scene = '[scene]\nframes = 5\nbody = "man"\nbody_shape = { height = 0.2 }\n[[garments]]\ngarment = "skirt"\n'
+    (tmp_path / "outfit.toml").write_text(scene)
+    same, other = jobs(tmp_path, '[fixed]\nscene = "outfit.toml"\n[product]\nbody = ["man", "woman"]\n')
+    assert same.scene.garments == other.scene.garments == (GarmentSpecification("skirt"),)
+    assert (same.scene.body_shape, other.scene.body_shape) == ({}, {})
+    (kept,) = jobs(tmp_path, '[[clips]]\nscene = "outfit.toml"\nmaterial = "silk"\n')
+    assert (kept.scene.frames, kept.scene.body_shape) == (5, {"height": 0.2})
+    assert kept.scene.garments == (GarmentSpecification("skirt", "silk"),)
+
+
+def test_a_table_has_a_clip_a_row(tmp_path: Path) -> None:
+    table = (
+        "\ufeffgarment,motion,seed,contact,body_shape,fps\n"
+        "tshirt,07_02.amc,3,true,{ height = 0.7 },24\n"
+        '"[""tanktop"", ""cardigan""]",walk,,,,\n'
+        "\n"
+    )
+    first, second = jobs(tmp_path, table, "jobs.csv")
+    assert (first.scene.motion, first.scene.seed, first.contact) == (tmp_path / "07_02.amc", 3, True)
+    assert (first.scene.body_shape, first.scene.fps) == ({"height": 0.7}, 24)
+    assert [each.name for each in second.scene.garments] == ["tanktop", "cardigan"]
+    assert second.scene.seed == 0
+
+
+MILLION = "[product]\n" + "".join(
+    f"{name} = {list(range(1, 101))}\n" for name in ("seed", "triangles", "frames")
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[fixed]\ngarmet = 'tshirt'\n", r"no entry of \[fixed\] 'garmet'; did you mean garment"),
+        ("[product]\nmotions = ['walk']\n", r"no entry of \[product\] 'motions'; did you mean motion"),
+        ("[[clips]]\ncolour = 'red'\n", r"no entry of \[\[clips\]\] 'colour'"),
+        ("[products]\nseed = [1]\n", "no section 'products'; did you mean product"),
+        ("[product]\nmotion = 'walk'\n", r"motion in \[product\] must be a list"),
+        ("[fixed]\nseed = 1\n[product]\nseed = [1, 2]\n", r"seed stands in \[fixed\] and in \[product\]"),
+        ("[product]\nseed = { first = 0 }\n", "seeds are a list, or"),
+        (MILLION, r"describes 1,000,000 clips, and 1,000 are the most .* raise --most-clips"),
+        ("[product]\nseed = { first = 0, count = 1000000000000 }\n", "describes 1,000,000,000,000 clips"),
+        ("", "describes no clip"),
+        ("[product]\nseed = []\n", "describes no clip"),
+        ("[[clips]]\nframes = 0\n", r"clip 1 \(frames = 0\): The number of frames must be 1 or more"),
+        ("[product]\ngarment = ['dress']\nseed = [0, 'x']\n", r"clip 2 \(garment = dress, seed = x\): The seed must"),
+        ("[[clips]]\ngarment = ['dress', 'skirt']\ntriangles = [1, 2, 3]\n", "triangles has 3 values for 2 garments"),
+        ("[[clips]]\nscene = 'absent.toml'\n", "There is no scene file .*absent.toml"),
+        ("[[clips]\n", "is no jobs file, which is TOML"),
+        ("clips = 3\n", "each clip is a section of its own"),
+        ("format_version = 2\n", "of format version 2"),
+    ],
+)
+def test_what_cannot_be_used_is_one_sentence(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        jobs(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("garment,motion\ntshirt\n", "row 2 has 1 cells, and the header 2"),
+        ("garment,garment\ntshirt,dress\n", "two columns are called garment"),
+        ("garmet\ntshirt\n", "did you mean garment"),
+        ("garment\n", "describes no clip"),
+        ("", "no table with a header"),
+        ("seed\n1\n1.5\n", r"clip 2 \(seed = 1.5\): The seed must be a whole number"),
+    ],
+)
+def test_tables_that_cannot_be_used_are_one_sentence(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        jobs(tmp_path, text, "jobs.csv")
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no jobs file, whose name ends in \.toml or \.csv"):
+        read_jobs(tmp_path / "jobs.json")
+    with pytest.raises(InputError, match="There is no jobs file"):
+        read_jobs(tmp_path / "jobs.toml")
+    (tmp_path / "bytes.csv").write_bytes(b"garment\n\xff\xfe\n")
+    with pytest.raises(InputError, match="no table with a header in UTF-8"):
+        read_jobs(tmp_path / "bytes.csv")

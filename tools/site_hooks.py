@@ -1,0 +1,139 @@
+"""What the documentation site makes of the repository when it is built: pages that would otherwise say things twice.
+
+Pages are made of the examples, the changelog, CONTRIBUTING and the flags of every verb; the decisions are listed; and
+links that leave `docs` are carried along with the file they point at.
+"""
+
+from __future__ import annotations
+
+import html
+import inspect
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import latex2mathml.converter
+import typer
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[1]
+_LEAVES = re.compile(r"\]\((\.\./)+(?P<target>[A-Za-z][^)#]*)\)")
+"""A link to what lies above `docs`."""
+_PLACE = "<!-- verbs -->"
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Draw fences of formulas, and list the decisions in the navigation, the latest first."""
+    config.mdx_configs["pymdownx.superfences"] = {
+        "custom_fences": [{"name": "math", "class": "math", "format": formula}]
+    }
+    pages = sorted((ROOT / "docs" / "decisions").glob("*.md"), reverse=True)
+    listed = [{page.read_text().splitlines()[0].lstrip("# "): f"decisions/{page.name}"} for page in pages]
+    for section in config.nav or []:
+        if isinstance(section, dict) and "Decisions" in section:
+            section["Decisions"] = listed
+    for name, title in (("blender.md", "Blender"),):
+        guides = next(each["Guides"] for each in config.nav or [] if isinstance(each, dict) and "Guides" in each)
+        if (ROOT / "docs" / name).is_file() and {title: name} not in guides:
+            guides.insert(4, {title: name})
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that are made, and the files outside `docs` that pages link to."""
+    files.append(File.generated(config, "examples.md", content=_examples()))
+    for name in ("CHANGELOG.md", "CONTRIBUTING.md"):
+        text = (ROOT / name).read_text().replace("](docs/", "](")
+        files.append(File.generated(config, name.lower(), content=text))
+    for page in list(files.documentation_pages()):
+        if page.abs_src_path is None:
+            continue
+        for link in _LEAVES.finditer(Path(page.abs_src_path).read_text()):
+            target = link["target"]
+            is_inside = (Path(page.abs_src_path).parent / link[0][2:-1]).resolve().is_relative_to(ROOT / "docs")
+            if not is_inside and (ROOT / target).is_file() and files.get_file_from_path(target) is None:
+                files.append(File.generated(config, target, abs_src_path=str(ROOT / target)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Point links at what was carried along, and fill in the flags of every verb."""
+    depth = page.file.src_uri.count("/")
+    if page.file.src_uri == "api/commands.md":
+        markdown = markdown.replace(_PLACE, "\n".join(_verbs()))
+
+    def inside(link: re.Match[str]) -> str:
+        leaves = link[0].count("../") > depth
+        return f"]({'../' * depth}{link['target']})" if leaves else link[0]
+
+    return _LEAVES.sub(inside, markdown)
+
+
+def formula(source: str, *_: Any, **__: Any) -> str:
+    """A formula in LaTeX as MathML, which browsers draw without a script.
+
+    Args:
+        source: the formula.
+    """
+    lines = "\n".join(latex2mathml.converter.convert(line, display="block") for line in source.split("\n\n"))
+    return f'<div class="math">{lines}</div>'
+
+
+def _examples() -> str:
+    parts = ["# Examples\n\nEach is a page of its own in `examples/`, and runs as it is. They are run by the tests.\n"]
+    for file in sorted((ROOT / "examples").glob("[0-9]*.py")):
+        source = file.read_text()
+        title = source.split('"""', 2)[1].strip().splitlines()[0].rstrip(".")
+        parts.append(f"## {title}\n\n`examples/{file.name}`\n\n````python\n{source.rstrip()}\n````\n")
+    return "\n".join(parts)
+
+
+def _verbs() -> Iterator[str]:
+    """Every verb with its flags, as `--help` has them."""
+    from pb4u.cli.main import app
+
+    yield from _section("pb4u", app)
+
+
+def _section(path: str, group: typer.Typer) -> Iterator[str]:
+    for member in group.registered_commands:
+        name = member.name or member.callback.__name__.replace("_", "-")
+        yield from _verb(f"{path} {name}", member.callback)
+    for inner in group.registered_groups:
+        if inner.typer_instance.registered_callback:
+            yield from _verb(f"{path} {inner.name}", inner.typer_instance.registered_callback.callback)
+        yield from _section(f"{path} {inner.name}", inner.typer_instance)
+
+
+def _verb(path: str, function: Callable[..., Any]) -> Iterator[str]:
+    yield f"## {path}\n"
+    for paragraph in (function.__doc__ or "").partition("\f")[0].strip().split("\n\n"):
+        yield " ".join(paragraph.split()) + "\n"
+    hints = get_type_hints(function, include_extras=True)
+    defaults = {name: each.default for name, each in inspect.signature(function).parameters.items()}
+    rows = [
+        _row(name, hints[name], default) for name, default in defaults.items() if hasattr(hints[name], "__metadata__")
+    ]
+    if rows:
+        yield from ("| | |", "|---|---|", *rows, "")
+
+
+def _row(name: str, hint: Any, default: Any) -> str:
+    told = next(each for each in hint.__metadata__ if hasattr(each, "param_decls"))
+    kind = hint.__origin__
+    switch = bool in (kind, *get_args(kind))
+    choices = [text for each in (kind, *get_args(kind)) if get_origin(each) is Literal for text in get_args(each)]
+    named = [text for text in told.param_decls or () if text.startswith("-")] or [f"--{name.replace('_', '-')}"]
+    value = told.metavar or "|".join(choices) or ("" if switch else getattr(kind, "__name__", "N").upper())
+    shown = value if isinstance(told, typer.models.ArgumentInfo) else " ".join([*named, value]).strip()
+    text = told.help or ""
+    if isinstance(default, int | float | str) and not switch and "Default" not in text:
+        text = f"{text} Default: {default}."
+    return f"| <code>{_cell(shown)}</code> | {_cell(text)} |"
+
+
+def _cell(text: str) -> str:
+    return html.escape(text, quote=False).replace("|", "&#124;").replace("*", "&#42;").replace("_", "&#95;")
