@@ -21,7 +21,7 @@ from filelock import FileLock, Timeout
 from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError, Pb4uError
 from pb4u.jobs.job import Failure, Job
-from pb4u.reading_limits import read_json
+from pb4u.reading_limits import MOST_NUMBERS_TEXT, read_json
 
 MANIFEST, JOBS, LOCK = "manifest.json", "jobs", ".lock"
 _Folder = TypeVar("_Folder", bound="JobFolder")
@@ -124,7 +124,8 @@ class JobFolder(ABC):
     def result(self, job: Job) -> dict[str, Any] | None:
         """The result of a job; None where there is none, or none that is whole."""
         try:
-            envelope = read_json(self._jobs / f"{job.key}.json")
+            # Series of numbers: a long clip has more of them than other texts may have.
+            envelope = read_json(self._jobs / f"{job.key}.json", MOST_NUMBERS_TEXT)
             result = envelope["result"]
             whole = envelope["key"] == job.key and envelope["checksum"] == _checksum(result)
         except (OSError, ValueError, KeyError, TypeError):
