@@ -26,6 +26,17 @@ class Interrupted(KeyboardInterrupt):
         self.signal = signal
 
 
+def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
+    """The interrupt that an error came of, or that it is; None where there was none.
+
+    Args:
+        error: compiled code that an interrupt arrives in raises a SystemError of its own instead.
+    """
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error
+
+
 class InputError(Pb4uError, ValueError):
     """An input (file, name or number) cannot be used as it is."""
 

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +18,11 @@ from tests.garment.cloth_shapes import quad_tube, saved
 from pb4u.atomic_file import MARK, replace_file, sweep, working_folder
 from pb4u.errors import Interrupted
 from pb4u.scene.assembly import make_scene
+from pb4u.scene.scene import Scene
+from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.run_specification import RunSpecification
-from pb4u.simulation.simulator import SkinningSimulator
+from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 
 PB4U = [sys.executable, "-c", "from pb4u.cli.main import main; main()"]
 HOLDS_A_LOCK = """
@@ -171,6 +173,33 @@ def test_an_interrupt_keeps_the_frames_until_then(tmp_path: Path, to_file: bool)
     np.testing.assert_array_equal(Trajectory.open(kept).positions, whole.positions[:3])
     assert {p.name for p in tmp_path.iterdir()} == {"a.npz", kept.name}
     assert (tmp_path / "a.npz").read_text() == "an earlier one"
+
+
+class InCompiledCode(SkinningSimulator):
+    """A simulator that an interrupt meets in compiled code, which raises an error of its own instead."""
+
+    def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
+        for state in super().rollout(scene, record):
+            if state.frame == 4:
+                try:
+                    raise Interrupted(signal=15)
+                except Interrupted as error:
+                    raise SystemError("returned a result with an exception set") from error
+            yield state
+
+
+def test_an_interrupt_in_compiled_code_is_one(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(RunSpecification, "simulator", lambda _: InCompiledCode())
+    ended = pb4u("simulate", "--triangles", 1000, "--lead-in", 0, "--frames", 9, "--out", "a.npz")
+    assert (ended.code, ended.err) == (143, "pb4u: interrupted; the first 4 frames are in a.interrupted.npz.\n")
+
+    def broken(*_: object) -> None:
+        raise SystemError("before the first frame") from Interrupted(signal=15)
+
+    monkeypatch.setattr(RunSpecification, "assemble", broken)
+    ended = pb4u("simulate", "--out", "b.npz")
+    assert (ended.code, ended.err) == (143, "pb4u: interrupted; nothing was written.\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -9,9 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
 from pb4u.evaluation.metrics import ENERGIES, GEOMETRY, first_diverged, measure, skinned_centres
+from pb4u.export.live_caches import PROGRESS
+from pb4u.export.selection import on_source
 from pb4u.geometry.obj_file import read_obj
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
@@ -305,3 +308,28 @@ def test_a_run_that_is_broken_from_its_start_fails(
     assert ended.code == 1
     assert "broken at its first frame" in ended.err
     assert (tmp_path / "a.npz").exists()
+
+
+def test_a_run_of_the_command_line_is_followed(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    skirt = quad_tube(low=0.6, high=0.95, radius=0.21)
+    saved(tmp_path, skirt, "skirt.obj")
+    body = ("--body", "woman", "--model", "skinning", "--lead-in", 3, "--frames", 4, "--out", "run.npz")
+    worn = ("--garment", "skirt.obj", "--garment", "tanktop", "--triangles", 500, "--live", "live")
+    for _ in range(2):  # the second run takes the folder over
+        assert pb4u("simulate", *body, *worn).code == 0
+    whole = on_source(Trajectory.open("run.npz"))
+    lower, upper = (pc2_frames(Path("live", name)) for name in ("skirt.pc2", "tanktop.pc2"))
+    assert lower.shape[1] == len(skirt.vertices)
+    np.testing.assert_array_equal(np.concatenate([lower, upper], axis=1), whole.positions)
+    told = [json.loads(line) for line in Path("live", PROGRESS).read_text().splitlines()]
+    assert [line["step"] for line in told] == list(range(1, 8))
+    assert {line["steps"] for line in told} == {7}
+    assert told[-1]["frames"] == 3  # told at the step, before its own frame is there
+
+
+def test_a_folder_that_holds_something_else_is_not_written_to(pb4u: Callable, tmp_path: Path) -> None:
+    (tmp_path / "shirt.pc2").write_bytes(b"kept")
+    ended = pb4u("simulate", "--live", tmp_path, "--out", tmp_path / "a.npz")
+    assert (ended.code, "holds other files" in ended.err) == (1, True)
+    assert (tmp_path / "shirt.pc2").read_bytes() == b"kept"

@@ -12,6 +12,7 @@ import pytest
 import torch
 from tests.training.ball_data import TINY, ball_data
 
+from pb4u.simulation.checkpoint import load_checkpoint, save_checkpoint
 from pb4u.training.configuration import training_to_json
 from pb4u.training.packed_data import load_training_data, save_training_data
 from pb4u.training.run_folder import RunFolder
@@ -46,6 +47,30 @@ def test_a_training_leaves_weights_a_curve_and_a_way_to_go_on(pb4u: Call, pack: 
     assert "Trained 8 steps." in further.out
 
 
+def test_a_training_begins_with_given_weights_and_says_so(pb4u: Call, pack: Path, tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert pb4u("train", "--pack", pack, "--preset", "smoke", "--steps", 6, "--out", first, *QUICK).code == 0
+    start = first / "final.safetensors"
+    made = load_checkpoint(start)
+    save_checkpoint(start, made.model, made.configuration, made.record, "CC-BY-4.0")
+    begun = ("--pack", pack, "--preset", "smoke", "--weights", start, "--out", second, "--device", "cpu")
+    ended = pb4u("train", *begun, "--steps", 2, "--set", "curriculum.learning_rate=1e-12")
+    assert ended.code == 0, ended.err
+    before, after = load_checkpoint(start), load_checkpoint(second / "final.safetensors")
+    # The network is that of the weights, narrower than the preset's, and its statistics are not gathered again.
+    assert after.configuration == before.configuration
+    for (name, a), b in zip(before.model.state_dict().items(), after.model.state_dict().values(), strict=True):
+        assert torch.allclose(a, b, rtol=0.0, atol=1e-9), name
+    assert after.licence == "CC-BY-4.0"
+    assert after.record.optimiser_steps == 8
+    assert after.record.details["before"]["optimiser_steps"] == 6
+    # What it began with is needed no more.
+    start.unlink()
+    further = pb4u("train", "--resume", second, "--steps", 3, "--device", "cpu")
+    assert further.code == 0, further.err
+    assert load_checkpoint(second / "final.safetensors").record.optimiser_steps == 9
+
+
 def test_of_a_training_s_folder_the_best_weights_are_the_model(
     pb4u: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -71,6 +96,8 @@ def test_of_a_training_s_folder_the_best_weights_are_the_model(
         (("--out", "run", "--set", "batc=2"), "did you mean batch"),
         (("--out", "run", "--pack", "absent.npz"), "There is no training pack"),
         (("--out", "run", "--minutes", "0"), "must be above 0"),
+        (("--out", "run", "--weights", "pb4u-smal"), "There is no model file pb4u-smal"),
+        (("--out", "run", "--weights", "pb4u-small", "--set", "network.width=4"), "bring their own network"),
         (("--resume", "."), "is no folder of a training"),
         (("--out", "run", "--device", "tpu", "--pack", "pack.npz"), "auto, cpu or cuda"),
     ],

@@ -22,12 +22,14 @@ JOB = RolloutJob(SCENE, ModelRecord("solver", "solver"), Settings())
             replace(JOB, scene=replace(SCENE, **change))
             for change in (
                 {"garment": "dress"}, {"body": "man"}, {"motion": "jump"}, {"seed": 2001}, {"triangles": 401},
-                {"frames": 4}, {"lead_in": 0},
+                {"frames": 4}, {"lead_in": 0}, {"material": "silk"}, {"shape": (("height", 0.5),)},
             )
         ),
         *(
             replace(JOB, settings=Settings(**change))
-            for change in ({"propagation_steps": 3}, {"refine": 1}, {"contact": True}, {"device": "cuda"})
+            for change in (
+                {"propagation_steps": 3}, {"refine": 1}, {"contact": True}, {"self_contact": True}, {"device": "cuda"},
+            )
         ),
         replace(JOB, model=ModelRecord("skinning", "skinning")),
         replace(JOB, model=ModelRecord("solver", "solver", "digest")),

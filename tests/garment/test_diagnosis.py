@@ -75,6 +75,9 @@ def test_every_fault_of_the_mesh_is_named_with_its_place():
     assert finding(diagnosis, "degenerate").where == (1602,)
     assert finding(diagnosis, "isolated").where == (len(mesh.vertices),)
     assert 11 in finding(diagnosis, "orientation").where
+    assert finding(diagnosis, "duplicate").vertices == tuple(sorted(faces[7].tolist()))
+    assert finding(diagnosis, "isolated").vertices == (len(mesh.vertices),)
+    assert set(finding(diagnosis, "non-manifold").vertices) == {500, 501}
     written = json.loads(json.dumps(diagnosis.to_json()))
     assert written["refused"]
     assert {f["code"] for f in written["findings"]} == set(diagnosis.codes)

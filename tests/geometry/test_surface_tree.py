@@ -97,6 +97,31 @@ def test_pairs_that_meet_on_the_way_are_found(name: str, size: float) -> None:
     assert keys(surface.all_pairs, near) <= keys(surface.tree.pairs(surface.before, 1e-3, moves))
 
 
+@pytest.mark.parametrize("name", SURFACES)
+def test_pairs_known_before_save_a_search_and_change_nothing(name: str) -> None:
+    """Over several moves: small ones, one of a few vertices that go far, and one of all."""
+    surface = SURFACES[name]
+    tree, rng = surface.tree, np.random.default_rng(2)
+    x, known = surface.before, surface.tree.pairs(surface.before, 2e-3)
+    seen = []
+    for size, share in ((2e-4, 1.0), (3e-4, 1.0), (0.05, 0.04), (2e-4, 1.0), (0.05, 1.0), (2e-4, 1.0)):
+        moves = size * rng.normal(size=x.shape) * (rng.random(len(x)) < share)[:, None]
+        found = tree.pairs(x, 2e-3, moves, known)
+        near = np.zeros(len(surface.all_pairs), dtype=bool)
+        for part in np.linspace(0.0, 1.0, 41):
+            near |= surface.all_pairs.nearest(x + part * moves)[0] < 2e-3
+        assert keys(surface.all_pairs, near) <= keys(found)
+        assert len(keys(found)) == len(found)
+        assert keys(tree.pairs(x, 2e-3, moves)) <= keys(found)
+        seen.append(found.neighbourhood)
+        x, known = x + moves, found
+    assert seen[0] is not None
+    assert seen[1] is seen[0]
+    assert seen[2] is seen[0]
+    assert seen[4] is None
+    assert seen[5] is not None
+
+
 def test_cloth_that_is_carried_along_gives_no_more_pairs() -> None:
     surface = SURFACES["stack"]
     still = surface.tree.pairs(surface.before, 1e-3)

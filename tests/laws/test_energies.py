@@ -20,13 +20,15 @@ from tests.physics.shapes import (
     sheet,
     tube,
 )  # fmt: skip
+from tests.readable_stiffness import readable_stiffness
 
 from pb4u.physics.contact.collision import REFERENCE_AREA
 from pb4u.physics.contact.friction import Friction
-from pb4u.physics.energy_term import EnergyTerm, NullTerm, corner_pairs
+from pb4u.physics.energy_term import EnergyTerm, NullTerm
 from pb4u.physics.gravity import Gravity
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.inertia import Inertia
+from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.scene.state import State
 
 DTYPES = [(torch.float64, 1e-10), (torch.float32, 1e-5)]
@@ -197,23 +199,48 @@ def test_gradient_of_the_exact_potential_is_that_of_finite_differences() -> None
     assert float(slope) == pytest.approx(float(difference), rel=1e-6)
 
 
-def dense(blocks: torch.Tensor) -> torch.Tensor:
-    """(elements, k, 3, k, 3) whole matrices of the blocks (3, 3, pairs, elements) of their `corner_pairs`."""
-    k = next(k for k in range(1, 5) if len(corner_pairs(k)) == blocks.shape[2])
-    whole = blocks.new_zeros((blocks.shape[3], k, 3, k, 3))
-    for pair, (i, j) in enumerate(corner_pairs(k)):
-        block = blocks[:, :, pair].permute(2, 0, 1)
-        whole[:, i, :, j], whole[:, j, :, i] = block, block.transpose(1, 2)
-    return whole
+@pytest.mark.parametrize("name", NAMES)
+def test_compiled_terms_give_what_their_readable_twins_give(name: str) -> None:
+    step, x = crumpled(7)
+    frozen = step.with_contact_at(x)
+    term, at, contacts = frozen.potential.term(name), frozen.step, frozen.contacts
+    compiled = term.compiled(at, contacts)
+    assert compiled is not term
+    assert compiled.name == name
+    energies, gradient = term.energies_and_gradient(at, contacts, x)
+    assert float(gradient.abs().max()) > 1e-6, "the case must exercise the term"
+    found, slope = compiled.energies_and_gradient(at, contacts, x)
+    torch.testing.assert_close(found, energies, rtol=1e-10, atol=0.0)
+    torch.testing.assert_close(compiled.energies(at, contacts, x), energies, rtol=1e-10, atol=0.0)
+    torch.testing.assert_close(slope, gradient, rtol=1e-10, atol=1e-10 * float(gradient.abs().max()))
+
+
+def stiffness_of(name: str, frozen: StepPotential, x: torch.Tensor) -> Stiffness:
+    """What the term called `name` adds, compiled."""
+    only = replace(frozen, potential=IncrementalPotential((frozen.potential.term(name),))).compiled()
+    return only.stiffness(x, StiffnessPattern(only.step.garments, only.elements()))
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "gravity"])
+def test_the_compiled_stiffness_is_that_of_the_readable_twin(name: str) -> None:
+    step, x = crumpled(8)
+    frozen = step.with_contact_at(x)
+    stiffness = stiffness_of(name, frozen, x)
+    positive, negative = readable_stiffness(name, frozen, x)
+    assert float(positive.abs().max()) > 1e-6, "the case must exercise the term"
+    size = float(positive.abs().max())
+    np.testing.assert_allclose(stiffness.matrix().toarray(), positive.numpy(), rtol=1e-10, atol=1e-10 * size)
+    with_all = stiffness.matrix(1.0).toarray() - stiffness.matrix().toarray()
+    np.testing.assert_allclose(with_all, negative.numpy(), rtol=1e-10, atol=1e-10 * size)
+    assert (float(negative.abs().max()) > 1e-3 * size) == (name == "stretch")
 
 
 @pytest.mark.parametrize("name", ["stretch", "inertia", "collision", "friction"])
-def test_curvature_is_the_derivative_of_the_gradient(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stiffness_is_the_derivative_of_the_gradient(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Exact for all but bending (Gauss-Newton), deep contacts and slip (changed on purpose)."""
     monkeypatch.setattr("pb4u.physics.contact.friction._SOFTENING", 1.0)
     step, x = crumpled(2)
     x = step.step.state.positions + 0.1 * (x - step.step.state.positions)
-    term = IncrementalPotential().term(name)
     frozen = step.with_contact_at(x)
     at, contacts = frozen.step, frozen.contacts
     if name == "collision":
@@ -223,25 +250,21 @@ def test_curvature_is_the_derivative_of_the_gradient(name: str, monkeypatch: pyt
         x += (1.8e-3 - planes.signed_distance(x))[:, None] * planes.normals
         assert at.collider is not None
         at = replace(at, collider=placed(at.collider, bodies=replace(at.collider.colliders, ground_height=None)))
+        frozen = replace(frozen, step=at)
+    term = frozen.potential.term(name)
     direction = torch.randn(x.shape, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     h = 1e-7 if name != "friction" else 1e-9
     plus, minus = (term.energies_and_gradient(at, contacts, x + s * h * direction)[1] for s in (1, -1))
-    product, elements = torch.zeros_like(x), term.elements(at, contacts)
-    assert elements is not None
-    for part in (term.curvature(at, contacts, x), term.buckling(at, contacts, x)):
-        if part is not None:
-            rows = torch.einsum("eiajb,ejb->eia", dense(part), direction[elements])
-            product.index_add_(0, elements.reshape(-1), rows.reshape(-1, 3))
+    product = torch.from_numpy(stiffness_of(name, frozen, x).matrix(1.0) @ direction.numpy())
     expected = (plus - minus) / (2 * h)
     torch.testing.assert_close(product, expected, rtol=1e-4, atol=1e-5 * float(expected.abs().max()))
 
 
 @pytest.mark.parametrize("name", ["stretch", "bending", "collision", "friction"])
-def test_curvature_is_positive_semi_definite(name: str) -> None:
+def test_the_positive_part_is_positive_semi_definite(name: str) -> None:
     step, x = crumpled(3)
-    part = step.with_contact_at(x).curvature(x)[name]
-    values = torch.linalg.eigvalsh(dense(part).flatten(3).flatten(1, 2))
-    assert float(values.min()) > -1e-10 * float(values.max())
+    values = np.linalg.eigvalsh(stiffness_of(name, step.with_contact_at(x), x).matrix().toarray())
+    assert values.min() > -1e-10 * values.max()
 
 
 def test_stretch_and_bending_do_not_feel_rigid_motion() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -9,16 +10,17 @@ import numpy as np
 import pytest
 import torch
 from tests.physics.shapes import DT, at_rest, capsule, collider, packed, potential_of, sheet, time_step, tube
+from tests.readable_stiffness import readable_stiffness
 
 from pb4u.errors import InputError
 from pb4u.physics.bending import Bending
-from pb4u.physics.energy_term import corner_pairs
 from pb4u.physics.gravity import Gravity
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.inertia import Inertia
-from pb4u.physics.linear_solver import conjugate_gradient
+from pb4u.physics.linear_solver import PatchBasis, TwoLevelPreconditioner, conjugate_gradient
+from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.physics.solver import Iteration, Solver, implicit_steps, substep_count
-from pb4u.physics.stiffness_matrix import StiffnessPattern
+from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.stretch import Stretch
 from pb4u.physics.time_step import DivergedError, TimeStep, integrate, require_finite
 from pb4u.scene.packed import PackedGarments
@@ -184,43 +186,105 @@ def test_integrator() -> None:
     assert acceleration.grad[:2].tolist() == [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
 
 
-@pytest.mark.parametrize("mkl", [True, False])
-def test_the_stiffness_matrix_is_the_sum_of_element_blocks(mkl: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Against blocks put one by one where they belong; with and without the faster products."""
-    if mkl and not torch.backends.mkl.is_available():  # type: ignore[no-untyped-call]
-        pytest.skip("this PyTorch comes without MKL")
-    monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: mkl)
+def system() -> tuple[Stiffness, PairStiffness, TwoLevelPreconditioner, np.ndarray]:
+    """A shaken sheet with two pinned corners: its stiffness, contacts, preconditioner and a right side."""
+    garments, step, start = hanging_sheet(8)
+    x = start + 0.01 * torch.randn(start.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    compiled = step.compiled()
+    pattern = StiffnessPattern(garments, compiled.elements())
+    stiffness, rng = compiled.stiffness(x, pattern), np.random.default_rng(4)
+    contacts = PairStiffness(rng.integers(garments.vertex_count, size=(5, 4)), 3.0 * rng.normal(size=(5, 4, 3)))
+    pairs = PairStiffness.summed([contacts], pattern.free)
+    preconditioner = TwoLevelPreconditioner(PatchBasis(garments, pattern.free), stiffness.matrix(), pairs, pattern.free)
+    return stiffness, pairs, preconditioner, rng.normal(size=x.shape) * pattern.free[:, None]
+
+
+def test_the_stiffness_matrix_is_the_sum_of_its_terms_and_holds_pins() -> None:
     garments, step, start = hanging_sheet(5)
     x = start + 0.01 * torch.randn(start.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    pattern = StiffnessPattern(garments, step.elements())
-    blocks = step.curvature(x)
-    size = garments.vertex_count
-    expected = np.zeros((size, 3, size, 3))
-    for name, values in blocks.items():
-        elements = step.elements()[name]
-        for pair, (i, j) in enumerate(corner_pairs(elements.shape[1])):
-            for element, corners in enumerate(elements.tolist()):
-                block = values[:, :, pair, element].numpy()
-                expected[corners[i], :, corners[j]] += block
-                if i != j:
-                    expected[corners[j], :, corners[i]] += block.T
-    held = ~pattern.free.numpy()
-    expected[held], expected[:, :, held] = 0.0, 0.0
-    whole = expected.reshape(3 * size, 3 * size)
-    entries = pattern.assemble(blocks)
+    compiled = step.compiled()
+    pattern = StiffnessPattern(garments, compiled.elements())
+    stiffness = compiled.stiffness(x, pattern)
+    parts = [readable_stiffness(name, step, x) for name in ("stretch", "bending", "inertia")]
+    positive, negative = (torch.stack(matrices).sum(0).numpy() for matrices in zip(*parts, strict=True))
+    held = np.repeat(~pattern.free, 3)
     assert held.any()
-    np.testing.assert_allclose(pattern.matrix(entries).toarray(), whole, rtol=1e-12, atol=1e-12 * whole.max())
-    vector = np.random.default_rng(0).normal(size=3 * size)
-    np.testing.assert_allclose(pattern.product(entries) @ vector, whole @ vector, rtol=0, atol=1e-9 * whole.max())
+    for matrix in (positive, negative):
+        matrix[held], matrix[:, held] = 0.0, 0.0
+    size = positive.max()
+    np.testing.assert_allclose(stiffness.matrix().toarray(), positive, rtol=1e-10, atol=1e-12 * size)
+    extra = np.arange(float(garments.vertex_count))
+    whole = positive + 0.8 * negative + np.diag(np.repeat(extra, 3))
+    damped = stiffness.matrix(0.8, extra)
+    np.testing.assert_allclose(damped.toarray(), whole, rtol=1e-10, atol=1e-12 * size)
+    vector = np.random.default_rng(0).normal(size=x.shape)
+    np.testing.assert_allclose((damped @ vector).reshape(-1), whole @ vector.reshape(-1), rtol=0, atol=1e-9 * size)
+    np.testing.assert_allclose(stiffness.matrix().toarray(), positive, rtol=1e-10, atol=1e-12 * size)
 
 
-def test_conjugate_gradient_solves_and_notices_negative_curvature() -> None:
-    matrix = np.diag([1.0, 4.0, 9.0])
-    right = np.array([1.0, 2.0, 3.0])
-    solved = conjugate_gradient(matrix, right, lambda r: r, 1e-12, 10)
-    np.testing.assert_allclose(solved.solution, right / np.diag(matrix))
-    assert solved.negative is None
-    indefinite = np.diag([1.0, -4.0, 9.0])
-    found = conjugate_gradient(indefinite, right, lambda r: r, 1e-12, 10).negative
-    assert found is not None
-    assert found @ indefinite @ found <= 0
+def test_the_preconditioner_adds_a_diagonal_and_a_coarse_solve() -> None:
+    stiffness, pairs, preconditioner, residual = system()
+    free = stiffness.pattern.free
+    root = pairs.root(len(free)).toarray()
+    whole = stiffness.matrix().toarray() + root.T @ root
+    functions = np.kron(preconditioner.basis.functions.toarray(), np.eye(3))
+    coarse = functions @ np.linalg.solve(functions.T @ whole @ functions, functions.T @ residual.reshape(-1))
+    own = whole.reshape(len(free), 3, len(free), 3)[np.arange(len(free)), :, np.arange(len(free))]
+    own[~free] = np.eye(3)
+    fine = np.linalg.solve(own, residual[:, :, None]).reshape(-1)
+    found = preconditioner(residual).reshape(-1)
+    np.testing.assert_allclose(found, fine + coarse, rtol=0, atol=1e-5 * np.abs(found).max())
+
+
+def readable_conjugate_gradient(
+    matrix: np.ndarray,
+    right: np.ndarray,
+    precondition: Callable[[np.ndarray], np.ndarray],
+    tolerance: float,
+    max_iterations: int,
+) -> tuple[np.ndarray, int, np.ndarray | None]:
+    """Solution, iterations and a direction of negative curvature; of Nocedal and Wright, algorithm 7.1."""
+    solution, residual = np.zeros_like(right), right.copy()
+    direction = precondition(residual)
+    measure = residual @ direction
+    target = tolerance**2 * measure
+    for iteration in range(1, max_iterations + 1):
+        product = matrix @ direction
+        curvature = direction @ product
+        if curvature <= 0:
+            return solution, iteration, direction
+        solution = solution + measure / curvature * direction
+        residual = residual - measure / curvature * product
+        conditioned = precondition(residual)
+        new_measure = residual @ conditioned
+        if new_measure <= target:
+            return solution, iteration, None
+        direction = conditioned + new_measure / measure * direction
+        measure = new_measure
+    return solution, max_iterations, None
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_conjugate_gradient_solves_and_notices_negative_curvature(share: float) -> None:
+    stiffness, pairs, preconditioner, right = system()
+    matrix = stiffness.matrix(share)
+    root = pairs.root(len(right)).toarray()
+    whole = matrix.toarray() + root.T @ root
+
+    def precondition(residual: np.ndarray) -> np.ndarray:
+        return preconditioner(residual.reshape(-1, 3)).reshape(-1)
+
+    for tolerance, most in ((1e-6, 300), (1e-6, 3)):
+        solved = conjugate_gradient(matrix, pairs, right, preconditioner, tolerance, most)
+        expected = readable_conjugate_gradient(whole, right.reshape(-1), precondition, tolerance, most)
+        assert solved.iterations == expected[1]
+        found = solved.solution.reshape(-1)
+        np.testing.assert_allclose(found, expected[0], rtol=0, atol=1e-7 * np.abs(expected[0]).max())
+        assert (solved.negative is None) == (expected[2] is None)
+    solved = conjugate_gradient(matrix, pairs, right, preconditioner, 1e-9, 1000)
+    if share:
+        assert solved.negative is not None
+        assert solved.negative.reshape(-1) @ whole @ solved.negative.reshape(-1) <= 0
+    else:
+        assert solved.negative is None
+        np.testing.assert_allclose(whole @ solved.solution.reshape(-1), right.reshape(-1), atol=1e-5)

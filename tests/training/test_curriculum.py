@@ -25,6 +25,13 @@ def test_the_rate_halves_in_stages_and_keeps_a_floor() -> None:
     assert curriculum.rate(1.5) == pytest.approx(0.26)
 
 
+def test_the_rate_rises_from_nothing_while_it_warms_up() -> None:
+    curriculum = Curriculum(learning_rate=1.0, halvings=0, rate_floor=0.0, warm_up=0.2)
+    assert [curriculum.rate(f) for f in (0.0, 0.1, 0.2, 0.9)] == pytest.approx([0.0, 0.5, 1.0, 1.0])
+    with pytest.raises(InputError, match="warm_up"):
+        Curriculum(warm_up=1.0)
+
+
 def test_the_collision_weight_ramps_between_its_points() -> None:
     curriculum = Curriculum(collision_weight=((0.0, 1.0), (0.5, 1.0), (1.0, 3.0)))
     assert [curriculum.collision(f) for f in (0.0, 0.4, 0.75, 1.0, 2.0)] == [1.0, 1.0, 2.0, 3.0, 3.0]

@@ -28,7 +28,7 @@ from pb4u.training.journal import draw_curve
 from pb4u.training.recovery import TrainingFailedError
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.trainer import RoundEnd, Trainer
-from pb4u.training.validation import Score
+from pb4u.training.validation import Score, Validation
 from pb4u.training.windows import Course
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -353,3 +353,19 @@ def test_a_full_disk_costs_a_checkpoint_and_not_the_training(tmp_path: Path, mon
     monkeypatch.setattr(RunFolder, "save_state", full)
     assert trainer.run() == "finished"
     assert "No space left on device. The training goes on" in listener.sentences[0]
+
+
+def test_validation_clips_are_spread_over_garments_sizes_and_bodies() -> None:
+    data = ball_data((4, 6, 8))
+    outfits = [
+        replace(outfit, garment=replace(outfit.garment, name=name))
+        for _ in range(2)
+        for name in ("apron", "cape")
+        for outfit in data.outfits
+    ]
+    chosen = Validation(
+        replace(data, outfits=tuple(outfits)), replace(TINY, validation_clips=6), made(TINY, 1).loader
+    ).samples
+    assert sorted(outfits[sample.outfit].garment.name for sample in chosen) == 3 * ["apron"] + 3 * ["cape"]
+    assert len({sample.outfit for sample in chosen}) == 6
+    assert {outfits[sample.outfit].garment.triangle_count for sample in chosen} == {32, 72, 128}

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def evaluate(
     protocol: Annotated[
-        str, typer.Option(metavar="NAME", help="resolution, unseen, depth, efficiency or ablation.")
+        str, typer.Option(metavar="NAME", help="resolution, unseen, depth, efficiency, ablation or robustness.")
     ] = "resolution",
     models: Annotated[
         str | None,
@@ -58,6 +58,8 @@ def evaluate(
         Literal["run", "stored"],
         typer.Option(help="run the solver on scenes whose floor is not stored, or take what is stored."),
     ] = "run",
+    scenes: Annotated[int | None, typer.Option(help="Scenes that robustness draws. Default: 64.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the scenes that robustness draws.")] = 0,
     workers: Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")] = 1,
     ray: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
@@ -95,7 +97,7 @@ def evaluate(
         protocol=protocol, models=_names(models), garments=_names(garments), motions=_names(motions),
         bodies=_names(bodies), levels=_names(levels), steps=_counts(propagation_steps), frames=frames, lead_in=lead_in,
         recordings=recordings, refine=refine, contact=contact == "on", device=device,
-        floors=floors == "run",
+        floors=floors == "run", scenes=scenes, seed=seed,
     )  # fmt: skip
 
     def pool() -> WorkerPool:

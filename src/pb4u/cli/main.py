@@ -13,7 +13,7 @@ import typer
 
 from pb4u import __version__
 from pb4u.cli import assets, batch, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
-from pb4u.errors import InputWarning, Interrupted, Pb4uError
+from pb4u.errors import InputWarning, Interrupted, Pb4uError, interrupt_behind
 
 app = typer.Typer(
     name="pb4u",
@@ -75,8 +75,13 @@ def main() -> None:
     try:
         app()
     except SystemExit as ended:
-        _tell_interrupt(ended)
+        if (interrupt := interrupt_behind(ended)) is not None:
+            ended.code = _tell(interrupt)
         raise
+    except SystemError as error:
+        if (interrupt := interrupt_behind(error)) is None:
+            raise
+        sys.exit(_tell(interrupt))
     except Pb4uError as error:
         _fail(str(error), debug)
     except MemoryError:
@@ -99,14 +104,10 @@ def answer_signals() -> None:
             signal.signal(number, end)
 
 
-def _tell_interrupt(ended: SystemExit) -> None:
-    """Say what is kept where an interrupt ended the command, and end with the code of its signal."""
-    error: BaseException | None = ended
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    if error is not None:
-        print(f"pb4u: interrupted; {str(error) or 'nothing was written'}.", file=sys.stderr)
-        ended.code = 128 + getattr(error, "signal", 2)
+def _tell(interrupt: KeyboardInterrupt) -> int:
+    """Say what is kept where an interrupt ended the command; the exit code of its signal."""
+    print(f"pb4u: interrupted; {str(interrupt) or 'nothing was written'}.", file=sys.stderr)
+    return 128 + getattr(interrupt, "signal", 2)
 
 
 def _fail(sentence: str, debug: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -189,7 +190,8 @@ def simulate(
         int | None,
         typer.Option(
             metavar="N",
-            help=f"Solver iterations after each step of a network. Default: {RunSpecification.refine}.",
+            help="Solver iterations after each step of a network; what they leave far from balance the solver makes "
+            f"anew. Default: {RunSpecification.refine}.",
         ),
     ] = None,
     contact: Annotated[
@@ -229,6 +231,14 @@ def simulate(
     save_scene: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Also write a scene file, to run the same again: `pb4u simulate FILE`."),
+    ] = None,
+    live: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Also write each frame there as it is computed: NAME.pc2 of each garment on its author's own mesh, "
+            "and a line of progress.jsonl a step.",
+        ),
     ] = None,
     out: Annotated[
         list[Path] | None,
@@ -272,7 +282,7 @@ def simulate(
     )  # fmt: skip
     _refuse_useless(str(run.model), propagation_steps=propagation_steps, passes=passes, refine=refine, contact=contact)
     keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])
-    _simulate(run, list(out) if out else _default_targets(run.scene), save_scene, json)
+    _simulate(run, list(out) if out else _default_targets(run.scene), save_scene, live, json)
 
 
 def _refuse_useless(model: str, **flags: Any) -> None:
@@ -344,7 +354,10 @@ def _default_targets(scene: SceneSpecification) -> list[Path]:
     return [Path(stem + suffix) for suffix in suffixes]
 
 
-def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | None, json: str | None) -> None:
+def _simulate(
+    run: RunSpecification, targets: list[Path], save_scene: Path | None, live: Path | None, json: str | None
+) -> None:
+    from pb4u.export.live_caches import check_live_folder
     from pb4u.export.registry import check_target
     from pb4u.simulation.simulator import RunRecord
 
@@ -353,6 +366,8 @@ def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | Non
     check_json_target(json)
     if save_scene is not None:
         check_writable(save_scene, "--save-scene")
+    if live is not None:
+        check_live_folder(live)
     keep_inputs(run.files(), [("--save-scene", save_scene), ("--json", json)], targets)
     simulator = run.simulator()
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
@@ -362,7 +377,7 @@ def _simulate(run: RunSpecification, targets: list[Path], save_scene: Path | Non
         run.save(save_scene)
     record = RunRecord()
     left = list(targets)
-    trajectory = _trajectory(run, simulator, scene, left, record)
+    trajectory = _trajectory(run, simulator, scene, left, live, record)
     _export(trajectory, left, next((target for target in targets if target not in left), None))
     if json != "-":
         print(wrote(targets, trajectory.frame_count))
@@ -402,9 +417,15 @@ def _warn(sentence: str) -> None:
 
 
 def _trajectory(
-    run: RunSpecification, simulator: Simulator, scene: Scene, targets: list[Path], record: RunRecord
+    run: RunSpecification,
+    simulator: Simulator,
+    scene: Scene,
+    targets: list[Path],
+    live: Path | None,
+    record: RunRecord,
 ) -> Trajectory:
-    """Simulate into the first .npz asked for, which is taken off `targets`, else into memory."""
+    """Simulate into the first .npz asked for, which is taken off `targets`, else into memory; `live` as frames come."""
+    from pb4u.export.live_caches import LiveCaches
     from pb4u.scene.trajectory import interrupted_path
 
     file = next((target for target in targets if target.suffix.lower() == ".npz"), None)
@@ -412,8 +433,18 @@ def _trajectory(
     if file is not None:
         targets.remove(file)
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
-    with progress_bar(f"{count:,} triangles, {simulator.name}") as progress:
-        return run.roll_out(simulator, scene, file, record, progress, kept)
+    with ExitStack() as opened:
+        bar = opened.enter_context(progress_bar(f"{count:,} triangles, {simulator.name}"))
+        if live is None:
+            return run.roll_out(simulator, scene, file, record, bar, kept)
+        header = simulator.header(scene)
+        caches = opened.enter_context(LiveCaches(live, header, run.scene.fps, run.scene.written_frames))
+
+        def stepped(done: int, total: int) -> None:
+            bar(done, total)
+            caches.progress(done, total)
+
+        return run.roll_out(simulator, scene, file, record, stepped, kept, caches.append)
 
 
 def _export(trajectory: Trajectory, targets: list[Path], saved: Path | None) -> None:

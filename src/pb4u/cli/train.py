@@ -15,7 +15,7 @@ def train(
         str | None,
         typer.Option(
             help="Which training: small (two cores, the default), comparison (half an hour; what networks are "
-            "compared by), paper (an accelerator), smoke (seconds)."
+            "compared by), wide (goes on with small by --weights), paper (an accelerator), smoke (seconds)."
         ),
     ] = None,
     steps: Annotated[
@@ -39,6 +39,12 @@ def train(
         Path | None,
         typer.Option(help="Folder of CMU recordings to train on as well, SUBJECT/TRIAL.amc beside SUBJECT.asf."),
     ] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|NAME", help="Begin with these weights and their network, as in --preset wide; default: drawn."
+        ),
+    ] = None,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Replace a field of the preset, as in network.width=64."),
@@ -51,8 +57,8 @@ def train(
     from pb4u.training.session import train as run
 
     check_json_target(json)
-    keep_inputs([pack], [("--json", json)])
-    result = run(Request(preset, steps, minutes, out, resume, pack, recordings, tuple(set_ or ()), device))
+    keep_inputs([pack, weights], [("--json", json)])
+    result = run(Request(preset, steps, minutes, out, resume, pack, recordings, tuple(set_ or ()), device, weights))
     if json:
         write_json(result, json)
     if json != "-":

@@ -52,7 +52,11 @@ def picture_grid(summary: Summary) -> list[Block]:
         models[-1] = "solver"
     try:
         grid = {
-            garment: {m: _Cell(_draw(summary.still(job)), state) for m, (job, state) in shown.items() if m in models}
+            garment: {
+                model: _Cell(draw_still(summary.still(job)), state)
+                for model, (job, state) in shown.items()
+                if model in models
+            }
             for garment, shown in jobs.items()
         }
     except Pb4uError as error:
@@ -78,13 +82,18 @@ def _reference(case: Case, summary: Summary) -> RolloutJob | None:
     return next(jobs, None)
 
 
-def _draw(still: Path) -> np.ndarray | None:
-    """(height, width, 3) uint8; None where the frame is not there or cannot be read."""
+def draw_still(still: Path, frame: int = 0) -> np.ndarray | None:
+    """Picture (height, width, 3) uint8 of a kept frame; None where it is not there or cannot be read.
+
+    Args:
+        still: file of the kept frames.
+        frame: which of them: the first is one moment for all models, the last the worst of its rollout.
+    """
     try:
         trajectory = Trajectory.open(still)
     except InputError:
         return None
-    return next(iter(render(trajectory, [0], _VIEW)))
+    return next(iter(render(trajectory, [frame % trajectory.frame_count], _VIEW)))
 
 
 def _compose(grid: dict[str, dict[str, _Cell]], models: list[str]) -> bytes:

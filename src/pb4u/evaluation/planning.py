@@ -9,6 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from pb4u.body.library import body_names, load_body
@@ -24,6 +25,14 @@ from pb4u.scene.catalogue import SEEDS, SceneName
 from pb4u.simulation.checkpoint import weights_file
 from pb4u.simulation.models import load_simulator, model_descriptions
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
+
+DRAWN_SEEDS = (2000, 10000)
+"""First seed of the motions that drawn scenes have, and the first beyond: trainings use none of them."""
+
+REFINE = 5
+"""Solver iterations after a network's step where it runs as it comes, as in `pb4u simulate`."""
+
+_SOLVER = ModelRecord("solver", "solver")
 
 _TRIAL = re.compile(r"\d+_\d+")
 
@@ -47,6 +56,8 @@ class EvaluationRequest:
         contact: contact response after each step of networks and solver.
         device: auto, cpu or cuda.
         floors: run the solver on scenes whose floor is not stored.
+        scenes: number of scenes to draw, of a protocol that draws them.
+        seed: of the draws.
     """
 
     protocol: str = "resolution"
@@ -63,6 +74,8 @@ class EvaluationRequest:
     contact: bool = False
     device: str = "auto"
     floors: bool = True
+    scenes: int | None = None
+    seed: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """The fields as JSON."""
@@ -78,12 +91,14 @@ class Case:
         motion: what the motion is called.
         job: the rollout.
         floor: what the ratio is taken to: a rollout of the solver, the stored mean energies, or None.
+        number: of the scene, where scenes are drawn.
     """
 
     level: str
     motion: str
     job: RolloutJob
     floor: RolloutJob | dict[str, float] | None
+    number: int | None = None
 
 
 @dataclass(frozen=True)
@@ -142,15 +157,11 @@ def plan(request: EvaluationRequest) -> Plan:
         raise InputError(
             " ".join(["None of the models has propagation steps to vary; name a network with --models.", *absent])
         )
-    solver_runs = not request.contact and any(model.name == "solver" for model in models)
-    cases = []
-    for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, motions):
-        scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
-        floor = _solver_on(scene) if solver_runs else _floor(scene, motion, level, request)
-        for model in models:
-            for steps in protocol.steps if model.adapts else (None,):
-                job = RolloutJob(scene, model, _settings(model, steps, request, device))
-                cases.append(Case(level, motion.label, job, floor))
+    if protocol.scenes:
+        protocol = replace(protocol, scenes=request.scenes or protocol.scenes)
+        cases = _drawn_cases(request, protocol, levels, motions, models, device)
+    else:
+        cases = _combined_cases(request, protocol, levels, motions, models, device)
     jobs = {case.job.key: case.job for case in cases}
     jobs |= {case.floor.key: case.floor for case in cases if isinstance(case.floor, RolloutJob)}
     if request.floors:
@@ -160,7 +171,81 @@ def plan(request: EvaluationRequest) -> Plan:
     # Coarse scenes first, so that tables fill early; the jobs of a scene together, so that it is made once.
     scenes = {scene: rank for rank, scene in enumerate(dict.fromkeys(job.scene for job in jobs.values()))}
     order = sorted(jobs.values(), key=lambda job: (job.scene.triangles, scenes[job.scene]))
-    return Plan(replace(protocol, models=tuple(model.label for model in models)), tuple(cases), tuple(order), absent)
+    labels = tuple(dict.fromkeys(case.job.model.label for case in cases))
+    return Plan(replace(protocol, models=labels), tuple(cases), tuple(order), absent)
+
+
+def _combined_cases(
+    request: EvaluationRequest,
+    protocol: Protocol,
+    levels: dict[str, int],
+    motions: list[_Motion],
+    models: list[ModelRecord],
+    device: str,
+) -> list[Case]:
+    """Everything with everything else."""
+    solver_runs = not request.contact and any(model.name == "solver" for model in models)
+    cases = []
+    for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, motions):
+        scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
+        floor = _solver_on(scene) if solver_runs else _floor(scene, motion, level, request)
+        for model in models:
+            for steps in protocol.steps if model.adapts else (None,):
+                job = RolloutJob(scene, model, _settings(model, steps, request, device))
+                cases.append(Case(level, motion.label, job, floor))
+    return cases
+
+
+def _drawn_cases(
+    request: EvaluationRequest,
+    protocol: Protocol,
+    levels: dict[str, int],
+    motions: list[_Motion],
+    models: list[ModelRecord],
+    device: str,
+) -> list[Case]:
+    """Scenes drawn by their numbers, so that more of them leave the first as they are; each model in its ways."""
+    cases = []
+    for number in range(protocol.scenes):
+        level, motion, scene = _drawn_scene(request, protocol, levels, motions, number)
+        for model in models:
+            for way, settings in _ways(model, device):
+                floor = RolloutJob(scene, _SOLVER, replace(settings, refine=0, device="cpu"))
+                job = RolloutJob(scene, replace(model, label=f"{model.label}{way}"), settings)
+                if model.name == "solver":
+                    floor = job
+                cases.append(Case(level, motion.label, job, floor if request.floors else None, number))
+    return cases
+
+
+def _ways(model: ModelRecord, device: str) -> list[tuple[str, Settings]]:
+    """The ways a model is run where scenes are drawn: on its own, and as `pb4u simulate` runs it."""
+    if model.name == "skinning":
+        return [("", Settings())]
+    network = model.weights is not None
+    place = device if network else "cpu"
+    as_it_comes = Settings(refine=REFINE if network else 0, contact=True, self_contact=True, device=place)
+    return [(", alone", Settings(device=place)), (", as it comes", as_it_comes)]
+
+
+def _drawn_scene(
+    request: EvaluationRequest, protocol: Protocol, levels: dict[str, int], motions: list[_Motion], number: int
+) -> tuple[str, _Motion, SceneRecord]:
+    """Level, motion and scene of a number. Garments and motions go in turns, so that few scenes have all of them."""
+    rng = np.random.default_rng([request.seed, number])
+    garments = protocol.garments
+    garment = garments[number % len(garments)]
+    motion = motions[(number + number // len(garments)) % len(motions)]
+    if motion.source in motion_names() and motion.label == motion.source:
+        seed = int(rng.integers(*DRAWN_SEEDS))
+        motion = _Motion(motion.source, seed, f"{motion.source}-{seed}")
+    body, level, material = (str(rng.choice(each)) for each in (protocol.bodies, protocol.levels, protocol.materials))
+    shape: tuple[tuple[str, float], ...] = ()
+    if body in body_names():
+        parameters = getattr(load_body(body), "shape", {})
+        shape = tuple((name, round(float(rng.uniform()), 2)) for name in parameters)
+    scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
+    return level, motion, replace(scene, material=material, shape=shape)
 
 
 def _check_numbers(request: EvaluationRequest) -> None:
@@ -170,6 +255,19 @@ def _check_numbers(request: EvaluationRequest) -> None:
         raise InputError(f"The lead-in must be 0 frames or more, not {request.lead_in}.")
     if any(steps < 1 for steps in request.steps or ()):
         raise InputError(f"Numbers of propagation steps must be 1 or more, not {min(request.steps or ())}.")
+    draws = bool(PROTOCOLS[request.protocol].scenes)
+    if draws and (request.contact or request.refine or request.steps):
+        raise InputError(
+            f"The protocol {request.protocol} runs networks alone and as they come: leave out --contact, --refine and "
+            "--propagation-steps."
+        )
+    if not draws and request.scenes is not None:
+        drawing = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.scenes)
+        raise InputError(f"--scenes are of protocols that draw their scenes: {drawing}.")
+    if request.scenes is not None and request.scenes < 1:
+        raise InputError(f"The number of scenes must be 1 or more, not {request.scenes}.")
+    if request.seed < 0:
+        raise InputError(f"The seed must be 0 or more, not {request.seed}.")
     if request.recordings is not None and not request.recordings.is_dir():
         raise InputError(f"There is no folder of recordings {request.recordings}.")
     for name in ("models", "garments", "motions", "bodies", "levels", "steps"):
@@ -237,7 +335,7 @@ def _scene(garment: str, body: str, motion: _Motion, triangles: int, frames: int
     digests = tuple(
         (field, digest(Path(file))) for field, file in files.items() if file not in built_in and Path(file).is_file()
     )
-    return SceneRecord(garment, body, motion.source, motion.seed, triangles, frames, lead_in, digests)
+    return SceneRecord(garment, body, motion.source, motion.seed, triangles, frames, lead_in, digests=digests)
 
 
 def _floor(
@@ -253,12 +351,12 @@ def _floor(
 
 def _solver_on(scene: SceneRecord) -> RolloutJob:
     """The run that a floor is taken from: nothing but the potential is at work."""
-    return RolloutJob(scene, ModelRecord("solver", "solver"), Settings())
+    return RolloutJob(scene, _SOLVER, Settings())
 
 
 def _settings(model: ModelRecord, steps: int | None, request: EvaluationRequest, device: str) -> Settings:
     if model.weights is not None:
-        return Settings(steps, request.refine, request.contact, device)
+        return Settings(steps, request.refine, request.contact, device=device)
     return Settings(contact=request.contact if model.name == "solver" else False)
 
 

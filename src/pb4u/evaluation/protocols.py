@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pb4u.garment.material import MATERIALS
+from pb4u.garment.patterns import PATTERNS
 from pb4u.scene.catalogue import MOTIONS, RECORDINGS, TRAINING_GARMENTS, UNSEEN_GARMENTS
 
 _NETWORKS = (
@@ -25,7 +27,7 @@ _ABLATIONS = (
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol of the paper: everything that is combined with everything else.
+    """A protocol: everything that is combined with everything else, or what scenes are drawn from.
 
     Args:
         name: what `--protocol` takes.
@@ -40,6 +42,9 @@ class Protocol:
         bodies: built-in names.
         frames: frames to write of each scene.
         steps: numbers of propagation steps; None is the model's own rule.
+        scenes: number of scenes that are drawn from all of these, with body shapes and seeds of motions; 0
+            combines everything with everything else.
+        materials: names of cloths that are drawn from.
     """
 
     name: str
@@ -54,6 +59,8 @@ class Protocol:
     bodies: tuple[str, ...] = ("woman",)
     frames: int = 30
     steps: tuple[int | None, ...] = (None,)
+    scenes: int = 0
+    materials: tuple[str, ...] = ()
 
     def pictures(self, level: str, motion: str, body: str) -> bool:
         """Whether scenes at a place of the protocol are drawn.
@@ -116,6 +123,22 @@ PROTOCOLS = {
             levels=("11K", "25K", "38K"),
             varied="the network's parts",
             pictured=True,
+        ),
+        Protocol(
+            name="robustness",
+            reproduces=(
+                "What happens in the hands of others: garments, body shapes, motions, materials and levels drawn by "
+                "seed, each network alone and as it comes."
+            ),
+            models=("pb4u-small", "solver"),
+            garments=tuple(PATTERNS),
+            motions=MOTIONS["train"],
+            bodies=("woman", "man"),
+            levels=("base",),
+            frames=60,
+            varied="everything",
+            scenes=64,
+            materials=tuple(MATERIALS),
         ),
     )
 }

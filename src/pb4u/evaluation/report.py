@@ -17,6 +17,7 @@ from pb4u.evaluation.pictures import picture_grid
 from pb4u.evaluation.planning import EvaluationRequest, Plan
 from pb4u.evaluation.plots import across_levels, against_steps, over_time
 from pb4u.evaluation.result_folder import ResultFolder
+from pb4u.evaluation.robustness import failure_pictures, failure_table, parts_tables, robustness_table
 from pb4u.evaluation.rollout import PROTOCOL_VERSION
 from pb4u.evaluation.summary import Summary, summarise
 from pb4u.evaluation.tables import level_table, terms_tables
@@ -40,6 +41,7 @@ VIEWS: dict[str, tuple[View, ...]] = {
         partial(level_table, quantities=("total",)),
         partial(across_levels, quantities=("stretch", "ratio", "survived_percent")),
     ),
+    "robustness": (robustness_table, parts_tables, failure_table, failure_pictures),
 }
 """Protocol -> its tables and plots, in the order of the page; pictures follow where it has them."""
 

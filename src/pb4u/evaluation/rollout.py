@@ -43,6 +43,8 @@ class SceneRecord:
         triangles: resolution asked for.
         frames: frames to write.
         lead_in: frames simulated before them.
+        material: name of the cloth; None for the default one.
+        shape: (parameter, value) of the body's shape; empty for its default.
         digests: (field, SHA-256) of every field that is a file; a result belongs to a file's content, not to its place.
     """
 
@@ -53,6 +55,8 @@ class SceneRecord:
     triangles: int
     frames: int
     lead_in: int = 30
+    material: str | None = None
+    shape: tuple[tuple[str, float], ...] = ()
     digests: tuple[tuple[str, str], ...] = ()
 
     def identity(self) -> dict[str, Any]:
@@ -60,7 +64,8 @@ class SceneRecord:
         fields = asdict(self)
         for field, content in fields.pop("digests"):
             fields[field] = f"{Path(fields[field]).name} {content}"
-        return fields
+        # What is left at its default is not told, as before there was a choice.
+        return {key: value for key, value in fields.items() if key not in ("material", "shape") or value}
 
     def label(self, field: str) -> str:
         """Short name of the garment, body or motion."""
@@ -93,13 +98,20 @@ class Settings:
         propagation_steps: override of K; None follows the model's own rule.
         refine: solver iterations after each step.
         contact: the garment is pushed out of the body after each step.
+        self_contact: cloth feels cloth.
         device: "cpu" or "cuda".
     """
 
     propagation_steps: int | None = None
     refine: int = 0
     contact: bool = False
+    self_contact: bool = False
     device: str = "cpu"
+
+    def identity(self) -> dict[str, Any]:
+        """Fields that distinguish these settings from all others."""
+        # The six energies that the tables compare do not know contact between cloths, so most runs are without.
+        return {key: value for key, value in asdict(self).items() if key != "self_contact" or value}
 
 
 @dataclass(frozen=True)
@@ -124,7 +136,7 @@ class RolloutJob(Job):
             "pb4u": __version__,
             "scene": self.scene.identity(),
             "model": self.model.weights or self.model.name,
-            "settings": asdict(self.settings),
+            "settings": self.settings.identity(),
         }
         return address(identity)
 
@@ -136,6 +148,7 @@ class RolloutJob(Job):
         scene = self.scene
         steps = "" if self.settings.propagation_steps is None else f", K {self.settings.propagation_steps}"
         worn = " ".join(scene.label(field) for field in ("garment", "body", "motion"))
+        worn += f" of seed {scene.seed} in {scene.material}" if scene.material else ""
         return f"{self.model.label} on {worn} at {scene.triangles:,} triangles{steps}"
 
 
@@ -166,7 +179,7 @@ def run(job: RolloutJob) -> Rollout:
     Raises:
         InputError: something of it cannot be used, or changed since it was planned.
     """
-    from pb4u.evaluation.metrics import measure, skinned_centres
+    from pb4u.evaluation.metrics import hold_shifts, measure, skinned_centres, slid_from
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.models import load_simulator
     from pb4u.simulation.simulator import RunRecord
@@ -177,9 +190,7 @@ def run(job: RolloutJob) -> Rollout:
         warnings.simplefilter("always", InputWarning)
         scene = _scene(job.scene)
         _check_weights(job)
-        # The six energies that the tables compare do not know contact between cloths.
-        settings = asdict(job.settings)
-        simulator = load_simulator(job.model.name, self_contact=False, precision="float32", **settings)
+        simulator = load_simulator(job.model.name, precision="float32", **asdict(job.settings))
         record = RunRecord()
         frames = list(simulator.written_frames(scene, record))
         header, steps = simulator.header(scene), simulator.propagation_steps(scene)
@@ -195,6 +206,7 @@ def run(job: RolloutJob) -> Rollout:
         "ms_per_step": record.ms_per_step,
         "solver_iterations": sum(record.solver_iterations),
         "unsolved_steps": record.unsolved,
+        "steps_made_anew": record.made_anew,
         "machine": _machine(job.settings.device),
         "notes": list(dict.fromkeys([*scene.notes, *(str(each.message) for each in caught)])),
         "metrics": {},
@@ -208,8 +220,11 @@ def run(job: RolloutJob) -> Rollout:
         result |= measure(trajectory, skinned_centres(scene, trajectory))
         if record.failed_at is not None and not result["diverged"]:
             result |= {"diverged": True, "diverged_at": len(frames)}
+        shifts = hold_shifts(scene, trajectory)
+        result["hold_shift"] = {"per_frame": shifts.max(axis=1).tolist(), "max": float(shifts.max())}
+        result["slid_at"] = slid_from(shifts)
         result["pictured_frame"] = min(round(PICTURED * (job.scene.frames - 1)), len(frames) - 1)
-        still = _still(trajectory, result["pictured_frame"])
+        still = _still(trajectory, (result["pictured_frame"], _worst_frame(result, len(frames))))
     result["seconds"] = time.perf_counter() - began
     return Rollout(result, still)
 
@@ -228,6 +243,8 @@ def _scene(record: SceneRecord) -> Scene:
         triangles=record.triangles,
         frames=record.frames,
         lead_in=record.lead_in,
+        material=record.material,
+        body_shape=dict(record.shape),
         fps=FPS,
         seed=record.seed or 0,
     )
@@ -250,8 +267,21 @@ def _own_steps(simulator: Simulator, mean_edge_length: float) -> int | None:
     return simulator.checkpoint.model.network.propagation_steps(mean_edge_length) or None
 
 
-def _still(trajectory: Trajectory, frame: int) -> bytes:
-    kept = slice(frame, frame + 1)
+def _worst_frame(result: dict[str, Any], frames: int) -> int:
+    """The frame that shows best what is wrong: where it diverged or slid for good, else where most is inside."""
+    if result["diverged"]:
+        return min(int(result["diverged_at"]), frames - 1)
+    if result["slid_at"] is not None:
+        return _highest(result["hold_shift"]["per_frame"])
+    return _highest(result["metrics"].get("penetration_percent", {}).get("per_frame", [0.0]))
+
+
+def _highest(values: list[float]) -> int:
+    return max(range(len(values)), key=values.__getitem__)
+
+
+def _still(trajectory: Trajectory, frames: tuple[int, ...]) -> bytes:
+    kept = list(frames)
     single = replace(
         trajectory,
         positions=trajectory.positions[kept],

@@ -40,6 +40,7 @@ def run_report(
         "ms_per_step": record.ms_per_step,
         "solver_iterations": record.solver_iterations,
         "unsolved_steps": record.unsolved,
+        "steps_made_anew": record.made_anew,
         "notes": list(scene.notes),
         **measured,
     }

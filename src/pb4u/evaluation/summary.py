@@ -17,6 +17,12 @@ from pb4u.evaluation.result_folder import ResultFolder
 from pb4u.evaluation.rollout import RolloutJob
 from pb4u.jobs.job import Failure
 
+MOST_INSIDE = 1.0
+"""Percent of the vertices inside the body, over all frames, beyond which a rollout counts as a failure."""
+
+FAR_FROM_FLOOR = 3.0
+"""Energy over the floor beyond which it does: cloth that is plainly stretched or crumpled."""
+
 
 class Quantity(NamedTuple):
     """Notation of a quantity in tables.
@@ -100,6 +106,7 @@ class Row:
             "motion": self.case.motion,
             "seed": scene.seed,
             "steps": job.settings.propagation_steps,
+            **({} if self.case.number is None else {"number": self.case.number, "material": scene.material}),
         }
 
     @property
@@ -109,6 +116,26 @@ class Row:
     @property
     def diverged(self) -> bool:
         return bool(self.result and self.result["diverged"])
+
+    @property
+    def faults(self) -> list[str]:
+        """What went wrong, in words; nothing of a rollout that is as it should be, or not done yet."""
+        if self.failure is not None:
+            return [f"could not be made: {self.failure.sentence}"]
+        if self.result is None:
+            return []
+        if self.diverged:
+            return [f"diverged in frame {self.result['diverged_at']}"]
+        found = []
+        if self.result.get("slid_at") is not None:
+            shift = 100.0 * self.result["hold_shift"]["max"]
+            found.append(f"slid from frame {self.result['slid_at']}, {shift:.0f} cm")
+        inside = self.value("penetration_percent")
+        if inside is not None and inside > MOST_INSIDE:
+            found.append(f"{inside:.1f} % of vertices inside the body")
+        if self.ratio is not None and self.ratio > FAR_FROM_FLOOR:
+            found.append(f"{self.ratio:.1f} times the floor's energy")
+        return found
 
     @property
     def survived_percent(self) -> float | None:

@@ -100,8 +100,17 @@ def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = unheard) 
         progress: told of the frames written.
     """
     samples, points = trajectory.positions.shape[:2]
-    header = struct.pack("<12siiffi", b"POINTCACHE2\0", 1, points, 0.0, 1.0, samples)
-    _write(trajectory, path, header, "<f4", progress)
+    _write(trajectory, path, pc2_header(points, samples), "<f4", progress)
+
+
+def pc2_header(points: int, samples: int) -> bytes:
+    """The bytes before the vertices of a PC2: magic, version 1, points, first frame 0, sampling 1, samples.
+
+    Args:
+        points: vertices of each sample.
+        samples: number of samples.
+    """
+    return struct.pack("<12siiffi", b"POINTCACHE2\0", 1, points, 0.0, 1.0, samples)
 
 
 def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:

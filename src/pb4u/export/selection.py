@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from pb4u.errors import InputError, InputWarning
-from pb4u.scene.trajectory import Trajectory
+from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
 Compute = Callable[[Any, Any], np.ndarray]
 """(index of frames, index of vertices) -> positions of those; an int as the first drops the frame axis."""
@@ -101,9 +101,31 @@ def on_source(trajectory: Trajectory) -> Trajectory:
     track = trajectory.header.source
     if track is None:
         return trajectory
+    on_mesh = source_motion(trajectory.header)
+    header = replace(
+        trajectory.header,
+        faces=track.faces,
+        rest_positions=on_mesh(trajectory.header.rest_positions[None])[0],
+        pinned=trajectory.header.pinned[trajectory.faces[track.triangle]].all(axis=1),
+        vertex_garment=source_garments(trajectory.header),
+        uvs=track.uvs,
+        uv_faces=track.uv_faces,
+        source=None,
+        polygons=track.polygons,
+    )
+    return Trajectory(header, on_mesh(trajectory.positions), on_mesh(trajectory.velocities), trajectory.body_positions)
 
-    corners = trajectory.faces[track.triangle]
-    weights = track.barycentric.astype(np.float32)
+
+def source_motion(header: TrajectoryHeader) -> Callable[[np.ndarray], np.ndarray]:
+    """What carries values (frames, vertices, 3) over to the author's mesh (frames, source vertices, 3), when read.
+
+    Args:
+        header: of the trajectory; where it has no other mesh, values stay as they are.
+    """
+    if header.source is None:
+        return lambda values: values
+    corners = header.faces[header.source.triangle]
+    weights = header.source.barycentric.astype(np.float32)
 
     def on_mesh(values: np.ndarray) -> np.ndarray:
         def compute(frames: Any, vertices: Any) -> np.ndarray:
@@ -113,18 +135,19 @@ def on_source(trajectory: Trajectory) -> Trajectory:
 
         return LazyFrames(len(values), len(weights), compute).as_array()
 
-    header = replace(
-        trajectory.header,
-        faces=track.faces,
-        rest_positions=on_mesh(trajectory.header.rest_positions[None])[0],
-        pinned=trajectory.header.pinned[corners].all(axis=1),
-        vertex_garment=trajectory.header.vertex_garment[corners[:, 0]],
-        uvs=track.uvs,
-        uv_faces=track.uv_faces,
-        source=None,
-        polygons=track.polygons,
-    )
-    return Trajectory(header, on_mesh(trajectory.positions), on_mesh(trajectory.velocities), trajectory.body_positions)
+    return on_mesh
+
+
+def source_garments(header: TrajectoryHeader) -> np.ndarray:
+    """Garment (source vertices,) int32 of each vertex of the author's mesh; of the simulated one where it is the same.
+
+    Args:
+        header: of the trajectory.
+    """
+    if header.source is None:
+        return header.vertex_garment
+    owners: np.ndarray = header.vertex_garment[header.faces[header.source.triangle, 0]]
+    return owners
 
 
 def resampled(trajectory: Trajectory, fps: float, frames: int | None = None) -> Trajectory:

@@ -54,6 +54,7 @@ class Finding:
         fix: how to mend it.
         mendable: whether `repair` does that.
         where: indices of the first vertices, faces or edges concerned, as the sentence says.
+        vertices: indices of all vertices concerned, in the author's mesh.
     """
 
     code: str
@@ -62,6 +63,7 @@ class Finding:
     fix: str
     mendable: bool = False
     where: tuple[int, ...] = ()
+    vertices: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,10 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionary for a JSON report."""
-        findings = [{**asdict(f), "severity": f.severity.value, "where": list(f.where)} for f in self.findings]
+        findings = [
+            {**asdict(f), "severity": f.severity.value, "where": list(f.where), "vertices": list(f.vertices)}
+            for f in self.findings
+        ]
         return {"refused": self.is_refused, "findings": findings, "measures": self.measures}
 
 
@@ -176,10 +181,18 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
     findings: list[Finding] = []
 
     def add(
-        code: str, severity: Severity, sentence: str, fix: str, mendable: bool = False, where: np.ndarray | None = None
+        code: str,
+        severity: Severity,
+        sentence: str,
+        fix: str,
+        mendable: bool = False,
+        faces: np.ndarray | None = None,
+        vertices: np.ndarray | None = None,
     ) -> None:
-        first = () if where is None else tuple(np.asarray(where).reshape(-1)[:20].tolist())
-        findings.append(Finding(code, severity, sentence, fix, mendable, first))
+        told = vertices if faces is None else faces
+        first = () if told is None else tuple(np.asarray(told)[:20].tolist())
+        concerned = _corners(surface, faces) if faces is not None and vertices is None else vertices
+        findings.append(Finding(code, severity, sentence, fix, mendable, first, _indices(concerned)))
 
     topology, warning = surface.topology, Severity.WARNING
     if len(surface.faces) > MOST_SIMULATED:
@@ -188,7 +201,7 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
     if len(edges := topology.non_manifold_edges):
         extra = surface.extra_faces
         sentence = f"{len(edges)} edge(s) are shared by three or more faces, first {_first(edges)} (pairs of vertices)."
-        add("non-manifold", Severity.REFUSED, sentence, f"delete the faces {_first(extra)}", False, extra)
+        add("non-manifold", Severity.REFUSED, sentence, f"delete the faces {_first(extra)}", False, extra, edges)
     if len(collapsed := surface.polygon[surface.collapsed & ~surface.repeated]):
         sentence = f"{len(collapsed)} triangle(s) have no area, first {_first(collapsed)}."
         add("degenerate", warning, sentence, "drop them", True, collapsed)
@@ -197,12 +210,12 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
         add("duplicate", warning, sentence, "drop them", True, repeated)
     if len(isolated := topology.isolated_vertices):
         sentence = f"{len(isolated)} vertices belong to no face, first {_first(isolated)}."
-        add("isolated", warning, sentence, "drop them", True, isolated)
+        add("isolated", warning, sentence, "drop them", True, vertices=isolated)
     if len(unwelded := surface.unwelded):
         sentence = (
             f"{len(unwelded)} border vertices lie on top of others, first {_first(unwelded)}: a seam that will open."
         )
-        add("unwelded", warning, sentence, "weld them", True, unwelded)
+        add("unwelded", warning, sentence, "weld them", True, vertices=unwelded)
     if surface.piece_count > 1:
         sentence = f"The garment is in {surface.piece_count} pieces that nothing holds together."
         seams = bool(len(unwelded))
@@ -324,13 +337,13 @@ def _crossing_findings(
     polygons = surface.polygon[surface.kept[whole[pairs]]]
     freed = untangle(vertices, faces, gap=0.0)
     sentence = f"{tangle}, first faces {_first(polygons)} (pairs)."
-    where = tuple(polygons.reshape(-1)[:20].tolist())
+    where, concerned = tuple(polygons.reshape(-1)[:20].tolist()), _indices(_corners(surface, polygons))
     if not freed.is_free:
         fix = "mend it where it was made, or simulate it with `--self-contact off`"
-        return [Finding("self-crossing", Severity.REFUSED, sentence, fix, where=where)]
+        return [Finding("self-crossing", Severity.REFUSED, sentence, fix, where=where, vertices=concerned)]
     farthest = float(np.linalg.norm(freed.vertices - vertices, axis=1).max())
     fix = f"mend it where it was made; simulation untangles its start, by at most {1000 * farthest:.1f} mm"
-    return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where)]
+    return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where, vertices=concerned)]
 
 
 def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
@@ -357,19 +370,29 @@ def _penetration_findings(
     deepest = int(distances.argmin())
     names = np.arange(len(distances)) if ids is None else ids
     where = tuple(names[np.argsort(distances)[: min(20, int(inside.sum()))]].tolist())
+    concerned = _indices(names[inside])
     if inside.mean() > WHOLLY_INSIDE:
         sentence = (
             f'The garment lies wholly inside the body "{body.name}" ({100 * inside.mean():.0f}% of its vertices).'
         )
         fix = "make it larger, or take the body it was made for"
-        return [Finding("inside", Severity.REFUSED, sentence, fix, where=where)]
+        return [Finding("inside", Severity.REFUSED, sentence, fix, where=where, vertices=concerned)]
     sentence = (
         f"{100 * inside.mean():.1f}% of the vertices start inside the body, the deepest "
         f"{-1000 * distances[deepest]:.1f} mm (vertex {names[deepest]})."
     )
-    return [Finding("penetration", Severity.WARNING, sentence, f"push them out with {mend}", True, where)]
+    return [Finding("penetration", Severity.WARNING, sentence, f"push them out with {mend}", True, where, concerned)]
 
 
 def _first(ids: np.ndarray) -> str:
     rows = np.asarray(ids)[:5].tolist()
     return ", ".join("-".join(map(str, row)) if isinstance(row, list) else str(row) for row in rows)
+
+
+def _corners(surface: SourceSurface, faces: np.ndarray) -> np.ndarray:
+    """Vertices (n,) at the corners of some faces of the author's mesh, whatever shape the indices have."""
+    return np.concatenate([surface.source.polygons[face] for face in np.unique(faces).tolist()])
+
+
+def _indices(vertices: np.ndarray | None) -> tuple[int, ...]:
+    return () if vertices is None else tuple(np.unique(vertices).tolist())

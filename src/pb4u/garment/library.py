@@ -13,7 +13,7 @@ from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import MATERIALS
 from pb4u.garment.panels import flat_panels
-from pb4u.garment.patterns import PATTERNS
+from pb4u.garment.patterns import PATTERNS, Pattern
 from pb4u.garment.tailoring import tailor
 from pb4u.geometry.implicit_surface import ImplicitSurface
 from pb4u.geometry.remeshing import remesh
@@ -53,8 +53,25 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
         raise InputError(
             f"A built-in garment has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles, not {triangles}."
         )
-    pattern = PATTERNS[name]
-    surface = _surface(name, body)
+    return _meshed(name, PATTERNS[name], _surface(name, body), body, triangles)
+
+
+def cut_garment(name: str, pattern: Pattern, body: ShapedBody, triangles: int) -> Garment:
+    """A garment of any cut, fitted and meshed as `build_garment` does it; nothing is kept.
+
+    Args:
+        name: name of the garment.
+        pattern: its cut.
+        body: resting body, with the joints that `build_garment` asks for.
+        triangles: wanted number of triangles, met within 5 %.
+
+    Raises:
+        InputError: a body without those joints, or a surface that so many triangles cannot mesh.
+    """
+    return _meshed(name, pattern, tailor(pattern, _form(body)), body, triangles)
+
+
+def _meshed(name: str, pattern: Pattern, surface: ImplicitSurface, body: ShapedBody, triangles: int) -> Garment:
     vertices, faces = remesh(*surface.mesh, triangles, surface)
     vertices = clear_of_body(vertices, faces, body)
     uvs, uv_faces = flat_panels(vertices, faces, _form(body), pattern) or (None, None)

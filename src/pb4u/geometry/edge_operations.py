@@ -53,7 +53,24 @@ def split_long_edges(
         Vertices (new vertices, 3) [m], faces (new faces, 3) int64 and locked flags (new vertices,) bool.
     """
     mesh = Topology(faces, len(vertices))
-    marked = _lengths(vertices, mesh.edges) > longest
+    return split_edges(vertices, faces, mesh, _lengths(vertices, mesh.edges) > longest, locked)
+
+
+def split_edges(
+    vertices: np.ndarray, faces: np.ndarray, mesh: Topology, marked: np.ndarray, locked: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Halve the edges that are marked; the new vertices come after the old, in the order of their edges.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        mesh: topology of the faces.
+        marked: (edges,) bool, the edges to halve.
+        locked: (vertices,) bool, extended: new vertices are not locked.
+
+    Returns:
+        Vertices (new vertices, 3) [m], faces (new faces, 3) int64 and locked flags (new vertices,) bool.
+    """
     if not marked.any():
         return vertices, faces, locked
     new_index = np.full(len(marked), -1)

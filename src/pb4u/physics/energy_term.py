@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from itertools import combinations_with_replacement
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.pair_stiffness import PairStiffness
+from pb4u.physics.stiffness_matrix import Stiffness
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 
@@ -52,33 +53,31 @@ class EnergyTerm(ABC):
         """
         return None
 
-    def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor | None:
-        """Second derivative (3, 3, pairs, elements) [J/m^2] or a positive semi-definite approximation; None where zero.
+    def compiled(self, step: TimeStep, contacts: ContactSet) -> EnergyTerm:
+        """What the solver evaluates in the place of this term: faster, for one step, and without autograd.
 
-        One symmetric matrix for each of the `elements`, as a 3x3 block for each of the `corner_pairs`; those of (j, i)
-        are those of (i, j) with their axes exchanged. Elements come last, which is fastest.
+        Args:
+            step: the time step, its garments in float64 on the CPU.
+            contacts: contacts at its start.
+        """
+        return self
+
+    def add_stiffness(
+        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
+    ) -> None:
+        """Add the second derivative, or one near it, to the `stiffness`; asked of a compiled term that has `elements`.
 
         Args:
             step: the time step.
             contacts: contacts of the step.
             x: (vertices, 3) [m] next positions.
+            slots: (elements, corner pairs) int32 where the `corner_pairs` of the `elements` are in it.
+            stiffness: added to.
         """
-        return None
+        raise NotImplementedError(f"{self.name} couples no vertices")
 
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
         """Positive semi-definite second derivative over pairs of cloth elements that change with `x`; None where zero.
-
-        Args:
-            step: the time step.
-            contacts: contacts of the step.
-            x: (vertices, 3) [m] next positions.
-        """
-        return None
-
-    def buckling(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor | None:
-        """Negative part of the second derivative, which `curvature` leaves out; None where there is none.
-
-        In the same form: (3, 3, pairs, elements) [J/m^2].
 
         Args:
             step: the time step.
@@ -131,11 +130,6 @@ def sum_by_garment(values: Tensor, garment: Tensor, garment_count: int) -> Tenso
     return values.new_zeros(garment_count).index_add(0, garment, values)
 
 
-def corner_pairs(corners: int) -> list[tuple[int, int]]:
-    """Pairs (i, j), i <= j, of the corners of an element, in row order."""
-    return list(combinations_with_replacement(range(corners), 2))
-
-
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """Inner products (...,) of vectors row by row, in the product of their units.
 
@@ -155,16 +149,6 @@ def columns(x: Tensor, index: Tensor) -> Tensor:
         index: (n,) int64 vertices.
     """
     return x.T.contiguous().gather(1, index.expand(3, -1))
-
-
-def outer(a: Tensor, b: Tensor) -> Tensor:
-    """Outer products (3, 3, n) of vectors column by column, in the product of their units.
-
-    Args:
-        a: (3, n) vectors of any unit.
-        b: (3, n) vectors of any unit.
-    """
-    return a[:, None] * b[None]
 
 
 def vertex_elements(garments: PackedGarments) -> Tensor:

@@ -24,6 +24,7 @@ from pb4u.physics.energy_term import EnergyTerm
 from pb4u.physics.gravity import Gravity
 from pb4u.physics.inertia import Inertia
 from pb4u.physics.pair_stiffness import PairStiffness
+from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.stretch import Stretch
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
@@ -204,8 +205,8 @@ class StepPotential:
         return replace(self, potential=self.potential.without_self_contact())
 
     def _along(self, x: Tensor, moves: Tensor) -> StepPotential:
-        before = self.step.state.positions
-        return self.with_cloth(self.potential.self_contact.pairs(self.step.garments, x, moves, before))
+        garments, before = self.step.garments, self.step.state.positions
+        return self.with_cloth(self.potential.self_contact.pairs(garments, x, moves, before, self.contacts.cloth))
 
     def energies(self, x: Tensor) -> Energies:
         """Energies at `x` (vertices, 3) [m]; differentiable by autograd."""
@@ -230,17 +231,24 @@ class StepPotential:
         parts = {term.name: term.elements(self.step, self.contacts) for term in self.potential.terms}
         return {name: part for name, part in parts.items() if part is not None}
 
-    def curvature(self, x: Tensor) -> dict[str, Tensor]:
-        """Positive semi-definite second derivatives by term, each (3, 3, pairs, elements) [J/m^2].
+    def compiled(self) -> StepPotential:
+        """This potential as the solver evaluates it: each term compiled, without autograd."""
+        terms = tuple(term.compiled(self.step, self.contacts) for term in self.potential.terms)
+        return replace(self, potential=replace(self.potential, terms=terms))
 
-        As in `EnergyTerm.curvature`; terms without any are left out.
+    def stiffness(self, x: Tensor, pattern: StiffnessPattern) -> Stiffness:
+        """Second derivative, or one near it, of the terms that couple `elements`.
 
         Args:
             x: (vertices, 3) [m] next positions.
+            pattern: of the `elements`.
         """
-        contacts = self._contacts_at(x)
-        blocks = {term.name: term.curvature(self.step, contacts, x) for term in self.potential.terms}
-        return {name: block for name, block in blocks.items() if block is not None}
+        contacts, sums = self._contacts_at(x), pattern.empty()
+        for term in self.potential.terms:
+            if term.name in pattern.slots:
+                term.add_stiffness(self.step, contacts, x, pattern.slots[term.name], sums)
+        pattern.hold(sums)
+        return sums
 
     def pair_stiffness(self, x: Tensor) -> list[PairStiffness]:
         """Second derivatives over pairs of cloth elements, as in `EnergyTerm.pair_stiffness`.
@@ -251,18 +259,6 @@ class StepPotential:
         contacts = self._contacts_at(x)
         parts = [term.pair_stiffness(self.step, contacts, x) for term in self.potential.terms]
         return [part for part in parts if part is not None]
-
-    def buckling(self, x: Tensor) -> dict[str, Tensor]:
-        """Negative parts of the second derivatives by term, each (3, 3, pairs, elements) [J/m^2].
-
-        As in `EnergyTerm.buckling`; terms without any are left out.
-
-        Args:
-            x: (vertices, 3) [m] next positions.
-        """
-        contacts = self._contacts_at(x)
-        blocks = {term.name: term.buckling(self.step, contacts, x) for term in self.potential.terms}
-        return {name: block for name, block in blocks.items() if block is not None}
 
     def _contacts_at(self, x: Tensor) -> ContactSet:
         contacts = self.contacts

@@ -7,19 +7,22 @@ meshes. Patches do not depend on the resolution.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
 
-from pb4u.physics.pair_stiffness import PairStiffness
+from pb4u.geometry.proximity.element_distance import compiled_with_fused_products
+from pb4u.physics.pair_stiffness import PairStiffness, add_product
+from pb4u.physics.stiffness_matrix import SymmetricBlocks, multiply
 from pb4u.scene.packed import PackedGarments
 
 _PATCHES_PER_GARMENT = 40
 """Enough for a sleeve to move apart from a front; their dense matrix, 360 wide, still inverts in milliseconds."""
+
+Functions = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""A sparse matrix as first entries of its rows, columns and values of its entries."""
 
 _SMOOTHING_STEPS = 2
 """Averagings over neighbours that take the jumps at the patches' borders out of their motions."""
@@ -30,9 +33,9 @@ class LinearSolution:
     """Result of conjugate gradients.
 
     Args:
-        solution: (n,) the approximate solution [m].
+        solution: (vertices, 3) [m], approximate.
         iterations: products with the matrix made.
-        negative: (n,) [m] a direction along which the matrix is not positive, or None.
+        negative: (vertices, 3) [m] a direction along which the matrix is not positive, or None.
     """
 
     solution: np.ndarray
@@ -41,9 +44,10 @@ class LinearSolution:
 
 
 def conjugate_gradient(
-    matrix: Any,
+    matrix: SymmetricBlocks,
+    pairs: PairStiffness,
     right: np.ndarray,
-    precondition: Callable[[np.ndarray], np.ndarray],
+    preconditioner: TwoLevelPreconditioner,
     tolerance: float,
     max_iterations: int,
 ) -> LinearSolution:
@@ -52,33 +56,24 @@ def conjugate_gradient(
     Source: Nocedal and Wright, Numerical Optimization, algorithm 7.1.
 
     Args:
-        matrix: (n, n) [N/m], anything that multiplies vectors (n,).
-        right: (n,) [N].
-        precondition: gives an approximate solution (n,) [m] for a residual (n,) [N].
+        matrix: (3 vertices, 3 vertices) [N/m].
+        pairs: contacts between cloth elements, added to the matrix.
+        right: (vertices, 3) [N].
+        preconditioner: gives an approximate solution for a residual.
         tolerance: relative, in the norm of the preconditioner.
         max_iterations: products after which it stops.
     """
-    solution, residual = np.zeros_like(right), right.copy()
-    direction = precondition(residual)
-    measure = residual @ direction
-    target = tolerance * tolerance * measure
-    if not measure > 0:
-        return LinearSolution(solution, 0, None)
-    for iteration in range(1, max_iterations + 1):
-        product = matrix @ direction
-        curvature = direction @ product
-        if not curvature > 0:
-            return LinearSolution(solution, iteration, direction)
-        step = measure / curvature
-        solution = solution + step * direction
-        residual = residual - step * product
-        conditioned = precondition(residual)
-        new_measure = residual @ conditioned
-        if new_measure <= target:
-            return LinearSolution(solution, iteration, None)
-        direction = conditioned + (new_measure / measure) * direction
-        measure = new_measure
-    return LinearSolution(solution, max_iterations, None)
+    solution, direction = np.zeros_like(right), np.empty_like(right)
+    iterations, negative = _iterate(
+        (matrix.starts, matrix.columns, matrix.blocks, pairs.corners, pairs.rows),
+        preconditioner.parts,
+        right,
+        tolerance,
+        max_iterations,
+        solution,
+        direction,
+    )
+    return LinearSolution(solution, iterations, direction if negative else None)
 
 
 class PatchBasis:
@@ -87,10 +82,15 @@ class PatchBasis:
     Args:
         garments: static quantities on the CPU.
         free: (vertices,) bool, vertices that move.
+
+    Attributes:
+        functions: sparse matrix (vertices, functions) of values that each vertex has along each axis.
+        by_vertex: its rows as arrays.
+        by_function: its columns as arrays.
     """
 
     def __init__(self, garments: PackedGarments, free: np.ndarray) -> None:
-        from scipy.sparse import coo_matrix, diags, eye, kron
+        from scipy.sparse import coo_matrix, diags
 
         rest, offsets = garments.rest_positions.numpy(), garments.vertex_offsets
         edges = garments.edges.numpy()
@@ -107,8 +107,10 @@ class PatchBasis:
         average = diags(1.0 / np.maximum(np.asarray(adjacency.sum(axis=1)).reshape(-1), 1.0)) @ adjacency
         for _ in range(_SMOOTHING_STEPS):
             functions = functions / 3.0 + average @ functions * (2.0 / 3.0)
-        self.prolongation = kron(diags(free.astype(np.float64)) @ functions, eye(3)).tocsr()
-        self.restriction = self.prolongation.T.tocsr()
+        self.functions = (diags(free.astype(np.float64)) @ functions).tocsr()
+        by_vertex, by_function = self.functions, self.functions.T.tocsr()
+        self.by_vertex = by_vertex.indptr, by_vertex.indices, by_vertex.data
+        self.by_function = by_function.indptr, by_function.indices, by_function.data
 
 
 class TwoLevelPreconditioner:
@@ -116,36 +118,51 @@ class TwoLevelPreconditioner:
 
     Args:
         basis: patch motions.
-        matrix: (3 vertices, 3 vertices) [N/m] stiffness, rows and columns as (vertex, axis).
-        diagonal: (vertices, 3, 3) [N/m] its diagonal blocks, those of `pairs` included.
-        pairs: contacts between cloth elements, to be added to the matrix.
+        matrix: stiffness.
+        pairs: contacts between cloth elements, added to the matrix.
+        free: (vertices,) bool, vertices that move.
+
+    Attributes:
+        basis: patch motions.
     """
 
-    def __init__(self, basis: PatchBasis, matrix: Any, diagonal: np.ndarray, pairs: PairStiffness) -> None:
-        self._basis = basis
+    def __init__(self, basis: PatchBasis, matrix: SymmetricBlocks, pairs: PairStiffness, free: np.ndarray) -> None:
+        self.basis, self._free = basis, free
         self.refresh_patches(matrix, pairs)
-        self.refresh_diagonal(diagonal)
+        self.refresh_diagonal(matrix, pairs)
 
-    def refresh_patches(self, matrix: Any, pairs: PairStiffness) -> None:
-        """Recompute the coarse part from the stiffness `matrix` (3 vertices, 3 vertices) [N/m] and the `pairs`."""
-        coarse = (self._basis.restriction @ (matrix.tocsr() @ self._basis.prolongation)).toarray()
+    def refresh_patches(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
+        """Recompute the coarse part from the stiffness `matrix` and the `pairs`."""
+        functions = self.basis.functions
+        width = functions.shape[1]
+        coarse = np.zeros((width, 3, width, 3))
+        _add_coarse(matrix.starts, matrix.columns, matrix.blocks, self.basis.by_vertex, coarse)
+        coarse = coarse.reshape(3 * width, 3 * width)
+        coarse += coarse.T
         if len(pairs):
-            root = (pairs.root(matrix.shape[0] // 3) @ self._basis.prolongation).tocsr()
+            from scipy.sparse import eye, kron
+
+            root = (pairs.root(len(self._free)) @ kron(functions, eye(3))).tocsr()
             coarse += (root.T @ root).toarray()
-        self._coarse_inverse = _inverse(0.5 * (coarse + coarse.T))
+        self._coarse_inverse = _inverse(coarse)
 
-    def refresh_diagonal(self, diagonal: np.ndarray) -> None:
-        """Recompute the fine part from the positive definite blocks `diagonal` (vertices, 3, 3) [N/m]."""
-        from scipy.sparse import bsr_matrix
+    def refresh_diagonal(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
+        """Recompute the fine part from the diagonal blocks of the `matrix` and the `pairs`, positive definite."""
+        diagonal = matrix.diagonal
+        diagonal[~self._free] = np.eye(3)
+        pairs.add_diagonal(diagonal)
+        self._fine_inverse = torch.linalg.inv(torch.from_numpy(diagonal)).numpy()
 
-        count = len(diagonal)
-        inverse = torch.linalg.inv(torch.from_numpy(diagonal)).numpy()
-        self._fine = bsr_matrix((inverse, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count))
+    @property
+    def parts(self) -> tuple[np.ndarray, np.ndarray, Functions, Functions]:
+        """Inverses (vertices, 3, 3) and (coarse, coarse) [m/N]; the functions by function, and by vertex."""
+        return self._fine_inverse, self._coarse_inverse, self.basis.by_function, self.basis.by_vertex
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
-        """Approximate solution (3 vertices,) [m] for `residual` (3 vertices,) [N]."""
-        coarse = self._coarse_inverse @ (self._basis.restriction @ residual)
-        return self._fine @ residual + self._basis.prolongation @ coarse
+        """Approximate solution (vertices, 3) [m] for `residual` (vertices, 3) [N]."""
+        result = np.empty_like(residual)
+        _precondition(*self.parts, residual, result)
+        return result
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
@@ -179,3 +196,148 @@ def _affine_functions(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
         rows.append(np.repeat(members, functions.shape[1]))
         columns.append(np.tile(3 * patch + np.arange(functions.shape[1]), len(members)))
     return np.concatenate(values), np.concatenate(rows), np.concatenate(columns)
+
+
+@compiled_with_fused_products
+def _precondition(
+    fine: np.ndarray,
+    coarse: np.ndarray,
+    to_patches: Functions,
+    to_vertices: Functions,
+    residual: np.ndarray,
+    result: np.ndarray,
+) -> None:
+    """Fill `result` (vertices, 3) [m] with the preconditioner of these `parts` times `residual` (vertices, 3) [N]."""
+    starts, indices, values = to_patches
+    restricted = np.empty(len(coarse))
+    for function in range(len(starts) - 1):
+        # Two sums each, since an addition waits for the one before it.
+        x0, y0, z0, x1, y1, z1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        first, stop = starts[function], starts[function + 1]
+        if (stop - first) % 2:
+            row = indices[first]
+            x1, y1, z1 = (
+                values[first] * residual[row, 0],
+                values[first] * residual[row, 1],
+                values[first] * residual[row, 2],
+            )
+            first += 1
+        for k in range(first, stop, 2):
+            row, other = indices[k], indices[k + 1]
+            x0 += values[k] * residual[row, 0]
+            y0 += values[k] * residual[row, 1]
+            z0 += values[k] * residual[row, 2]
+            x1 += values[k + 1] * residual[other, 0]
+            y1 += values[k + 1] * residual[other, 1]
+            z1 += values[k + 1] * residual[other, 2]
+        restricted[3 * function], restricted[3 * function + 1], restricted[3 * function + 2] = x0 + x1, y0 + y1, z0 + z1
+    moved = np.dot(coarse, restricted)
+    starts, indices, values = to_vertices
+    for row in range(len(residual)):
+        x, y, z = residual[row, 0], residual[row, 1], residual[row, 2]
+        a = fine[row, 0, 0] * x + fine[row, 0, 1] * y + fine[row, 0, 2] * z
+        b = fine[row, 1, 0] * x + fine[row, 1, 1] * y + fine[row, 1, 2] * z
+        c = fine[row, 2, 0] * x + fine[row, 2, 1] * y + fine[row, 2, 2] * z
+        for k in range(starts[row], starts[row + 1]):
+            function = 3 * indices[k]
+            a += values[k] * moved[function]
+            b += values[k] * moved[function + 1]
+            c += values[k] * moved[function + 2]
+        result[row, 0], result[row, 1], result[row, 2] = a, b, c
+
+
+@compiled_with_fused_products
+def _inner(a: np.ndarray, b: np.ndarray) -> float:
+    """Inner product of `a` (vertices, 3) and `b` (vertices, 3)."""
+    x, y, z = 0.0, 0.0, 0.0
+    for row in range(len(a)):
+        x += a[row, 0] * b[row, 0]
+        y += a[row, 1] * b[row, 1]
+        z += a[row, 2] * b[row, 2]
+    return x + y + z
+
+
+@compiled_with_fused_products
+def _iterate(
+    system: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    preconditioner: tuple[np.ndarray, np.ndarray, Functions, Functions],
+    right: np.ndarray,
+    tolerance: float,
+    max_iterations: int,
+    solution: np.ndarray,
+    direction: np.ndarray,
+) -> tuple[int, bool]:
+    """Products made by `conjugate_gradient`, and whether `direction` (vertices, 3) [m] is left as one not positive.
+
+    Fills `solution` (vertices, 3) [m], which begins as 0.
+    """
+    starts, columns, blocks, corners, rows = system
+    fine, coarse, to_patches, to_vertices = preconditioner
+    residual, product, conditioned = right.copy(), np.empty_like(right), np.empty_like(right)
+    _precondition(fine, coarse, to_patches, to_vertices, residual, direction)
+    measure = _inner(residual, direction)
+    target = tolerance * tolerance * measure
+    if not measure > 0.0:
+        return 0, False
+    for iteration in range(1, max_iterations + 1):
+        multiply(starts, columns, blocks, direction, product)
+        add_product(corners, rows, direction, product)
+        curvature = _inner(direction, product)
+        if not curvature > 0.0:
+            return iteration, True
+        step = measure / curvature
+        for row in range(len(right)):
+            for axis in range(3):
+                solution[row, axis] += step * direction[row, axis]
+                residual[row, axis] -= step * product[row, axis]
+        _precondition(fine, coarse, to_patches, to_vertices, residual, conditioned)
+        new_measure = _inner(residual, conditioned)
+        if new_measure <= target:
+            return iteration, False
+        share = new_measure / measure
+        for row in range(len(right)):
+            for axis in range(3):
+                direction[row, axis] = conditioned[row, axis] + share * direction[row, axis]
+        measure = new_measure
+    return max_iterations, False
+
+
+@compiled_with_fused_products
+def _add_coarse(
+    starts: np.ndarray,
+    columns: np.ndarray,
+    blocks: np.ndarray,
+    functions: Functions,
+    coarse: np.ndarray,
+) -> None:
+    """Add half of P^T A P to `coarse` (functions, 3, functions, 3): with its transpose it is the whole.
+
+    A is the matrix of `SymmetricBlocks`, P has the values of the `functions` by vertex.
+    """
+    first, indices, values = functions
+    touched, known = np.empty(coarse.shape[0], dtype=np.int64), np.full(coarse.shape[0], -1)
+    sums = np.empty((coarse.shape[0], 3, 3))
+    for row in range(len(starts) - 1):
+        # The blocks of this row times P, function by function, then these times P^T.
+        count = 0
+        for block in range(starts[row], starts[row + 1]):
+            column = columns[block]
+            share = 0.5 if column == row else 1.0
+            for k in range(first[column], first[column + 1]):
+                function = indices[k]
+                if known[function] < 0:
+                    known[function], touched[count] = count, function
+                    for i in range(3):
+                        for j in range(3):
+                            sums[count, i, j] = 0.0
+                    count += 1
+                for i in range(3):
+                    for j in range(3):
+                        sums[known[function], i, j] += share * values[k] * blocks[block, i, j]
+        for k in range(first[row], first[row + 1]):
+            for n in range(count):
+                for i in range(3):
+                    for j in range(3):
+                        coarse[indices[k], i, touched[n], j] += values[k] * sums[n, i, j]
+        for n in range(count):
+            known[touched[n]] = -1

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.geometry.proximity.element_distance import compiled
+from pb4u.geometry.proximity.element_distance import compiled_with_fused_products
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +39,6 @@ class PairStiffness:
     def __len__(self) -> int:
         return len(self.corners)
 
-    def add_product(self, vector: np.ndarray, product: np.ndarray) -> None:
-        """Add this matrix times `vector` (3 vertices,) [m] to `product` (3 vertices,) [N]."""
-        _add_product(self.corners, self.rows, vector, product)
-
     def add_diagonal(self, blocks: np.ndarray) -> None:
         """Add the diagonal blocks of this matrix to `blocks` (vertices, 3, 3) [N/m]."""
         _add_diagonal(self.corners, self.rows, blocks)
@@ -56,38 +52,20 @@ class PairStiffness:
         return csr_matrix((self.rows.reshape(-1), columns, starts), shape=(len(self), 3 * vertex_count))
 
 
-class SummedProduct:
-    """A sparse matrix and the stiffness of contacts between cloth elements, as one that multiplies vectors.
-
-    Args:
-        matrix: (3 vertices, 3 vertices) [N/m].
-        contacts: to be added.
-    """
-
-    def __init__(self, matrix: Any, contacts: PairStiffness) -> None:
-        self._matrix, self._contacts = matrix, contacts
-
-    def __matmul__(self, vector: np.ndarray) -> np.ndarray:
-        product: np.ndarray = self._matrix @ vector
-        self._contacts.add_product(vector, product)
-        return product
-
-
-@compiled
-def _add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, product: np.ndarray) -> None:
+@compiled_with_fused_products
+def add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, product: np.ndarray) -> None:
+    """Add the matrix of `PairStiffness` times `vector` (vertices, 3) [m] to `product` (vertices, 3) [N]."""
     for row in range(len(corners)):
         total = 0.0
         for corner in range(4):
-            first = 3 * corners[row, corner]
             for axis in range(3):
-                total += rows[row, corner, axis] * vector[first + axis]
+                total += rows[row, corner, axis] * vector[corners[row, corner], axis]
         for corner in range(4):
-            first = 3 * corners[row, corner]
             for axis in range(3):
-                product[first + axis] += total * rows[row, corner, axis]
+                product[corners[row, corner], axis] += total * rows[row, corner, axis]
 
 
-@compiled
+@compiled_with_fused_products
 def _add_diagonal(corners: np.ndarray, rows: np.ndarray, blocks: np.ndarray) -> None:
     for row in range(len(corners)):
         for corner in range(4):

@@ -22,8 +22,8 @@ from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
 from pb4u.physics.linear_solver import LinearSolution, PatchBasis, TwoLevelPreconditioner, conjugate_gradient
-from pb4u.physics.pair_stiffness import PairStiffness, SummedProduct
-from pb4u.physics.stiffness_matrix import StiffnessPattern
+from pb4u.physics.pair_stiffness import PairStiffness
+from pb4u.physics.stiffness_matrix import StiffnessPattern, SymmetricBlocks
 from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY
@@ -114,6 +114,7 @@ class Solver:
         self._garments: PackedGarments | None = None
         self._pattern: StiffnessPattern
         self._basis: PatchBasis
+        self._free: Tensor
         self._threads: ThreadpoolController
 
     def minimise(
@@ -145,7 +146,7 @@ class Solver:
         iterations: int | None,
         watch: Callable[[Iteration], None] | None,
     ) -> Solution:
-        garments = potential.step.garments
+        potential, garments = potential.compiled(), potential.step.garments
         limit = self.max_iterations if iterations is None else iterations
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
@@ -153,12 +154,12 @@ class Solver:
         potential, start = _reached(potential, lifted_off_the_body(potential.without_cloth(), start))
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
-        preconditioner = _StepPreconditioner(self._basis)
+        preconditioner = _StepPreconditioner(self._basis, self._pattern.free)
         x, inner, iteration, damping_level = start, 0, 0, -1
         while True:
             frozen = contact.potential_at(x).with_cloth(cloth)
             energies, gradient = frozen.energies_and_gradient(x)
-            gradient = torch.where(self._pattern.free[:, None], gradient, 0.0)
+            gradient = torch.where(self._free[:, None], gradient, 0.0)
             residual, total = self._residual(garments, gradient), float(energies.total)
             if not np.isfinite(residual) or not np.isfinite(total):
                 raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
@@ -189,12 +190,13 @@ class Solver:
         if new or not self._pattern.couples(elements):
             self._pattern = StiffnessPattern(garments, elements)
         if new:
-            self._basis = PatchBasis(garments, self._pattern.free.numpy())
+            self._basis = PatchBasis(garments, self._pattern.free)
+            self._free = torch.from_numpy(self._pattern.free)
             self._garments = garments
 
     def _residual(self, garments: PackedGarments, gradient: Tensor) -> float:
         """Residual as in `Solution`, of the world where it is largest."""
-        free = self._pattern.free
+        free = self._free
         if not bool(free.any()):
             return 0.0
         squared = (gradient[free] / garments.vertex_masses[free, None]).square().sum(1)
@@ -211,21 +213,16 @@ class Solver:
         preconditioner: _StepPreconditioner,
     ) -> tuple[LinearSolution, int]:
         """Newton direction, a direction of negative curvature where there is one, and the damping level taken."""
-        right = -gradient.reshape(-1).numpy()
-        positive = self._pattern.assemble(frozen.curvature(x))
-        pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free.numpy())
-        preconditioner.update(self._pattern, positive, pairs)
-        missing = self._pattern.assemble(frozen.buckling(x)) if damping_level else positive
+        right = -gradient.numpy()
+        stiffness = frozen.stiffness(x, self._pattern)
+        pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free)
+        preconditioner.update(stiffness.matrix(), pairs)
+        mass = (frozen.step.garments.vertex_masses / frozen.step.dt**2).numpy()
         negative, spent = None, 0
-        own = self._pattern.own_entries
-        mass = (frozen.step.garments.vertex_masses / frozen.step.dt**2).numpy()[:, None, None] * np.eye(3)
         while True:
             compression, extra_mass = _DAMPING_LEVELS[damping_level]
-            entries = positive + compression * missing
-            entries[own] += extra_mass * mass
-            matrix = self._pattern.product(entries)
-            matrix = SummedProduct(matrix, pairs) if len(pairs) else matrix
-            solved = conjugate_gradient(matrix, right, preconditioner, self.forcing, 300)
+            matrix = stiffness.matrix(compression, extra_mass * mass)
+            solved = conjugate_gradient(matrix, pairs, right, preconditioner.current, self.forcing, 300)
             spent += solved.iterations
             if solved.negative is None or damping_level == 0:
                 preconditioner.last_iterations = solved.iterations
@@ -250,7 +247,7 @@ class Solver:
         def energies_at(positions: Tensor) -> Tensor:
             return frozen.energies(positions).per_world(garments)
 
-        direction = torch.from_numpy(solved.solution.reshape(-1, 3))
+        direction = torch.from_numpy(solved.solution)
         direction = direction * each_vertex(_factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0))
         wanted = x + direction
         frozen, free = frozen.reached(x, wanted)
@@ -276,7 +273,7 @@ class Solver:
             reached = energies_at(candidate)
         if solved.negative is None:
             return candidate, frozen.contacts.cloth
-        buckling = torch.from_numpy(solved.negative.reshape(-1, 3))
+        buckling = torch.from_numpy(solved.negative)
         buckling = buckling * each_vertex(_factors(buckling, _BUCKLING_MOVE, garments))
         buckling = buckling * each_vertex(torch.where(_sums(gradient * buckling, garments) > 0, -1.0, 1.0))
         longest = 2.0 ** (_BUCKLING_DOUBLINGS - 1)
@@ -332,28 +329,28 @@ def _sums(values: Tensor, garments: PackedGarments) -> Tensor:
 class _StepPreconditioner:
     """The preconditioner of one minimisation: its diagonal is always new, its patches when they have aged."""
 
-    def __init__(self, basis: PatchBasis) -> None:
-        self._basis = basis
+    def __init__(self, basis: PatchBasis, free: np.ndarray) -> None:
+        self._basis, self._free = basis, free
         self._current: TwoLevelPreconditioner | None = None
         self._age = 0
         self.last_iterations = 0
 
-    def update(self, pattern: StiffnessPattern, entries: np.ndarray, pairs: PairStiffness) -> None:
-        """Recompute what has aged from the `entries` (entries, 3, 3) [N/m] and `pairs` of a new stiffness matrix."""
-        diagonal = pattern.diagonal(entries)
-        pairs.add_diagonal(diagonal)
+    @property
+    def current(self) -> TwoLevelPreconditioner:
+        """The preconditioner as last updated."""
+        assert self._current is not None
+        return self._current
+
+    def update(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
+        """Recompute what has aged from a new stiffness `matrix` and the contacts `pairs` added to it."""
         self._age += 1
         if self._current is None:
-            self._current = TwoLevelPreconditioner(self._basis, pattern.matrix(entries), diagonal, pairs)
+            self._current = TwoLevelPreconditioner(self._basis, matrix, pairs, self._free)
             return
-        self._current.refresh_diagonal(diagonal)
+        self._current.refresh_diagonal(matrix, pairs)
         if self._age >= 4 and self.last_iterations > 50:
-            self._current.refresh_patches(pattern.matrix(entries), pairs)
+            self._current.refresh_patches(matrix, pairs)
             self._age = 0
-
-    def __call__(self, residual: np.ndarray) -> np.ndarray:
-        assert self._current is not None
-        return self._current(residual)
 
 
 def substep_count(step: TimeStep) -> int:

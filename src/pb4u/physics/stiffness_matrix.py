@@ -1,23 +1,30 @@
-"""The second derivative of the potential as a sparse matrix of 3x3 blocks; its pattern is kept between steps."""
+"""Second derivative of the potential: a sparse symmetric matrix of 3x3 blocks, its pattern kept between steps."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.energy_term import corner_pairs
+from pb4u.geometry.proximity.element_distance import compiled_with_fused_products
 from pb4u.scene.packed import PackedGarments
+
+
+def corner_pairs(corners: int) -> list[tuple[int, int]]:
+    """Pairs (i, j), i <= j, of the corners of an element, in row order."""
+    return list(combinations_with_replacement(range(corners), 2))
 
 
 class StiffnessPattern:
     """Which pairs of vertices the energies couple, by the elements that they declare.
 
-    Pinned vertices, and isolated ones, which have no mass, do not move.
+    A pair is held once, in the row of its lower vertex; that of a vertex with itself comes first in its row. Pinned
+    vertices, and isolated ones, which have no mass, do not move.
 
     Args:
         garments: static quantities on the CPU.
@@ -25,99 +32,144 @@ class StiffnessPattern:
 
     Attributes:
         free: (vertices,) bool, whether a vertex moves.
-        own_entries: (vertices,) int64 index of the entry that is the diagonal block of each vertex.
+        starts: (vertices + 1,) int32 first pair of each row, and the total.
+        columns: (pairs,) int32 higher vertex of each pair.
+        slots: name of a term -> (elements, corner pairs) int32 pair to which each of the `corner_pairs` adds.
     """
 
     def __init__(self, garments: PackedGarments, elements: Mapping[str, Tensor]) -> None:
         self.vertex_count = count = garments.vertex_count
-        self.free = ~garments.pinned & (garments.vertex_masses > 0)
+        free = ~garments.pinned & (garments.vertex_masses > 0)
+        self.free = free.numpy()
         self._elements = elements
-        # Every vertex has a block of its own, whatever the energies.
-        ends = [_pair_ends(e) for e in (torch.arange(count)[:, None], *elements.values())]
-        # Energies are summed once for each two vertices that they couple; the matrix holds the sum and its transpose.
-        keys = [torch.minimum(i, j) * count + torch.maximum(i, j) for i, j in ends]
-        coupled = torch.unique(torch.cat(keys))
-        self._coupled_count = len(coupled)
-        self._slots = {
-            name: self._axes(torch.searchsorted(coupled, k), i > j).reshape(-1)
-            for name, k, (i, j) in zip(elements, keys[1:], ends[1:], strict=True)
-        }
-        low, high = torch.div(coupled, count, rounding_mode="floor"), coupled % count
-        apart = torch.nonzero(low != high)[:, 0]
-        rows, columns = torch.cat([low, high[apart]]), torch.cat([high, low[apart]])
-        order = torch.argsort(rows * count + columns)
-        rows, columns = rows[order], columns[order]
-        source = torch.cat([torch.arange(len(coupled)), apart])[order]
-        self._mirror = self._axes(source, order >= len(coupled)).permute(2, 0, 1).reshape(-1)
-        self.own_entries = torch.nonzero(rows == columns)[:, 0].numpy()
-        self._indices = columns.to(torch.int32)
-        self._indptr = torch.searchsorted(rows, torch.arange(count + 1)).to(torch.int32)
-        self._held = torch.nonzero(~(self.free[rows] & self.free[columns]))[:, 0]
+        # Every vertex is coupled with itself, whatever the energies.
+        own = torch.arange(count)[:, None]
+        keys = {name: _pair_keys(part, count) for name, part in elements.items()}
+        pairs = torch.unique(torch.cat([_pair_keys(own, count).reshape(-1), *(k.reshape(-1) for k in keys.values())]))
+        rows, columns = torch.div(pairs, count, rounding_mode="floor"), pairs % count
+        self.starts = torch.searchsorted(rows, torch.arange(count + 1)).to(torch.int32).numpy()
+        self.columns = columns.to(torch.int32).numpy()
+        self.slots = {name: torch.searchsorted(pairs, key).to(torch.int32).numpy() for name, key in keys.items()}
+        self._held = torch.nonzero(~(free[rows] & free[columns]))[:, 0].numpy()
 
     def couples(self, elements: Mapping[str, Tensor]) -> bool:
         """Whether this is the pattern of `elements`, name of a term -> vertex indices (elements, corners) int64."""
         same = self._elements.keys() == elements.keys()
         return same and all(torch.equal(part, elements[name]) for name, part in self._elements.items())
 
-    def assemble(self, blocks: Mapping[str, Tensor]) -> np.ndarray:
-        """Entries (entries, 3, 3) [N/m] of the matrix; those of a vertex that does not move are zero.
+    def empty(self) -> Stiffness:
+        """A stiffness of this pattern without any entry."""
+        return Stiffness(self, np.zeros((len(self.columns), 3, 3)), np.zeros(len(self.columns)))
 
-        Args:
-            blocks: second derivatives of each term by name, (3, 3, pairs, elements) [J/m^2].
-        """
-        sums = torch.zeros(9 * self._coupled_count, dtype=torch.float64)
-        for name, values in blocks.items():
-            sums.scatter_add_(0, self._slots[name], values.reshape(-1))
-        entries = sums.index_select(0, self._mirror).reshape(-1, 3, 3)
-        entries[self._held] = 0.0
-        return entries.numpy()
-
-    def _axes(self, pair: Tensor, turned: Tensor) -> Tensor:
-        """(3, 3, n) where the sums of a `pair` (n,) are, axis by axis, with the axes exchanged where `turned` (n,)."""
-        axes = torch.arange(9).reshape(3, 3)
-        return torch.where(turned, axes.T[:, :, None], axes[:, :, None]) * self._coupled_count + pair
-
-    def matrix(self, entries: np.ndarray) -> Any:
-        """Scipy BSR matrix (3 vertices, 3 vertices) of assembled `entries` (entries, 3, 3) [N/m]."""
-        from scipy.sparse import bsr_matrix
-
-        size = 3 * self.vertex_count
-        return bsr_matrix((entries, self._indices.numpy(), self._indptr.numpy()), shape=(size, size))
-
-    def product(self, entries: np.ndarray) -> Any:
-        """Matrix of assembled `entries` (entries, 3, 3) [N/m] that multiplies vectors (3 vertices,) fastest."""
-        if torch.backends.mkl.is_available():  # type: ignore[no-untyped-call]
-            return _MklProduct(self._indptr, self._indices, entries)
-        return self.matrix(entries)
-
-    def diagonal(self, entries: np.ndarray) -> np.ndarray:
-        """Diagonal blocks (vertices, 3, 3) [N/m] of the matrix; the identity where a vertex does not move.
-
-        Args:
-            entries: (entries, 3, 3) [N/m] assembled.
-        """
-        blocks = entries[self.own_entries]
-        blocks[~self.free.numpy()] = np.eye(3)
-        return blocks
+    def hold(self, stiffness: Stiffness) -> None:
+        """Take out of `stiffness` what acts on vertices that do not move."""
+        stiffness.positive[self._held] = 0.0
+        stiffness.compressive[self._held] = 0.0
 
 
-class _MklProduct:
-    """A sparse matrix of 3x3 blocks whose products with vectors are MKL's: twice as fast as scipy's."""
+@dataclass(frozen=True, eq=False)
+class Stiffness:
+    """Second derivative of the energies in two parts, to which each term adds.
 
-    def __init__(self, indptr: Tensor, indices: Tensor, entries: np.ndarray) -> None:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Sparse BSR tensor support is in beta")
-            size = 3 * (len(indptr) - 1)
-            self._matrix = torch.sparse_bsr_tensor(
-                indptr, indices, torch.from_numpy(entries), size=(size, size), check_invariants=False
-            )
+    Args:
+        pattern: which pairs of vertices it couples.
+        positive: (pairs, 3, 3) [N/m] the positive semi-definite part.
+        compressive: (pairs,) [N/m] the negative part, along which cloth buckles: factors of the identity.
+    """
+
+    pattern: StiffnessPattern
+    positive: np.ndarray
+    compressive: np.ndarray
+
+    def matrix(self, share: float = 0.0, extra: np.ndarray | None = None) -> SymmetricBlocks:
+        """The matrix with a `share` of the compressive part and `extra` (vertices,) [N/m] on its diagonal."""
+        blocks = self.positive
+        if share or extra is not None:
+            shift = share * self.compressive
+            if extra is not None:
+                shift[self.pattern.starts[:-1]] += extra
+            blocks = _shifted(blocks, shift)
+        return SymmetricBlocks(self.pattern.starts, self.pattern.columns, blocks)
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetricBlocks:
+    """A sparse symmetric matrix of 3x3 blocks, of which the upper half is held.
+
+    Args:
+        starts: (vertices + 1,) int32 first block of each row, which is that of the diagonal; and the total.
+        columns: (blocks,) int32.
+        blocks: (blocks, 3, 3) [N/m].
+    """
+
+    starts: np.ndarray
+    columns: np.ndarray
+    blocks: np.ndarray
+
+    @property
+    def diagonal(self) -> np.ndarray:
+        """Diagonal blocks (vertices, 3, 3) [N/m], a copy."""
+        own: np.ndarray = self.blocks[self.starts[:-1]]
+        return own
 
     def __matmul__(self, vector: np.ndarray) -> np.ndarray:
-        product: np.ndarray = torch.mv(self._matrix, torch.from_numpy(vector)).numpy()
+        """Product (vertices, 3) [N] with a `vector` (vertices, 3) [m]."""
+        product = np.empty_like(vector)
+        multiply(self.starts, self.columns, self.blocks, vector, product)
         return product
 
+    def toarray(self) -> Any:
+        """The whole matrix (3 vertices, 3 vertices) [N/m]."""
+        count = len(self.starts) - 1
+        rows = np.repeat(np.arange(count), np.diff(self.starts))
+        whole = np.zeros((count, 3, count, 3))
+        whole[self.columns, :, rows] = self.blocks.transpose(0, 2, 1)
+        whole[rows, :, self.columns] = self.blocks
+        return whole.reshape(3 * count, 3 * count)
 
-def _pair_ends(elements: Tensor) -> tuple[Tensor, Tensor]:
-    """First and second vertex (pairs elements,) of every pair of corners of `elements` (elements, k)."""
+
+def _pair_keys(elements: Tensor, count: int) -> Tensor:
+    """Numbers (elements, corner pairs) that are the same for the same two of `count` vertices, ascending by row."""
     first, second = zip(*corner_pairs(elements.shape[1]), strict=True)
-    return elements[:, list(first)].T.reshape(-1), elements[:, list(second)].T.reshape(-1)
+    i, j = elements[:, list(first)], elements[:, list(second)]
+    return torch.minimum(i, j) * count + torch.maximum(i, j)
+
+
+@compiled_with_fused_products
+def _shifted(blocks: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """Copy of `blocks` (blocks, 3, 3) with multiples `shift` (blocks,) of the identity added."""
+    result = np.empty_like(blocks)
+    for block in range(len(blocks)):
+        for i in range(3):
+            for j in range(3):
+                result[block, i, j] = blocks[block, i, j]
+            result[block, i, i] += shift[block]
+    return result
+
+
+@compiled_with_fused_products
+def multiply(
+    starts: np.ndarray, columns: np.ndarray, blocks: np.ndarray, vector: np.ndarray, product: np.ndarray
+) -> None:
+    """Fill `product` (vertices, 3) [N] with the `SymmetricBlocks` times `vector` (vertices, 3) [m]."""
+    for row in range(len(product)):
+        for axis in range(3):
+            product[row, axis] = 0.0
+    for row in range(len(product)):
+        own = starts[row]
+        x, y, z = vector[row, 0], vector[row, 1], vector[row, 2]
+        a = blocks[own, 0, 0] * x + blocks[own, 0, 1] * y + blocks[own, 0, 2] * z
+        b = blocks[own, 1, 0] * x + blocks[own, 1, 1] * y + blocks[own, 1, 2] * z
+        c = blocks[own, 2, 0] * x + blocks[own, 2, 1] * y + blocks[own, 2, 2] * z
+        for block in range(own + 1, starts[row + 1]):
+            column = columns[block]
+            u, v, w = vector[column, 0], vector[column, 1], vector[column, 2]
+            a += blocks[block, 0, 0] * u + blocks[block, 0, 1] * v + blocks[block, 0, 2] * w
+            b += blocks[block, 1, 0] * u + blocks[block, 1, 1] * v + blocks[block, 1, 2] * w
+            c += blocks[block, 2, 0] * u + blocks[block, 2, 1] * v + blocks[block, 2, 2] * w
+            product[column, 0] += blocks[block, 0, 0] * x + blocks[block, 1, 0] * y + blocks[block, 2, 0] * z
+            product[column, 1] += blocks[block, 0, 1] * x + blocks[block, 1, 1] * y + blocks[block, 2, 1] * z
+            product[column, 2] += blocks[block, 0, 2] * x + blocks[block, 1, 2] * y + blocks[block, 2, 2] * z
+        product[row, 0] += a
+        product[row, 1] += b
+        product[row, 2] += c

@@ -47,6 +47,18 @@ class TrainingRecord:
     optimiser_steps: int = 0
     details: dict[str, Any] = field(default_factory=dict)
 
+    def after(self, earlier: TrainingRecord) -> TrainingRecord:
+        """Record of this training and the `earlier` one whose weights it began with; its details keep both apart."""
+        lengths = (*self.mean_edge_lengths, *earlier.mean_edge_lengths)
+        steps = (*self.propagation_steps, *earlier.propagation_steps)
+        return TrainingRecord(
+            self.dt,
+            (min(lengths), max(lengths)),
+            (min(steps), max(steps)),
+            self.optimiser_steps + earlier.optimiser_steps,
+            {**self.details, "before": {"optimiser_steps": earlier.optimiser_steps, **earlier.details}},
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
@@ -199,7 +211,7 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
         )
     try:
         configuration = configuration_from_json(parse_json(metadata["configuration"], "the configuration"))
-        record = _record_from_json(parse_json(metadata["training_record"], "the training record"))
+        record = training_record_from_json(parse_json(metadata["training_record"], "the training record"))
         _described(configuration)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
         raise InputError(f"{path} has a header that this pb4u cannot read: {error}") from error
@@ -276,7 +288,8 @@ def weights_file(name_or_path: str) -> Iterator[Path]:
         )
 
 
-def _record_from_json(data: dict[str, Any]) -> TrainingRecord:
+def training_record_from_json(data: dict[str, Any]) -> TrainingRecord:
+    """Record of a training from the fields of one as JSON gives them. Raises InputError where they are out of range."""
     record = TrainingRecord(**data)
     finest, coarsest = (float(length) for length in record.mean_edge_lengths)
     fewest, most = (int(count) for count in record.propagation_steps)

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Integral, Real
 from pathlib import Path
@@ -33,7 +33,7 @@ else:
 
 if TYPE_CHECKING:
     from pb4u.scene.scene import Scene
-    from pb4u.scene.trajectory import Trajectory
+    from pb4u.scene.trajectory import Frame, Trajectory
     from pb4u.simulation.simulator import RunRecord, Simulator
 
 FORMAT_VERSION = 1
@@ -185,6 +185,7 @@ class RunSpecification:
         record: RunRecord | None = None,
         progress: Progress = unheard,
         interrupted: Path | None = None,
+        seen: Callable[[Frame], None] | None = None,
     ) -> Trajectory:
         """Simulate a scene that was assembled from this description.
 
@@ -195,6 +196,7 @@ class RunSpecification:
             record: receives the cost of the run and how it ended.
             progress: called with (frames done, frames in all), lead-in included.
             interrupted: trajectory file for the frames until an interrupt, where they were kept in memory.
+            seen: called with every frame, at the rate it is simulated at.
 
         Returns:
             The frames at the scene's own rate.
@@ -207,11 +209,13 @@ class RunSpecification:
 
         is_resampled = not math.isclose(scene.fps, self.scene.fps)
         if path is not None and not is_resampled:
-            return simulator.simulate_to(scene, path, record, progress)
+            return simulator.simulate_to(scene, path, record, progress, seen)
         header, rows = simulator.header(scene), list[Frame]()
         try:
             for frame in simulator.written_frames(scene, record, progress):
                 rows.append(frame)
+                if seen is not None:
+                    seen(frame)
         except KeyboardInterrupt as error:
             if rows and interrupted is not None:
                 kept = Trajectory.collect(header, rows).save(interrupted)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from pb4u.body.body_model import PosedBody
-from pb4u.errors import Pb4uError
+from pb4u.errors import Pb4uError, interrupt_behind
 from pb4u.progress import Progress, unheard
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
@@ -34,12 +34,14 @@ class RunRecord:
         failed_at: written frame at which the state stopped being finite, or None.
         solver_iterations: iterations the solver made, per step.
         unsolved: steps that the solver left above its tolerance.
+        made_anew: steps of a network that the solver made in its place.
     """
 
     step_seconds: list[float] = field(default_factory=list)
     failed_at: int | None = None
     solver_iterations: list[int] = field(default_factory=list)
     unsolved: int = 0
+    made_anew: int = 0
 
     @property
     def ms_per_step(self) -> float:
@@ -91,7 +93,10 @@ class Simulator(ABC):
         states = self.rollout(scene, record)
         for frame in range(scene.total_frames):
             began = time.perf_counter()
-            state = next(states, None)
+            try:
+                state = next(states, None)
+            except SystemError as error:
+                raise interrupt_behind(error) or error from None
             if state is None:
                 return
             record.step_seconds.append(time.perf_counter() - began)
@@ -115,7 +120,12 @@ class Simulator(ABC):
         return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=progress))
 
     def simulate_to(
-        self, scene: Scene, path: str | Path, record: RunRecord | None = None, progress: Progress = unheard
+        self,
+        scene: Scene,
+        path: str | Path,
+        record: RunRecord | None = None,
+        progress: Progress = unheard,
+        seen: Callable[[Frame], None] | None = None,
     ) -> Trajectory:
         """Simulate into a file as frames come, and open it; frames are kept when the state stops being finite.
 
@@ -124,6 +134,7 @@ class Simulator(ABC):
             path: trajectory file to write.
             record: receives the cost of the run and how it ended.
             progress: called with (frames done, frames in all), lead-in included.
+            seen: called with every frame that was written.
 
         Raises Pb4uError when the state stopped being finite before the first frame to write.
         """
@@ -131,6 +142,8 @@ class Simulator(ABC):
         with TrajectoryWriter(path, self.header(scene)) as writer:
             for frame in self.written_frames(scene, record, progress):
                 writer.append(frame)
+                if seen is not None:
+                    seen(frame)
         if not writer.frame_count:
             early = -(record.failed_at or 0)
             when = f"{early} frames before the first one to write" if early else "in the very first frame"

@@ -23,7 +23,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import NetworkPass
-from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SolverRefinement
+from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.step_start import FreeFlight, StepStart, start_of
@@ -107,7 +107,7 @@ class SolverSimulator(StepwiseSimulator):
             record.solver_iterations.append(solution.iterations)
             record.unsolved += not solution.converged
 
-        refinement = ImplicitSteps(self.iterations, self.potential, note, self.start)
+        refinement = ImplicitSteps(self.iterations, potential=self.potential, watch=note, start=self.start)
         return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
 
 
@@ -120,7 +120,7 @@ class NetworkSimulator(StepwiseSimulator):
     Args:
         checkpoint: the trained model; it is never changed or moved, but copied to another device.
         propagation_steps: override of K; None follows the paper's rule.
-        refine: solver iterations after each step; 0 for none.
+        refine: solver iterations after each step, which is made anew where they leave it far from balance; 0 for none.
         contact: pushes out vertices left inside the body; none by default.
         device: device that the network computes on.
         passes: evaluations of the network in a step; None is its own number.
@@ -186,12 +186,17 @@ class NetworkSimulator(StepwiseSimulator):
         garments: PackedGarments = pack(timeline.garments.garments, torch.float32, self.device, worlds)
         model = self.checkpoint.model
         prepared = (model if self.refine else self.checkpoint).prepare(garments, self.override)
+
+        def count() -> None:
+            record.made_anew += 1
+
+        refinement: Refinement = NoRefinement(self.potential.self_contact)
+        if self.refine:
+            refinement = SafeguardedRefinement(self.refine, self.potential, count)
         return StepMethod(
             start_of(model.network),
             NetworkPass(model, prepared, self.passes),
-            SolverRefinement(self.refine, potential=self.potential)
-            if self.refine
-            else NoRefinement(self.potential.self_contact),
+            refinement,
             self.contact,
             self.potential.self_contact,
         )

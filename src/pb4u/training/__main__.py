@@ -20,6 +20,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, help="wall time [min]")
     parser.add_argument("--out", type=Path, help="new folder of the training")
     parser.add_argument("--resume", type=Path, help="folder of a training to go on with")
+    parser.add_argument("--weights", help="built-in name or file of weights to begin with")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="replace a field of the preset")
     parser.add_argument("--device", default="auto", help="auto, cpu or cuda")
     given = parser.parse_args()
@@ -32,6 +33,7 @@ def main() -> int:
         pack=given.pack,
         settings=tuple(given.set),
         device=given.device,
+        weights=given.weights,
     )
     try:
         if given.pack is None and given.resume is None:

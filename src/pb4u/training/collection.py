@@ -10,6 +10,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import body_names, load_body
 from pb4u.errors import InputError, InputWarning
+from pb4u.garment.garment import Garment
 from pb4u.garment.library import build_garment
 from pb4u.garment.weight_cache import garment_weights
 from pb4u.motion.library import load_motion, motion_names
@@ -18,6 +19,7 @@ from pb4u.progress import Progress, unheard
 from pb4u.scene.catalogue import RECORDINGS, SEEDS
 from pb4u.training.configuration import DataSelection
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
+from pb4u.training.variation import CAPE, before_refining, cape, uneven, varied_garment
 
 
 def collect(
@@ -40,9 +42,9 @@ def collect(
     trials = {} if recordings is None else _trials(recordings)
     outfits, clips = [], []
     for index, body in enumerate(bodies):
-        for name in selection.garments:
+        for which, name in enumerate(selection.garments):
             for triangles in selection.triangles:
-                garment = build_garment(name, body, triangles)
+                garment = _garment(selection, name, body, triangles, (seed, 19, index, which, triangles))
                 outfits.append(Outfit(garment, garment_weights(garment, body), index))
                 done += 1
                 progress(done, total)
@@ -67,11 +69,24 @@ def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBo
         if not isinstance(default, ShapedBody):
             raise InputError(f"{name} is a sequence of vertices; training needs bodies with bones.")
         if i >= len(selection.bodies):
-            drawn = {key: float(np.round(rng.uniform(0.1, 0.9), 3)) for key in default.shape}
+            low, high = selection.drawn_shapes
+            drawn = {key: float(np.round(rng.uniform(low, high), 3)) for key in default.shape}
         shaped = load_body(name, drawn)
         assert isinstance(shaped, ShapedBody)
         bodies.append(shaped)
     return bodies
+
+
+def _garment(selection: DataSelection, name: str, body: ShapedBody, triangles: int, seed: tuple[int, ...]) -> Garment:
+    """A garment of the selection; its draws follow from its place in it, so that one does not move the others."""
+    rng = np.random.default_rng(seed)
+    varies, refined = rng.random() < selection.varied, rng.random() < selection.uneven
+    count = before_refining(triangles) if refined else triangles
+    if name == CAPE:
+        garment = cape(body, count, rng)
+    else:
+        garment = varied_garment(name, body, count, rng) if varies else build_garment(name, body, count)
+    return uneven(garment, body, rng) if refined else garment
 
 
 def _built_in_clips(

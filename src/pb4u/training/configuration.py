@@ -22,7 +22,7 @@ class DataSelection:
     """Selection of the garments, bodies and motions to train on.
 
     Args:
-        garments: names of built-in garments.
+        garments: names of built-in garments, and "cape" for one that hangs from pins.
         triangles: triangle counts of each.
         bodies: names of built-in bodies.
         shapes: number of body shapes, the first of each body its default and the others drawn.
@@ -30,6 +30,9 @@ class DataSelection:
         clips: clips for each body shape, drawn from the built-in motions and their seeds, besides the recordings.
         clip_frames: length of a built-in clip [frames].
         fps: frames per second [1/s].
+        drawn_shapes: lowest and highest value of each parameter of a drawn shape, of 0 to 1.
+        varied: share of garments whose cut is drawn.
+        uneven: share of garments whose edges are halved in a part of them.
 
     Raises InputError for an empty selection or a number out of range.
     """
@@ -42,6 +45,9 @@ class DataSelection:
     clips: int = 48
     clip_frames: int = 90
     fps: float = 30.0
+    drawn_shapes: tuple[float, float] = (0.1, 0.9)
+    varied: float = 0.0
+    uneven: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.garments or not self.triangles or not self.bodies:
@@ -50,6 +56,10 @@ class DataSelection:
             raise InputError(
                 "A training needs 1 body shape or more, 0 clips or more, clips of 8 frames or more and 1 to 1000 fps."
             )
+        if not 0.0 <= self.drawn_shapes[0] <= self.drawn_shapes[1] <= 1.0:
+            raise InputError("data.drawn_shapes must be a lowest and a highest value from 0 to 1.")
+        if not (0.0 <= self.varied <= 1.0 and 0.0 <= self.uneven <= 1.0):
+            raise InputError("data.varied and data.uneven are shares from 0 to 1.")
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ class Curriculum:
         learning_rate: learning rate at the start.
         halvings: number of times that the rate halves over the budget, in equal stages.
         rate_floor: fraction of the rate that is added throughout.
+        warm_up: fraction of the budget over which the rate rises from 0 to its value.
         settling_share: share of windows that begin with a settling step while windows are one step long; later all do.
 
     Raises InputError for stages that do not rise from 0, or a value out of range.
@@ -35,6 +36,7 @@ class Curriculum:
     halvings: int = 9
     rate_floor: float = 0.01
     settling_share: float = 0.5
+    warm_up: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("window_steps", "collision_weight"):
@@ -46,6 +48,8 @@ class Curriculum:
                 )
         if not (self.learning_rate > 0 and self.halvings >= 0 and self.rate_floor >= 0):
             raise InputError("The learning rate must be above 0, and its halvings and floor not below 0.")
+        if not 0.0 <= self.warm_up < 1.0:
+            raise InputError(f"curriculum.warm_up must lie between 0 and 1, not {self.warm_up}.")
         if not 0.0 <= self.settling_share <= 1.0:
             raise InputError(f"curriculum.settling_share must lie between 0 and 1, not {self.settling_share}.")
 
@@ -63,7 +67,8 @@ class Curriculum:
     def rate(self, progress: float) -> float:
         """Learning rate at a fraction `progress` of the budget."""
         stage = int(self.halvings * min(max(progress, 0.0), 1.0))
-        return self.learning_rate * (0.5**stage + self.rate_floor)
+        risen = min(progress / self.warm_up, 1.0) if self.warm_up else 1.0
+        return self.learning_rate * (0.5**stage + self.rate_floor) * risen
 
 
 def _stage(stages: Stages, progress: float) -> tuple[float, float]:

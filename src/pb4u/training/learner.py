@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 import torch
@@ -66,6 +66,11 @@ class Learner:
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=configuration.curriculum.learning_rate)
         self.average = MovingAverage(self.model, configuration.ema_decay)
         self.longest = configuration.gradient_norm
+
+    def begin_with(self, weights: Mapping[str, Tensor]) -> None:
+        """Take over weights and statistics, each (...) as in the model, by name; the average begins with them too."""
+        self.model.load_state_dict(weights)
+        self.average = MovingAverage(self.model, self.average.decay)
 
     def gradient(self, loss: Tensor) -> float:
         """Compute the gradient of `loss`, a scalar [J], and clip its norm; returns the norm before clipping."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from pb4u.errors import unknown_name
 from pb4u.presets.networks import pb4u_paper, pb4u_small, pb4u_small_carried, pb4u_small_two_passes
-from pb4u.training.configuration import DataSelection, TrainingConfiguration
+from pb4u.training.configuration import DataSelection, MaterialSampling, TrainingConfiguration
 from pb4u.training.curriculum import Curriculum
 
 paper = TrainingConfiguration(network=pb4u_paper, data=DataSelection(triangles=(11000,)), checkpoint_every=2000)
@@ -33,6 +33,37 @@ small = TrainingConfiguration(
     patience=12,
 )
 """For two processor cores: a narrow network on two levels at once, so that it sees what resolution changes."""
+
+wide = replace(
+    small,
+    data=DataSelection(
+        garments=("tshirt", "tanktop", "longsleeve", "dress", "fitted_dress", "cardigan", "trousers", "skirt", "cape"),
+        triangles=(1100, 2300),
+        shapes=8,
+        clips=24,
+        clip_frames=200,
+        drawn_shapes=(0.0, 1.0),
+        varied=0.5,
+        uneven=0.25,
+    ),
+    # Half again as wide as the family's: what features are normalised by bears twice its width.
+    material=MaterialSampling((0.03, 0.95), (11000.0, 90000.0), (2000.0, 135000.0), (4e-8, 2e-3)),
+    curriculum=Curriculum(
+        # For weights that know short windows already; 80 steps would draw too few garments in an hour.
+        window_steps=((0.0, 24), (0.3, 40)),
+        collision_weight=((0.0, 1e5),),
+        # A fifth of what they began with: moments start from nothing, and what is known is not to be unlearnt.
+        learning_rate=4e-4,
+        halvings=5,
+        # Adam's first steps go by signs alone.
+        warm_up=0.01,
+    ),
+    checkpoint_every=200,
+    validate_every=2000,
+    validation_clips=8,
+    validation_frames=60,
+)
+"""To go on with `small` by `--weights`: every garment and a cape, other cuts, shapes, materials and uneven meshes."""
 
 comparison = replace(
     small,
@@ -78,11 +109,12 @@ smoke = replace(
 TRAININGS: dict[str, TrainingConfiguration] = {
     "paper": paper,
     "small": small,
+    "wide": wide,
     "comparison": comparison,
     "smoke": smoke,
 }
 
-DEFAULT_STEPS = {"paper": 450_000, "small": 60_000, "comparison": 8_000, "smoke": 40}
+DEFAULT_STEPS = {"paper": 450_000, "small": 60_000, "wide": 30_000, "comparison": 8_000, "smoke": 40}
 """Optimiser steps of each where neither steps nor minutes are asked for."""
 
 

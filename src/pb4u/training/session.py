@@ -6,12 +6,13 @@ import contextlib
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from pb4u.errors import InputError
+from pb4u.simulation.checkpoint import built_in_models, from_pretrained, training_record_from_json
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import (
     TrainingConfiguration,
@@ -46,6 +47,7 @@ class Request:
         recordings: folder of CMU files to train on as well.
         settings: KEY=VALUE changes of the preset.
         device: "auto", "cpu" or "cuda".
+        weights: built-in name or file of the weights to begin with, and of their network; drawn without it.
     """
 
     preset: str | None = None
@@ -57,6 +59,7 @@ class Request:
     recordings: Path | None = None
     settings: Sequence[str] = ()
     device: str = "auto"
+    weights: str | None = None
 
 
 def train(request: Request) -> dict[str, Any]:
@@ -66,8 +69,12 @@ def train(request: Request) -> dict[str, Any]:
     """
     if (request.resume is None) == (request.out is None):
         raise InputError("Give --out FOLDER for a new training, or --resume FOLDER to go on with one.")
-    if request.resume is not None and (request.preset or request.settings or request.pack or request.recordings):
-        raise InputError("A training goes on as it began: leave out --preset, --set, --pack and --recordings.")
+    if request.resume is not None and (
+        request.preset or request.settings or request.pack or request.recordings or request.weights
+    ):
+        raise InputError(
+            "A training goes on as it began: leave out --preset, --set, --pack, --recordings and --weights."
+        )
     begun = None if request.resume is not None else _configured(request)
     with workers(request.device) as mine:
         if begun is None:
@@ -87,7 +94,12 @@ def train(request: Request) -> dict[str, Any]:
 
 def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
     preset = request.preset or "small"
-    configuration = with_settings(training_preset(preset), request.settings)
+    configuration = training_preset(preset)
+    if request.weights is not None:
+        if any(setting.partition("=")[0].strip().split(".")[0] == "network" for setting in request.settings):
+            raise InputError("--weights bring their own network: leave out --set network.")
+        configuration = replace(configuration, network=from_pretrained(request.weights).configuration)
+    configuration = with_settings(configuration, request.settings)
     steps = request.steps
     if steps is None and request.minutes is None:
         steps = DEFAULT_STEPS[preset]
@@ -105,6 +117,7 @@ def _created(
         "budget": asdict(budget),
         "training": training_to_json(configuration),
         "data": BUILT_IN if request.pack is None and request.recordings is None else "given",
+        "origin": _origin(request.weights),
     }
     data = None
     if mine.leads:
@@ -119,6 +132,15 @@ def _created(
     mine.agreed(False)
     folder = RunFolder(request.out)
     return folder, configuration, budget, load_training_data(folder.data) if data is None else data
+
+
+def _origin(name: str | None) -> dict[str, Any] | None:
+    """What a training begins with: built-in name, or file so that it is found from any folder; licence and record."""
+    if name is None:
+        return None
+    where = name if name in built_in_models() else str(Path(name).resolve())
+    begun = from_pretrained(name)
+    return {"weights": where, "licence": begun.licence, "record": asdict(begun.record)}
 
 
 def _data(request: Request, configuration: TrainingConfiguration) -> TrainingData:
@@ -161,9 +183,14 @@ def _make_anew(folder: RunFolder, configuration: TrainingConfiguration, record: 
 
 
 def _restore(trainer: Trainer, folder: RunFolder) -> None:
-    found = folder.load_state()
+    found, origin = folder.load_state(), folder.configuration().get("origin")
+    if origin is not None:
+        trainer.origin = training_record_from_json(origin["record"])
+        trainer.licence = str(origin["licence"])
     if found is not None:
         trainer.resume(*found)
+    elif origin is not None:
+        trainer.begin_with(from_pretrained(origin["weights"]))
     if trainer.workers.leads:
         folder.forget_leftovers()
         folder.forget_metrics_after(trainer.counters.step)

@@ -20,7 +20,7 @@ from pb4u.evaluation.metrics import strain_percentile
 from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
-from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
+from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_start import start_of
@@ -86,6 +86,9 @@ class Trainer:
         self.journal = Journal(reporter, folder, workers.leads)
         self.recovery = Recovery(self.learner, workers, folder, self.journal)
         self.latest_collision = 0.0
+        self.origin: TrainingRecord | None = None
+        # Of what is made from free assets alone; weights that go on from others keep theirs.
+        self.licence = "Apache-2.0"
         self.began = time.monotonic()
 
     def run(self) -> str:
@@ -136,6 +139,17 @@ class Trainer:
     def _due(self, every: int, before: int) -> bool:
         """Whether a step since `before` was one of every so many."""
         return self.counters.step // every > before // every
+
+    def begin_with(self, checkpoint: Checkpoint) -> None:
+        """Begin with weights of an earlier training, and the statistics that they go with; moments start anew.
+
+        Args:
+            checkpoint: weights of a network of this configuration.
+        """
+        self.learner.begin_with(checkpoint.model.state_dict())
+        # As if the windows of the statistics had been drawn.
+        self.counters.window = self.configuration.statistics_windows
+        self.recovery.keep(self.counters)
 
     def gather_statistics(self) -> None:
         """Normalise by what skinned garments look like; nothing is learnt yet."""
@@ -303,7 +317,7 @@ class Trainer:
         path: Path = getattr(self.folder, which)
         with self.learner.averaged():
             try:
-                save_checkpoint(path, self.model, self.configuration.network, self.record(score), "Apache-2.0")
+                save_checkpoint(path, self.model, self.configuration.network, self.record(score), self.licence)
             except InputError as error:
                 self.journal.say(f"{error} The training goes on.")
 
@@ -324,7 +338,8 @@ class Trainer:
             "validation": {name: value if math.isfinite(value) else None for name, value in score.items()},
             "versions": {"pb4u": _version("pb4u"), "torch": torch.__version__},
         }
-        return TrainingRecord(1.0 / clip.poses.fps, self.data.edge_lengths, steps, self.counters.step, details)
+        seen = TrainingRecord(1.0 / clip.poses.fps, self.data.edge_lengths, steps, self.counters.step, details)
+        return seen if self.origin is None else seen.after(self.origin)
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
         """Go on from a checkpoint. Raises InputError where it is not of this configuration.

@@ -67,9 +67,8 @@ class Validation:
         rng = np.random.default_rng([configuration.seed, 7])
         splits = {clip.split for clip in data.clips}
         wanted = "validation" if "validation" in splits else "train"
-        order = np.linspace(0, len(data.outfits), configuration.validation_clips, endpoint=False).astype(int)
         self.samples = []
-        for outfit in order.tolist():
+        for outfit in _spread(data, configuration.validation_clips):
             body = data.outfits[outfit].body
             clips = [i for i, clip in enumerate(data.clips) if clip.body == body and clip.split == wanted]
             clips = clips or [i for i, clip in enumerate(data.clips) if clip.body == body]
@@ -113,6 +112,17 @@ class Validation:
             energy += float(energies.total)
             strain += stretched
         return self.frames, energy, strain
+
+
+def _spread(data: TrainingData, count: int) -> list[int]:
+    """Indices of outfits: every garment in its turn, and of each others of its resolutions and bodies."""
+    by_name: dict[str, list[int]] = {}
+    for index, outfit in enumerate(data.outfits):
+        by_name.setdefault(outfit.garment.name, []).append(index)
+    groups = list(by_name.values())
+    # Multiples of the golden ratio are as far from each other, modulo 1, as any sequence can be.
+    places = ((groups[i % len(groups)], (i * 0.618034) % 1.0) for i in range(count))
+    return [group[int(place * len(group))] for group, place in places]
 
 
 def is_lost(strain: float, drift: float, collision: float) -> bool:

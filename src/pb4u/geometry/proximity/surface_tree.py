@@ -8,7 +8,7 @@ one another, so that cloth which is carried along by centimetres gives no more p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,8 +18,31 @@ from pb4u.geometry.proximity.element_distance import compiled, fastest_approach,
 _LEAF = 2
 """Most faces of a leaf: smaller leaves cost more boxes, larger ones more comparisons of faces."""
 
+_ROOM = 1.5e-3
+"""How far [m] a vertex may go from where it was before what is near it is searched again."""
+
+_MOST_LEAVING = 0.1
+"""Share of the vertices that may leave their room before the whole surface is searched again."""
+
 _DEEPEST = 512
 """Entries of the stack of a search: a median split halves, so that 2^60 faces would not fill it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhood:
+    """Pairs of elements that may come within a reach while no corner goes further than a room from where it was.
+
+    Args:
+        vertices: (vertices, 3) [m] where they were.
+        reach: distance [m].
+        vertex_faces: (pairs, 4) int64 the vertex and the face's corners.
+        edge_edges: (pairs, 4) int64 the ends of both edges.
+    """
+
+    vertices: np.ndarray
+    reach: float
+    vertex_faces: np.ndarray
+    edge_edges: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +53,13 @@ class ElementPairs:
         corners: (pairs, 4) int64 the vertex and the face's corners, or the ends of both edges.
         vertex_faces: number of pairs of the first kind, which come first.
         rest_distance: (pairs,) [m] between them in the rest shape; infinite between two parts.
+        neighbourhood: by which they were found, or None.
     """
 
     corners: np.ndarray
     vertex_faces: int
     rest_distance: np.ndarray
+    neighbourhood: Neighbourhood | None = None
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -51,7 +76,12 @@ class ElementPairs:
 
     def chosen(self, rows: np.ndarray) -> ElementPairs:
         """The pairs where `rows` (pairs,) bool holds."""
-        return ElementPairs(self.corners[rows], int(rows[: self.vertex_faces].sum()), self.rest_distance[rows])
+        return replace(
+            self,
+            corners=self.corners[rows],
+            vertex_faces=int(rows[: self.vertex_faces].sum()),
+            rest_distance=self.rest_distance[rows],
+        )
 
 
 class SurfaceTree:
@@ -83,7 +113,17 @@ class SurfaceTree:
     def _still(self) -> np.ndarray:
         return np.zeros_like(self.rest)
 
-    def pairs(self, vertices: np.ndarray, reach: float, moves: np.ndarray | None = None) -> ElementPairs:
+    @cached_property
+    def _everywhere(self) -> np.ndarray:
+        return np.ones(len(self.rest), dtype=bool)
+
+    def pairs(
+        self,
+        vertices: np.ndarray,
+        reach: float,
+        moves: np.ndarray | None = None,
+        known: ElementPairs | None = None,
+    ) -> ElementPairs:
         """Pairs that may come within `reach` of one another, a superset of those that do.
 
         Without moves it is those that do; with moves, those that are no further apart than they can approach.
@@ -92,23 +132,58 @@ class SurfaceTree:
             vertices: (vertices, 3) float64 [m].
             reach: distance [m].
             moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
+            known: pairs of positions a little before these, where there are such: only what went far since is searched.
         """
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
+        neighbourhood, leaving = None, self._everywhere
+        if known is not None:
+            neighbourhood, leaving = self._neighbourhood(vertices, reach, moving, known.neighbourhood)
+        found: Sequence[np.ndarray] = self._search(vertices, moving, 0.5 * reach, leaving)
+        if neighbourhood is not None:
+            stayed = (p[~_any_corner(p, leaving)] for p in (neighbourhood.vertex_faces, neighbourhood.edge_edges))
+            found = [np.concatenate(parts) for parts in zip(stayed, found, strict=True)]
+        # Boxes of long edges across each other meet long before the edges do.
+        vertex_faces, edge_edges = (
+            corners[_may_meet(vertices, moving, corners, kind, reach)]
+            for corners, kind in zip(found, (True, False), strict=True)
+        )
+        corners = np.concatenate([vertex_faces, edge_edges])
+        rest = _rest_distances(self.rest, self.part, corners, len(vertex_faces))
+        return ElementPairs(corners, len(vertex_faces), rest, neighbourhood)
+
+    def _neighbourhood(
+        self, vertices: np.ndarray, reach: float, moves: np.ndarray, known: Neighbourhood | None
+    ) -> tuple[Neighbourhood | None, np.ndarray]:
+        """The `known` neighbourhood, a new one or none, and which vertices (vertices,) leave their room in it."""
+        most = _MOST_LEAVING * len(vertices)
+        if known is not None and known.reach == reach:
+            leaving = _leaving(known.vertices, vertices, moves)
+            if leaving.sum() <= most:
+                return known, leaving
+        leaving = _leaving(vertices, vertices, moves)
+        if leaving.sum() > most:
+            return None, self._everywhere
+        found = self._search(vertices, self._still, 0.5 * reach + _ROOM, self._everywhere)
+        return Neighbourhood(vertices.copy(), reach, *found), leaving
+
+    def _search(
+        self, vertices: np.ndarray, moves: np.ndarray, margin: float, among: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
+
+        Whose boxes meet that are wider by `margin` [m] on every side.
+        """
+        if not among.any():
+            return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
         face_boxes, edge_boxes, vertex_boxes = (
-            _boxes(vertices, moving, corners, 0.5 * reach) for corners in (self.faces, self.edges, self._vertices)
+            _boxes(vertices, moves, corners, margin) for corners in (self.faces, self.edges, self._vertices)
         )
         boxes = (_fit(face_boxes, self._order, self._children, self._ranges), face_boxes, edge_boxes, vertex_boxes)
         tree = (self._order, self._children, self._ranges, self._roots)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
-        # Boxes of long edges across each other meet long before the edges do.
-        vertex_faces, edge_edges = (
-            corners[_may_meet(vertices, moving, corners, kind, reach)]
-            for corners, kind in zip(_search(boxes, tree, elements), (True, False), strict=True)
-        )
-        corners = np.concatenate([vertex_faces, edge_edges])
-        rest = _rest_distances(self.rest, self.part, corners, len(vertex_faces))
-        return ElementPairs(corners, len(vertex_faces), rest)
+        pairs: tuple[np.ndarray, np.ndarray] = _search(boxes, tree, elements, among)
+        return pairs
 
 
 def _split(
@@ -260,11 +335,21 @@ def _with_room(rows: np.ndarray, count: int) -> np.ndarray:
 
 
 @compiled
-def _search(boxes: tuple, tree: tuple, elements: tuple) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (pairs, 4) of vertex and face, and of two edges, whose boxes meet."""
+def _search(boxes: tuple, tree: tuple, elements: tuple, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (pairs, 4) of vertex and face, and of two edges, with one `among` (vertices,) and boxes that meet."""
     order, children, ranges, roots = tree
     faces, edges, owned_vertices, owned_edges = elements
     node_boxes, face_boxes, edge_boxes, vertex_boxes = boxes
+    asked_edges, asked_faces = _any_corner(edges, among), _any_corner(faces, among)
+    asked_nodes = np.empty(len(children), dtype=np.bool_)
+    for node in range(len(children) - 1, -1, -1):
+        asked = False
+        if children[node, 0] >= 0:
+            asked = asked_nodes[children[node, 0]] or asked_nodes[children[node, 1]]
+        else:
+            for place in range(ranges[node, 0], ranges[node, 1]):
+                asked = asked or asked_faces[order[place]]
+        asked_nodes[node] = asked
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
     stack = np.empty((_DEEPEST, 2), dtype=np.int64)
@@ -274,6 +359,8 @@ def _search(boxes: tuple, tree: tuple, elements: tuple) -> tuple[np.ndarray, np.
         while depth > 0:
             depth -= 1
             a, b = stack[depth, 0], stack[depth, 1]
+            if not (asked_nodes[a] or asked_nodes[b]):
+                continue
             inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
             if a == b:
                 if inner_a:
@@ -298,14 +385,14 @@ def _search(boxes: tuple, tree: tuple, elements: tuple) -> tuple[np.ndarray, np.
                 f = order[i]
                 for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                     g = order[j]
-                    if not _meet(face_boxes[f], face_boxes[g]):
+                    if not (asked_faces[f] or asked_faces[g]) or not _meet(face_boxes[f], face_boxes[g]):
                         continue
                     for one, two in ((f, g), (g, f)):
                         for k in range(3):
                             v = owned_vertices[one, k]
                             if v < 0 or v == faces[two, 0] or v == faces[two, 1] or v == faces[two, 2]:
                                 continue
-                            if _meet(vertex_boxes[v], face_boxes[two]):
+                            if (among[v] or asked_faces[two]) and _meet(vertex_boxes[v], face_boxes[two]):
                                 near_faces = _with_room(near_faces, face_count)
                                 near_faces[face_count, 0] = v
                                 _copy(faces[two], near_faces[face_count, 1:])
@@ -320,12 +407,36 @@ def _search(boxes: tuple, tree: tuple, elements: tuple) -> tuple[np.ndarray, np.
                                 continue
                             if edges[p, 1] == edges[q, 0] or edges[p, 1] == edges[q, 1]:
                                 continue
-                            if _meet(edge_boxes[p], edge_boxes[q]):
+                            if (asked_edges[p] or asked_edges[q]) and _meet(edge_boxes[p], edge_boxes[q]):
                                 near_edges = _with_room(near_edges, edge_count)
                                 _copy(edges[p], near_edges[edge_count, :2])
                                 _copy(edges[q], near_edges[edge_count, 2:])
                                 edge_count += 1
     return near_faces[:face_count], near_edges[:edge_count]
+
+
+@compiled
+def _any_corner(elements: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Whether any corner of each of the `elements` (elements, corners) is `among` (vertices,)."""
+    found = np.zeros(len(elements), dtype=np.bool_)
+    for element in range(len(elements)):
+        for corner in range(elements.shape[1]):
+            found[element] = found[element] or among[elements[element, corner]]
+    return found
+
+
+@compiled
+def _leaving(before: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Whether each of the `vertices` (vertices, 3) [m] is, or gets by its move, out of its room around `before`."""
+    leaving = np.empty(len(vertices), dtype=np.bool_)
+    for row in range(len(vertices)):
+        first, last = 0.0, 0.0
+        for axis in range(3):
+            way = vertices[row, axis] - before[row, axis]
+            first += way * way
+            last += (way + moves[row, axis]) ** 2
+        leaving[row] = max(first, last) > _ROOM * _ROOM
+    return leaving
 
 
 @compiled

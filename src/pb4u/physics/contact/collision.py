@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.geometry.proximity.element_distance import compiled
 from pb4u.physics.contact.planes import ContactSet
-from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, dot, outer, sum_by_garment, vertex_elements
+from pb4u.physics.contact.self_contact import as_array
+from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, dot, sum_by_garment, vertex_elements
+from pb4u.physics.stiffness_matrix import Stiffness
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import UP
 
@@ -18,6 +22,9 @@ REFERENCE_AREA = 1.6e-4
 
 _EXACT_DEPTH = 5e-4
 """Depth [m] up to which the curvature is exact: a quarter of the default clearance, where resting cloth lies."""
+
+
+_Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -54,23 +61,8 @@ class Collision(EnergyTerm):
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
         return vertex_elements(step.garments)
 
-    def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        """Second derivatives (3, 3, 1, vertices) [J/m^2]; exact to a depth of half a millimetre, softer beyond it.
-
-        Softer, so that one Newton step brings a deep vertex to the surface instead of half way.
-
-        Args:
-            step: the time step.
-            contacts: contacts of the step.
-            x: (vertices, 3) [m] next positions.
-        """
-        weight = self._vertex_weight(step)
-        blocks = x.new_zeros((3, 3, len(x)))
-        for depth, normal in self._depths(step, contacts, x):
-            stiffness = 3.0 * weight * (depth + depth.clamp_max(_EXACT_DEPTH))
-            axes = normal.T.contiguous()
-            blocks = blocks + outer(stiffness * axes, axes)
-        return blocks[:, :, None]
+    def compiled(self, step: TimeStep, contacts: ContactSet) -> CompiledCollision:
+        return CompiledCollision(self, step)
 
     def _vertex_weight(self, step: TimeStep) -> Tensor:
         return (self.weight / REFERENCE_AREA) * step.garments.vertex_areas
@@ -84,6 +76,50 @@ class Collision(EnergyTerm):
         if step.ground_height is not None:
             up = x.new_tensor(UP).expand_as(x)
             yield (self.clearance - (x[:, 1] - step.ground_height)).clamp_min(0.0), up
+
+
+class CompiledCollision(Collision):
+    """`Collision` compiled for one step, with its second derivative: exact to half a millimetre's depth, softer beyond.
+
+    Softer, so that one Newton step brings a deep vertex to the surface instead of half way.
+
+    Args:
+        term: what it stands for.
+        step: the time step.
+    """
+
+    def __init__(self, term: Collision, step: TimeStep) -> None:
+        super().__init__(term.weight, term.clearance)
+        self._weight = self._vertex_weight(step).numpy()
+        self._garment, self._garment_count = step.garments.vertex_garment.numpy(), step.garments.garment_count
+        self._ground: _Planes | None = None
+        if step.ground_height is not None:
+            up = np.broadcast_to(np.array(UP), (len(self._weight), 3))
+            everywhere = np.ones(len(self._weight), dtype=bool)
+            self._ground = (step.ground_height * up, np.ascontiguousarray(up), everywhere)
+
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+        return self.energies_and_gradient(step, contacts, x)[0]
+
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
+        energies, gradient = np.zeros(self._garment_count), np.zeros((len(x), 3))
+        for planes in self._planes(contacts):
+            _add_gradient(as_array(x), *planes, self._weight, self.clearance, self._garment, energies, gradient)
+        return torch.from_numpy(energies), torch.from_numpy(gradient)
+
+    def add_stiffness(
+        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
+    ) -> None:
+        for planes in self._planes(contacts):
+            _add_stiffness(as_array(x), *planes, self._weight, self.clearance, slots, stiffness.positive)
+
+    def _planes(self, contacts: ContactSet) -> Iterator[_Planes]:
+        """Points, normals and whether the plane counts, of the bodies and of the ground."""
+        for planes in (contacts.next, contacts.opposite):
+            if planes is not None:
+                yield as_array(planes.points), as_array(planes.normals), planes.touchable.numpy()
+        if self._ground is not None:
+            yield self._ground
 
 
 @dataclass(frozen=True)
@@ -109,3 +145,57 @@ class ReleasedCollision(MeasuredTerm):
         depth = (self.clearance - dot(x - centre, normal)).clamp_min(0.0)
         energy = torch.where(planes.touchable, self.weight * depth**3, 0.0)
         return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
+
+
+@compiled
+def _add_gradient(
+    vertices: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    counts: np.ndarray,
+    weight: np.ndarray,
+    clearance: float,
+    garment: np.ndarray,
+    energies: np.ndarray,
+    gradient: np.ndarray,
+) -> None:
+    """Add to the `energies` (garments,) [J] and to their `gradient` (vertices, 3) [N].
+
+    Each of the `vertices` (vertices, 3) [m] has a plane through `points` (vertices, 3) [m] with `normals` (vertices, 3)
+    where it `counts` (vertices,), and a `weight` (vertices,) [J/m^3].
+    """
+    for row in range(len(vertices)):
+        if not counts[row]:
+            continue
+        depth = clearance
+        for axis in range(3):
+            depth -= (vertices[row, axis] - points[row, axis]) * normals[row, axis]
+        if depth > 0.0:
+            energies[garment[row]] += weight[row] * depth**3
+            for axis in range(3):
+                gradient[row, axis] -= 3.0 * weight[row] * depth * depth * normals[row, axis]
+
+
+@compiled
+def _add_stiffness(
+    vertices: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    counts: np.ndarray,
+    weight: np.ndarray,
+    clearance: float,
+    slots: np.ndarray,
+    positive: np.ndarray,
+) -> None:
+    """Add to the `positive` blocks (pairs, 3, 3) [N/m] of a stiffness; the rest as in `_add_gradient`."""
+    for row in range(len(vertices)):
+        if not counts[row]:
+            continue
+        depth = clearance
+        for axis in range(3):
+            depth -= (vertices[row, axis] - points[row, axis]) * normals[row, axis]
+        if depth > 0.0:
+            stiffness = 3.0 * weight[row] * (depth + min(depth, _EXACT_DEPTH))
+            for i in range(3):
+                for j in range(3):
+                    positive[slots[row, 0], i, j] += stiffness * normals[row, i] * normals[row, j]

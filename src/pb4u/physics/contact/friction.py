@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.geometry.proximity.element_distance import compiled
 from pb4u.physics.contact.collision import REFERENCE_AREA, Collision
 from pb4u.physics.contact.planes import ContactSet
-from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, dot, outer, sum_by_garment, vertex_elements
+from pb4u.physics.contact.self_contact import as_array
+from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, dot, sum_by_garment, vertex_elements
+from pb4u.physics.stiffness_matrix import Stiffness
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
@@ -59,28 +63,8 @@ class Friction(EnergyTerm):
     def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor:
         return vertex_elements(step.garments)
 
-    def curvature(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        """Second derivatives (3, 3, 1, vertices) [J/m^2]; a little stiffer than exact along the slip.
-
-        Positive, because the smoothed norm is convex.
-
-        Args:
-            step: the time step.
-            contacts: contacts of the step.
-            x: (vertices, 3) [m] next positions.
-        """
-        limit, anchor, normal = self._sliding(step, contacts)
-        slip = _slip(x, anchor, normal)
-        magnitude = self._magnitude(step, slip)
-        weights = _directional(x)
-        along = slip * weights / magnitude[:, None]
-        along = (along - dot(along, normal)[:, None] * normal).T.contiguous()
-        # T W T with T = 1 - n n^T and W diagonal.
-        axes = normal.T.contiguous()
-        weighted = weights[:, None] * axes
-        across = outer(axes, (axes * weighted).sum(0) * axes - weighted) - outer(weighted, axes)
-        stiff = torch.diag(weights)[:, :, None] + across - _SOFTENING * outer(along, along)
-        return (stiff * (limit / magnitude))[:, :, None]
+    def compiled(self, step: TimeStep, contacts: ContactSet) -> EnergyTerm:
+        return CompiledFriction(self, step, contacts)
 
     def _magnitude(self, step: TimeStep, slip: Tensor) -> Tensor:
         return (dot(slip * slip, _directional(slip)) + (self.smoothing * step.dt) ** 2).sqrt()
@@ -112,6 +96,43 @@ class Friction(EnergyTerm):
             pressed = 3.0 * self.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2
             force = torch.maximum(force, pressed)
         return torch.where(touching, self.coefficient * force, 0.0), anchor, normal
+
+
+class CompiledFriction(Friction):
+    """`Friction` compiled for one step, with its second derivative, a little stiffer than exact along the slip.
+
+    Positive, because the smoothed norm is convex.
+
+    Args:
+        term: what it stands for.
+        step: the time step.
+        contacts: contacts at its start.
+    """
+
+    def __init__(self, term: Friction, step: TimeStep, contacts: ContactSet) -> None:
+        super().__init__(term.coefficient, term.radius, term.smoothing, term.load)
+        limit, anchor, normal = self._sliding(step, contacts)
+        self._law = (
+            as_array(limit),
+            as_array(anchor),
+            as_array(normal),
+            as_array(_directional(limit)),
+            self.smoothing * step.dt,
+        )
+        self._garment, self._garment_count = step.garments.vertex_garment.numpy(), step.garments.garment_count
+
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+        return self.energies_and_gradient(step, contacts, x)[0]
+
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
+        energies, gradient = np.zeros(self._garment_count), np.zeros((len(x), 3))
+        _add_gradient(as_array(x), *self._law, self._garment, energies, gradient)
+        return torch.from_numpy(energies), torch.from_numpy(gradient)
+
+    def add_stiffness(
+        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
+    ) -> None:
+        _add_stiffness(as_array(x), *self._law, _SOFTENING, slots, stiffness.positive)
 
 
 @dataclass(frozen=True)
@@ -155,3 +176,82 @@ def _directional(x: Tensor) -> Tensor:
 def _slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
     moved = x - anchor
     return moved - dot(moved, normal)[:, None] * normal
+
+
+@compiled
+def _slip_at(
+    vertices: np.ndarray, anchor: np.ndarray, normal: np.ndarray, weights: np.ndarray, rest: float, row: int
+) -> tuple[float, float, float, float]:
+    """Slip [m] of a vertex along each axis, and its smoothed length [m]."""
+    s0, s1, s2 = vertices[row, 0] - anchor[row, 0], vertices[row, 1] - anchor[row, 1], vertices[row, 2] - anchor[row, 2]
+    n0, n1, n2 = normal[row, 0], normal[row, 1], normal[row, 2]
+    height = s0 * n0 + s1 * n1 + s2 * n2
+    s0, s1, s2 = s0 - height * n0, s1 - height * n1, s2 - height * n2
+    return s0, s1, s2, np.sqrt(weights[0] * s0 * s0 + weights[1] * s1 * s1 + weights[2] * s2 * s2 + rest * rest)
+
+
+@compiled
+def _add_gradient(
+    vertices: np.ndarray,
+    limit: np.ndarray,
+    anchor: np.ndarray,
+    normal: np.ndarray,
+    weights: np.ndarray,
+    rest: float,
+    garment: np.ndarray,
+    energies: np.ndarray,
+    gradient: np.ndarray,
+) -> None:
+    """Add to the `energies` (garments,) [J] and to their `gradient` (vertices, 3) [N].
+
+    Each of the `vertices` (vertices, 3) [m] has a `limit` (vertices,) [N], an `anchor` (vertices, 3) [m] and a `normal`
+    (vertices, 3); the `weights` (3,) are those of `_directional`, `rest` [m] smooths.
+    """
+    for row in range(len(vertices)):
+        if not limit[row] > 0.0:
+            continue
+        s0, s1, s2, magnitude = _slip_at(vertices, anchor, normal, weights, rest, row)
+        energies[garment[row]] += limit[row] * (magnitude - rest)
+        pull = limit[row] / magnitude
+        p0, p1, p2 = pull * weights[0] * s0, pull * weights[1] * s1, pull * weights[2] * s2
+        inward = p0 * normal[row, 0] + p1 * normal[row, 1] + p2 * normal[row, 2]
+        gradient[row, 0] += p0 - inward * normal[row, 0]
+        gradient[row, 1] += p1 - inward * normal[row, 1]
+        gradient[row, 2] += p2 - inward * normal[row, 2]
+
+
+@compiled
+def _add_stiffness(
+    vertices: np.ndarray,
+    limit: np.ndarray,
+    anchor: np.ndarray,
+    normal: np.ndarray,
+    weights: np.ndarray,
+    rest: float,
+    softening: float,
+    slots: np.ndarray,
+    positive: np.ndarray,
+) -> None:
+    """Add to the `positive` blocks (pairs, 3, 3) [N/m] of a stiffness; the rest as in `_add_gradient`.
+
+    T W T - softening a a^T with T = 1 - n n^T, W the diagonal of `weights` and a the pull T W s over the length of s.
+    """
+    along = np.empty(3)
+    for row in range(len(vertices)):
+        if not limit[row] > 0.0:
+            continue
+        s0, s1, s2, magnitude = _slip_at(vertices, anchor, normal, weights, rest, row)
+        along[0], along[1], along[2] = weights[0] * s0, weights[1] * s1, weights[2] * s2
+        inward, both = 0.0, 0.0
+        for axis in range(3):
+            inward += along[axis] * normal[row, axis]
+            both += weights[axis] * normal[row, axis] * normal[row, axis]
+        for axis in range(3):
+            along[axis] = (along[axis] - inward * normal[row, axis]) / magnitude
+        for i in range(3):
+            for j in range(3):
+                across = (both - weights[i] - weights[j]) * normal[row, i] * normal[row, j]
+                stiff = across - softening * along[i] * along[j]
+                if i == j:
+                    stiff += weights[i]
+                positive[slots[row, 0], i, j] += stiff * limit[row] / magnitude

@@ -45,7 +45,14 @@ class ClothPairs:
     parallels: np.ndarray
 
     @staticmethod
-    def along(garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor, reach: float) -> ClothPairs:
+    def along(
+        garments: PackedGarments,
+        x: Tensor,
+        moves: Tensor | None,
+        before: Tensor,
+        reach: float,
+        known: ClothPairs | None = None,
+    ) -> ClothPairs:
         """All pairs that come within `reach` on the way along `moves`.
 
         Args:
@@ -54,8 +61,10 @@ class ClothPairs:
             moves: (vertices, 3) [m] from there, linear; None for none.
             before: (vertices, 3) [m] positions that cross nowhere, as the step began.
             reach: distance [m].
+            known: pairs of positions a little before these, or None.
         """
-        pairs = garments.surface_tree.pairs(as_array(x), reach, None if moves is None else as_array(moves))
+        tree, way = garments.surface_tree, None if moves is None else as_array(moves)
+        pairs = tree.pairs(as_array(x), reach, way, None if known is None else known.pairs)
         gaps = smallest_gaps(pairs, as_array(before))
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
@@ -111,7 +120,14 @@ class SelfContact(ABC):
     """What keeps cloth from passing through cloth."""
 
     @abstractmethod
-    def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
+    def pairs(
+        self,
+        garments: PackedGarments,
+        x: Tensor,
+        moves: Tensor | None,
+        before: Tensor,
+        known: ClothPairs | None = None,
+    ) -> ClothPairs | None:
         """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`; None for none."""
 
     @abstractmethod
@@ -155,7 +171,14 @@ class SelfContact(ABC):
 class NoSelfContact(SelfContact):
     """Cloth passes through cloth: the paper's physics."""
 
-    def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
+    def pairs(
+        self,
+        garments: PackedGarments,
+        x: Tensor,
+        moves: Tensor | None,
+        before: Tensor,
+        known: ClothPairs | None = None,
+    ) -> ClothPairs | None:
         return None
 
     def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
@@ -180,8 +203,15 @@ class CollisionFree(SelfContact):
 
     reach: float = 2e-3
 
-    def pairs(self, garments: PackedGarments, x: Tensor, moves: Tensor | None, before: Tensor) -> ClothPairs | None:
-        return ClothPairs.along(garments, x, moves, before, self.reach)
+    def pairs(
+        self,
+        garments: PackedGarments,
+        x: Tensor,
+        moves: Tensor | None,
+        before: Tensor,
+        known: ClothPairs | None = None,
+    ) -> ClothPairs | None:
+        return ClothPairs.along(garments, x, moves, before, self.reach, known)
 
     def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
         # Needs what a machine that only trains may lack.

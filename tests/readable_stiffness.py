@@ -1,0 +1,134 @@
+"""The readable twin of the second derivatives that the solver compiles: whole matrices, from formulas and autograd.
+
+Slow on purpose; the tests hold the kernels in `src` to it.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pb4u.physics.bending import dihedral_angles
+from pb4u.physics.contact.collision import REFERENCE_AREA, Collision
+from pb4u.physics.contact.friction import Friction
+from pb4u.physics.incremental_potential import StepPotential
+from pb4u.scene.scene import STANDARD_GRAVITY, UP
+
+
+def readable_stiffness(name: str, frozen: StepPotential, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Positive and compressive part (3 vertices, 3 vertices) [N/m] of the second derivative of a term of its own."""
+    if name == "stretch":
+        return stretch(frozen, x)
+    of_vertices = {"inertia": inertia, "collision": collision, "friction": friction}
+    matrix = bending(frozen, x) if name == "bending" else on_diagonal(of_vertices[name](frozen, x))
+    return matrix, torch.zeros_like(matrix)
+
+
+def stretch(frozen: StepPotential, x: Tensor) -> tuple[Tensor, Tensor]:
+    garments = frozen.step.garments
+    of_bc = garments.inverse_rest_shape
+    shape = torch.cat([-of_bc.sum(1, keepdim=True), of_bc], dim=1)
+    f = torch.einsum("fck,fca->fka", shape, x[garments.faces])
+    green = 0.5 * (torch.einsum("fka,fla->fkl", f, f) - torch.eye(2, dtype=x.dtype))
+    weight = garments.face_areas * garments.thickness
+    mu, lam = ((weight * modulus)[:, None, None] for modulus in (garments.lame_mu, garments.lame_lambda))
+    trace = green.diagonal(dim1=1, dim2=2).sum(1)[:, None, None]
+    stress = 2.0 * mu * green + lam * trace * torch.eye(2, dtype=x.dtype)
+    values, vectors = torch.linalg.eigh(stress)
+    tensile = torch.einsum("fkp,fp,flp->fkl", vectors, values.clamp_min(0.0), vectors)
+    mu, lam = mu[..., None, None], lam[..., None, None]
+    axes, columns = torch.eye(3, dtype=x.dtype), torch.eye(2, dtype=x.dtype)
+    of_columns = (
+        torch.einsum("fkl,ab->fklab", tensile, axes)
+        + lam * torch.einsum("fka,flb->fklab", f, f)
+        + mu * torch.einsum("fla,fkb->fklab", f, f)
+        + mu * torch.einsum("kl,fma,fmb->fklab", columns, f, f)
+    )
+    compressive = torch.einsum("fkl,ab->fklab", stress - tensile, axes)
+    parts = (torch.einsum("fik,fjl,fklab->fiajb", shape, shape, part) for part in (of_columns, compressive))
+    positive, negative = (assembled(part, garments.faces, len(x)) for part in parts)
+    return positive, negative
+
+
+def bending(frozen: StepPotential, x: Tensor) -> Tensor:
+    garments = frozen.step.garments
+    hinges = garments.hinges
+
+    def bend(positions: Tensor) -> Tensor:
+        length = (positions[hinges[:, 1]] - positions[hinges[:, 0]]).norm(dim=1)
+        return length * dihedral_angles(positions, hinges)
+
+    derivative = torch.autograd.functional.jacobian(bend, x).reshape(len(hinges), -1)
+    stiffness = garments.bending / (4.0 * garments.hinge_areas)
+    return derivative.T @ (stiffness[:, None] * derivative)
+
+
+def inertia(frozen: StepPotential, x: Tensor) -> Tensor:
+    mass = frozen.step.garments.vertex_masses / frozen.step.dt**2
+    return mass[:, None, None] * torch.eye(3, dtype=x.dtype)
+
+
+def collision(frozen: StepPotential, x: Tensor) -> Tensor:
+    """Exact to a depth of half a millimetre, softer beyond it."""
+    term, step, contacts = frozen.potential.term("collision"), frozen.step, frozen.contacts
+    assert isinstance(term, Collision)
+    weight = term.weight / REFERENCE_AREA * step.garments.vertex_areas
+    blocks = x.new_zeros((len(x), 3, 3))
+    surfaces = [
+        (torch.where(planes.touchable, planes.signed_distance(x), torch.inf), planes.normals)
+        for planes in (contacts.next, contacts.opposite)
+        if planes is not None
+    ]
+    if step.ground_height is not None:
+        surfaces.append((x[:, 1] - step.ground_height, x.new_tensor(UP).expand_as(x)))
+    for height, normal in surfaces:
+        depth = (term.clearance - height).clamp_min(0.0)
+        stiffness = 3.0 * weight * (depth + depth.clamp_max(5e-4))
+        blocks += stiffness[:, None, None] * normal[:, :, None] * normal[:, None, :]
+    return blocks
+
+
+def friction(frozen: StepPotential, x: Tensor, softening: float = 0.8) -> Tensor:
+    """With a share of the softening along the slip."""
+    term, step, contacts = frozen.potential.term("friction"), frozen.step, frozen.contacts
+    assert isinstance(term, Friction)
+    assert contacts.now is not None
+    assert contacts.transported is not None
+    assert contacts.transported_normals is not None
+    distance = torch.where(contacts.now.touchable, contacts.now.distance, torch.inf)
+    anchor, normal = contacts.transported, contacts.transported_normals
+    if step.ground_height is not None:
+        before = step.state.positions
+        lower = before[:, 1] - step.ground_height < distance
+        on_ground = lower & (before[:, 1] - step.ground_height < term.radius)
+        anchor = torch.where(on_ground[:, None], before, anchor)
+        normal = torch.where(on_ground[:, None], x.new_tensor(UP), normal)
+        touching = on_ground | (distance < term.radius)
+    else:
+        touching = distance < term.radius
+    force = STANDARD_GRAVITY * step.garments.vertex_masses
+    if term.load is not None:
+        depth = (term.load.clearance - distance).clamp(0.0, 2.0 * term.load.clearance)
+        force = force.maximum(3.0 * term.load.weight / REFERENCE_AREA * step.garments.vertex_areas * depth**2)
+    limit = torch.where(touching, term.coefficient * force, 0.0)
+    across = torch.eye(3, dtype=x.dtype) - normal[:, :, None] * normal[:, None, :]
+    weights = torch.diag(x.new_tensor([1.0 + 1e-4, 1e-4, 1.0 + 1e-4]))
+    slip = torch.einsum("vab,vb->va", across, x - anchor)
+    magnitude = (torch.einsum("va,ab,vb->v", slip, weights, slip) + (term.smoothing * step.dt) ** 2).sqrt()
+    along = torch.einsum("vab,bc,vc->va", across, weights, slip) / magnitude[:, None]
+    stiff = across @ weights @ across - softening * along[:, :, None] * along[:, None, :]
+    return (limit / magnitude)[:, None, None] * stiff
+
+
+def on_diagonal(blocks: Tensor) -> Tensor:
+    """(3 vertices, 3 vertices) of `blocks` (vertices, 3, 3)."""
+    return torch.block_diag(*blocks)
+
+
+def assembled(parts: Tensor, elements: Tensor, count: int) -> Tensor:
+    """(3 vertices, 3 vertices) sum of the matrices (elements, corners, 3, corners, 3) of the `elements`."""
+    whole = parts.new_zeros((count, count, 3, 3))
+    for i in range(elements.shape[1]):
+        for j in range(elements.shape[1]):
+            whole.index_put_((elements[:, i], elements[:, j]), parts[:, i, :, j], accumulate=True)
+    return whole.permute(0, 2, 1, 3).reshape(3 * count, 3 * count)
