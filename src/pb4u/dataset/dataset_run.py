@@ -89,7 +89,7 @@ def _told(
     jobs: Sequence[ClipJob],
     takes: dict[str, Footprint],
     folder: DatasetFolder,
-    workers: int,
+    workers: int | None,
 ) -> str:
     """Sentence on what the missing clips take."""
     records = [(takes[job.key], record) for job in jobs if (record := folder.result(job)) is not None]
