@@ -65,6 +65,30 @@ class JobFolder(ABC):
             KeyError: it lacks what every manifest of the kind has.
         """
 
+    @abstractmethod
+    def parts(self, job: Any, made: Any) -> tuple[Mapping[str, Any], Mapping[str, bytes]]:
+        """What is kept of a job that was done: its result, and other files by path within the folder.
+
+        Args:
+            job: the job.
+            made: what it made.
+        """
+
+    def take(self, job: Any, outcome: Any) -> None:
+        """Keep what came of a job.
+
+        Args:
+            job: the job asked for.
+            outcome: what it made, or the `Failure` that says why it made nothing.
+
+        Raises:
+            Pb4uError: the disk refuses.
+        """
+        if isinstance(outcome, Failure):
+            self.note_failure(job, outcome)
+        else:
+            self.keep(job, *self.parts(job, outcome))
+
     def _read_manifest(self, kind: str) -> None:
         file = self.path / MANIFEST
         if not file.exists():
@@ -103,7 +127,7 @@ class JobFolder(ABC):
             "command goes on."
         )
 
-    def keep(self, job: Job, result: Mapping[str, Any], beside: Mapping[str, bytes] | None = None) -> None:
+    def keep(self, job: Job, result: Mapping[str, Any], beside: Mapping[str, bytes]) -> None:
         """Keep a result, and before it the files that belong to it, so that a result is whole once it is there.
 
         Args:
@@ -114,7 +138,7 @@ class JobFolder(ABC):
         Raises:
             Pb4uError: the disk refuses.
         """
-        for name, content in (beside or {}).items():
+        for name, content in beside.items():
             self.write(name, content)
         kept = json.loads(json_text(dict(result)))
         envelope = {"key": job.key, "checksum": _checksum(kept), "result": kept}
