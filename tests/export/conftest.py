@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from pb4u.cli.main import main
 from pb4u.scene.author_mesh import SourceTrack
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
@@ -70,3 +73,17 @@ def broken(trajectory: Trajectory) -> Trajectory:
     positions[5, 7, 1] = np.inf
     positions[6] = np.nan
     return replace(trajectory, positions=positions)
+
+
+@pytest.fixture
+def convert(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
+    def call(*arguments: object) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["pb4u", "convert", *map(str, arguments)])
+        try:
+            main()
+            code = 0
+        except SystemExit as end:
+            code = int(end.code or 0)
+        return code, capsys.readouterr().err
+
+    return call

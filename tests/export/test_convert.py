@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,27 +9,12 @@ import numpy as np
 import pytest
 from tests.export.readers import Glb, assert_obj, mdd_frames, pc2_frames
 
-from pb4u.cli.main import main
 from pb4u.export.registry import WRITERS
 from pb4u.export.selection import on_source, select_frames
 from pb4u.restricted_pickle import load_pickle
 from pb4u.scene.trajectory import Trajectory
 
 OPTIONS = ("--range", "1:12", "--every", "2", "--on", "source")
-
-
-@pytest.fixture
-def convert(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
-    def call(*arguments: object) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["pb4u", "convert", *map(str, arguments)])
-        try:
-            main()
-            code = 0
-        except SystemExit as end:
-            code = int(end.code or 0)
-        return code, capsys.readouterr().err
-
-    return call
 
 
 def usd_points(path: Path) -> np.ndarray:

@@ -1,8 +1,12 @@
-"""Off-screen rendering of a trajectory: PNG and JPEG stills, GIF, and MP4 through the "render" extra."""
+"""Off-screen rendering of a trajectory: PNG and JPEG stills, GIF and MP4."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,7 +36,8 @@ class View:
         elevation: angle above the horizontal [deg].
         turntable: turn of the camera about the vertical over the whole clip [deg].
         show_body: whether the body is drawn.
-        cloth: colour of the garment, RGB in [0, 1].
+        cloth: colour of the first garment, RGB in [0, 1].
+        background: colour behind and below it all, RGB in [0, 1].
     """
 
     width: int = 560
@@ -42,9 +47,12 @@ class View:
     turntable: float = 0.0
     show_body: bool = True
     cloth: tuple[float, float, float] = CLOTH
+    background: tuple[float, float, float] = (0.93, 0.935, 0.94)
 
 
-_GROUND = (0.93, 0.935, 0.94)
+SIDES = {"front": 0.0, "left": 90.0, "back": 180.0, "right": -90.0}
+"""Azimuths [deg] by name; left and right are the body's own."""
+
 _MARGIN = 1.12
 _FIELD_OF_VIEW = 24.0
 
@@ -98,33 +106,35 @@ class StillRenderer:
                 position=position, focal_point=(0, 1, 0), intensity=intensity, light_type="scene light"
             )
             self._plotter.add_light(light)
-        self._plotter.renderer.set_background(_GROUND, top="white")
+        self._plotter.renderer.set_background(self._view.background, top=_lighter(self._view.background))
 
     def _add_ground(self) -> None:
         import pyvista
 
         ground = pyvista.Plane(center=(0, -2e-3, 0), direction=(0, 1, 0), i_size=400, j_size=400)
-        self._plotter.add_mesh(ground, color=_GROUND, lighting=False)
+        self._plotter.add_mesh(ground, color=self._view.background, lighting=False)
         self._shadow = pyvista.Disc(center=(0, 0, 0), inner=0.0, outer=1.0, normal=(0, 1, 0), r_res=24, c_res=48)
         radius = np.linalg.norm(self._shadow.points, axis=1)
         self._shadow_shape = self._shadow.points.copy()
         shade = 1.0 - 0.30 * np.clip(1.0 - radius, 0.0, 1.0) ** 1.5
-        colours = (255 * shade[:, None] * np.array(_GROUND)).astype(np.uint8)
+        colours = (255 * shade[:, None] * np.array(self._view.background)).astype(np.uint8)
         self._plotter.add_mesh(self._shadow, scalars=colours, rgb=True, lighting=False)
 
     def _extent(self) -> float:
-        """Height of the picture [m] that holds body and garment in every frame."""
-        sample = np.linspace(0, self._trajectory.frame_count - 1, min(8, self._trajectory.frame_count)).astype(int)
+        """Height of the picture [m] that holds body and garment in every frame, seen from any side."""
+        sample = np.linspace(0, self._trajectory.frame_count - 1, min(32, self._trajectory.frame_count)).astype(int)
         size = 0.0
         for t in sample:
             points = self._visible(int(t))
             points = points[np.isfinite(points).all(axis=1)]
             if len(points):
-                span = np.ptp(points, axis=0)
-                size = max(
-                    size, float(span[1]), float(np.hypot(span[0], span[2])) * self._view.height / self._view.width
-                )
+                aside = np.linalg.norm(points[:, [0, 2]] - self._centre(int(t)), axis=1).max()
+                size = max(size, float(points[:, 1].max()), 2.0 * aside * self._view.height / self._view.width)
         return min(size, 6.0) * _MARGIN
+
+    def _centre(self, t: int) -> np.ndarray:
+        """Where the camera looks on the ground, (2,) x and z [m]."""
+        return np.asarray(np.median(self._trajectory.body_positions[t][:, [0, 2]], axis=0))
 
     def _visible(self, t: int) -> np.ndarray:
         return np.concatenate([self._trajectory.positions[t], self._trajectory.body_positions[t]])
@@ -168,8 +178,8 @@ class StillRenderer:
         self._shadow.points = scaled + np.array([centre[0], 0.0, centre[2]])
 
     def _aim(self, t: int) -> None:
-        body = self._trajectory.body_positions[t]
-        target = np.array([np.median(body[:, 0]), self._frame_size / (2 * _MARGIN), np.median(body[:, 2])])
+        x, z = self._centre(t)
+        target = np.array([x, self._frame_size / (2 * _MARGIN), z])
         turn = self._view.turntable * t / max(self._trajectory.frame_count - 1, 1)
         azimuth = self._heading() + np.deg2rad(self._view.azimuth + turn)
         elevation = np.deg2rad(self._view.elevation)
@@ -187,6 +197,12 @@ class StillRenderer:
     def close(self) -> None:
         """Free the window."""
         self._plotter.close()
+
+
+def _lighter(colour: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The colour that the background turns to at the top."""
+    r, g, b = (0.15 * part + 0.85 * min(1.0, part + 0.08) for part in colour)
+    return r, g, b
 
 
 def _move(mesh: pyvista.PolyData, points: np.ndarray, faces: np.ndarray) -> None:
@@ -276,7 +292,7 @@ def write_gif(
 
 
 def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None) -> None:
-    """Write an MP4 (VP9) at the trajectory's own frame rate.
+    """Write an MP4 at the trajectory's own frame rate: H.264 where an ffmpeg with an encoder for it is found, or VP9.
 
     Args:
         trajectory: what is drawn.
@@ -285,26 +301,114 @@ def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, 
         view: camera, size and colours.
 
     Raises:
-        MissingExtraError: the "render" extra is not installed.
-        Pb4uError: the encoder cannot open the file.
+        MissingExtraError: there is neither such an encoder nor the "render" extra.
+        Pb4uError: the encoder cannot write the file.
     """
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingExtraError("render", "Writing MP4") from error
-
+    view = view or View()
     frames = trajectory.frame_count
-    # VP9 because the encoder in the wheel is free of the GPL, unlike x264, and browsers play it.
-    writer = None
-    for picture in _counted(render(trajectory, range(frames), view), frames, progress):
-        if writer is None:
-            height, width = picture.shape[:2]
-            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), trajectory.fps, (width, height))
-            if not writer.isOpened():
-                raise Pb4uError(f"The video encoder could not open {path}; write a .gif instead.")
-        writer.write(np.ascontiguousarray(picture[..., ::-1]))
-    if writer is not None:
-        writer.release()
+    writer: VideoWriter = H264Writer.opened(path, trajectory.fps, view) or Vp9Writer(path, trajectory.fps, view)
+    with writer:
+        for picture in _counted(render(trajectory, range(frames), view), frames, progress):
+            writer.write(picture)
+
+
+class VideoWriter(ABC):
+    """Writes pictures (height, width, 3) uint8 sRGB into a video; closes it as a context manager."""
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    @abstractmethod
+    def write(self, picture: np.ndarray) -> None:
+        """Add a picture."""
+
+    @abstractmethod
+    def __exit__(self, *error: object) -> None:
+        """End the video."""
+
+
+class Vp9Writer(VideoWriter):
+    """VP9, by the encoder in OpenCV's wheel, which is free of the GPL, unlike x264; browsers play it.
+
+    Args:
+        path: file to write.
+        fps: frames a second [1/s].
+        view: its size.
+    """
+
+    def __init__(self, path: Path, fps: float, view: View) -> None:
+        try:
+            import cv2
+        except ImportError as error:
+            raise MissingExtraError("render", "Writing MP4") from error
+        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), fps, (view.width, view.height))
+        if not self._writer.isOpened():
+            raise Pb4uError(f"The video encoder could not open {path}; write a .gif instead.")
+
+    def write(self, picture: np.ndarray) -> None:
+        self._writer.write(np.ascontiguousarray(picture[..., ::-1]))
+
+    def __exit__(self, *error: object) -> None:
+        self._writer.release()
+
+
+class H264Writer(VideoWriter):
+    """H.264, by an ffmpeg that the user installed; phones and video editors play it.
+
+    Args:
+        command: ffmpeg's, which reads raw pictures from its standard input.
+    """
+
+    def __init__(self, command: list[str]) -> None:
+        pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=nothing, stderr=pipe)
+
+    @staticmethod
+    def opened(path: Path, fps: float, view: View) -> H264Writer | None:
+        """A writer, or None where there is no ffmpeg with an encoder for it.
+
+        Args:
+            path: file to write.
+            fps: frames a second [1/s].
+            view: its size; H.264 halves the resolution of colours, so both sides have to be even.
+        """
+        ffmpeg = shutil.which("ffmpeg")
+        if ffmpeg is None or view.width % 2 or view.height % 2:
+            return None
+        listed = subprocess.run([ffmpeg, "-hide_banner", "-encoders"], capture_output=True, text=True, check=False)
+        encoder = next((name for name in _H264_ENCODERS if f" {name} " in listed.stdout), None)
+        if encoder is None:
+            return None
+        size = f"{view.width}x{view.height}"
+        return H264Writer(
+            [ffmpeg, "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{fps:g}",
+             "-i", "-", "-c:v", encoder, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+        )  # fmt: skip
+
+    def write(self, picture: np.ndarray) -> None:
+        if self._process.stdin is None:
+            raise AssertionError
+        try:
+            self._process.stdin.write(np.ascontiguousarray(picture).tobytes())
+        except BrokenPipeError as error:
+            raise self._failure() from error
+
+    def __exit__(self, *error: object) -> None:
+        if self._process.stdin is not None and not self._process.stdin.closed:
+            with suppress(BrokenPipeError):
+                self._process.stdin.close()
+        if error[0] is not None:
+            self._process.kill()
+        if self._process.wait() and error[0] is None:
+            raise self._failure()
+
+    def _failure(self) -> Pb4uError:
+        told = self._process.stderr.read().decode(errors="replace").strip().splitlines() if self._process.stderr else []
+        return Pb4uError(f"ffmpeg could not write the video: {told[-1] if told else 'it ended early'}.")
+
+
+_H264_ENCODERS = ("libx264", "h264_videotoolbox", "h264_mf", "libopenh264")
+"""By ffmpeg's names: x264, macOS, Windows, Cisco's."""
 
 
 def _counted(pictures: Iterator[np.ndarray], total: int, progress: Progress) -> Iterator[np.ndarray]:

@@ -15,6 +15,7 @@ from pb4u.errors import InputError
 from pb4u.progress import Progress, unheard
 
 if TYPE_CHECKING:
+    from pb4u.export.picture import View
     from pb4u.scene.trajectory import Trajectory
 
 
@@ -31,6 +32,7 @@ class Format:
         files: called with the path and the number of frames; the files written, where that is more than the path.
         stale: called with the path and the number of frames; files of a longer one before it, deleted once it is there.
         finite: whether frames that are not finite are held first (`finite_frames`).
+        drawn: whether it shows pictures; the writer takes a `view` then.
     """
 
     suffixes: tuple[str, ...]
@@ -40,6 +42,7 @@ class Format:
     files: str = ""
     stale: str = ""
     finite: bool = True
+    drawn: bool = False
 
 
 FORMATS = (
@@ -72,9 +75,16 @@ FORMATS = (
         "pb4u.export.result_pickle:write_result",
     ),
     Format((".glb",), "GLB is within 1 mm (else a warning says how far off)", "pb4u.export.gltf:write_glb"),
-    Format((".png", ".jpg"), "PNG and JPG show five moments side by side", "pb4u.export.picture:write_still"),
-    Format((".gif",), "GIF leaves frames out, down to about 15 a second", "pb4u.export.picture:write_gif"),
-    Format((".mp4",), "MP4 shows every frame", "pb4u.export.picture:write_mp4"),
+    Format(
+        (".png", ".jpg"), "PNG and JPG show five moments side by side", "pb4u.export.picture:write_still", drawn=True
+    ),
+    Format((".gif",), "GIF leaves frames out, down to about 15 a second", "pb4u.export.picture:write_gif", drawn=True),
+    Format(
+        (".mp4",),
+        "MP4 shows every frame, in H.264 where an ffmpeg with such an encoder is installed, else in VP9",
+        "pb4u.export.picture:write_mp4",
+        drawn=True,
+    ),
 )
 
 WRITERS: dict[str, Format] = {suffix: form for form in FORMATS for suffix in form.suffixes}
@@ -147,7 +157,9 @@ def is_same_file(one: Path, other: Path) -> bool:
     return one.samefile(other) if one.exists() and other.exists() else one.resolve() == other.resolve()
 
 
-def export(trajectory: Trajectory, path: str | Path, progress: Progress | None = None) -> Path:
+def export(
+    trajectory: Trajectory, path: str | Path, progress: Progress | None = None, view: View | None = None
+) -> Path:
     """Write a trajectory in the format its suffix names; files appear when they are complete, or not at all.
 
     Args:
@@ -155,19 +167,23 @@ def export(trajectory: Trajectory, path: str | Path, progress: Progress | None =
             simulated.
         path: file to write.
         progress: told of what is done.
+        view: camera, size and colours of pictures.
 
     Raises:
-        InputError: the target cannot be written.
+        InputError: the target cannot be written, or a view is given where none is drawn.
         MissingExtraError: the format needs an extra.
     """
     path = Path(path)
     check_target(path)
     form = WRITERS[path.suffix.lower()]
     shown = _function("pb4u.export.finite_frames:hold_finite")(trajectory) if form.finite else trajectory
+    if view is not None and not form.drawn:
+        raise InputError(f"{path.suffix} holds no picture; a view is for {', '.join(_drawn())}.")
     writer = _function(form.writer)
+    seen = {"view": view} if form.drawn else {}
     try:
         with working_folder(path) as folder:
-            writer(shown, folder / path.name, progress or unheard)
+            writer(shown, folder / path.name, progress or unheard, **seen)
             for written in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
                 move_into_place(written, path.with_name(written.name))
         for stale in _function(form.stale)(path, shown.frame_count) if form.stale else ():
@@ -175,6 +191,10 @@ def export(trajectory: Trajectory, path: str | Path, progress: Progress | None =
     except OSError as error:
         raise InputError(f"Cannot write {path}: {error.strerror or error}.") from error
     return path
+
+
+def _drawn() -> list[str]:
+    return [suffix for suffix, form in WRITERS.items() if form.drawn]
 
 
 def write_npz(trajectory: Trajectory, path: Path, progress: Progress) -> None:
