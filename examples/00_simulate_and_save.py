@@ -30,7 +30,7 @@ def main() -> None:
         options.garment, options.body, options.motion, triangles=options.triangles, frames=options.frames
     )
 
-    # A simulator turns a scene into a trajectory. "auto" is the network that ships with the package, refined by the solver.
+    # A simulator turns a scene into a trajectory. "auto" is the network of the package, refined by the solver.
     simulator = pb4u.load_simulator(options.model)
     trajectory = simulator.simulate(scene, lambda done, total: print(f"frame {done} of {total}", end="\r", flush=True))
 
