@@ -55,7 +55,7 @@ def _clip_ears(points: np.ndarray) -> np.ndarray:
         best = int(quality.argmax())
         if quality[best] <= 0.0:
             # Only a polygon that crosses itself has no ear; what is clipped then is as good as anything.
-            rest = np.flatnonzero(left)
+            rest = np.flatnonzero(left).tolist()
             quality[rest] = [_ear_quality(flat, left, before[k], k, after[k]) for k in rest]
             best = int(np.where(left, quality, -np.inf).argmax())
         a, c = int(before[best]), int(after[best])
@@ -65,8 +65,8 @@ def _clip_ears(points: np.ndarray) -> np.ndarray:
         # A clipped corner is convex, and alone keeps no other from being an ear: only the two beside it change.
         for k in (a, c):
             quality[k] = _ear_quality(flat, left, before[k], k, after[k])
-    a, b, c = np.flatnonzero(left)
-    ears.append((int(a), int(b), int(c)))
+    a, b, c = np.flatnonzero(left).tolist()
+    ears.append((a, b, c))
     return np.array(ears, dtype=np.int64)
 
 

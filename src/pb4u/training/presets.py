@@ -59,8 +59,9 @@ wide = replace(
         warm_up=0.01,
     ),
     checkpoint_every=200,
-    validate_every=2000,
-    validation_clips=8,
+    # A validation costs as much as four hundred steps.
+    validate_every=6000,
+    validation_clips=9,
     validation_frames=60,
 )
 """To go on with `small` by `--weights`: every garment and a cape, other cuts, shapes, materials and uneven meshes."""
