@@ -30,9 +30,9 @@ def main() -> None:
         options.garment, options.body, options.motion, triangles=options.triangles, frames=options.frames
     )
 
-    # A simulator turns a scene into a trajectory. "auto" is the solver; pb4u-small is a network.
+    # A simulator turns a scene into a trajectory. "auto" is the network of the package, refined by the solver.
     simulator = pb4u.load_simulator(options.model)
-    trajectory = simulator.simulate(scene)
+    trajectory = simulator.simulate(scene, lambda done, total: print(f"frame {done} of {total}", end="\r", flush=True))
 
     # A trajectory is plain arrays: metres, Y up, one row a frame.
     frames, vertices, _ = trajectory.positions.shape

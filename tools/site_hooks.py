@@ -35,10 +35,6 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     for section in config.nav or []:
         if isinstance(section, dict) and "Decisions" in section:
             section["Decisions"] = listed
-    for name, title in (("blender.md", "Blender"),):
-        guides = next(each["Guides"] for each in config.nav or [] if isinstance(each, dict) and "Guides" in each)
-        if (ROOT / "docs" / name).is_file() and {title: name} not in guides:
-            guides.insert(4, {title: name})
     return config
 
 

@@ -208,7 +208,7 @@ class SimulationJob:
             self.error = self.error or last_sentence(said) or f"pb4u ended with {code}."
             sentence = self.error + (f" {frames} of {of} frames are there." if frames else "")
         else:
-            sentence = f"{frames} frames are there."
+            sentence = f"{frames} frame{'s are' if frames != 1 else ' is'} there."
         # Of quads the command says how to write them whole; here they always are.
         self.prepared.notes.extend(note for note in warnings_in(said) if "--on source" not in note)
         shutil.rmtree(self.prepared.folder / scene_folder.LIVE, ignore_errors=True)

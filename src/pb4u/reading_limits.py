@@ -138,12 +138,13 @@ def read_text(path: Path, kind: str, most: int = MOST_TEXT, encoding: str = "utf
     return path.read_text(encoding=encoding, errors=errors)
 
 
-def parse_json(text: str | bytes, where: str | Path) -> Any:
+def parse_json(text: str | bytes, where: str | Path, most: int = MOST_TEXT) -> Any:
     """The data of a JSON text of bounded size, depth and digits.
 
     Args:
         text: the JSON.
         where: what holds it, for the message.
+        most: characters that it may have.
 
     Raises:
         InputError: it is too large, nests too deep or holds a number of too many digits.
@@ -151,8 +152,8 @@ def parse_json(text: str | bytes, where: str | Path) -> Any:
     """
     if isinstance(text, bytes):
         text = text.decode("utf-8")
-    if len(text) > MOST_TEXT:
-        raise InputError(f"{where}: its JSON has {_megabytes(len(text))}, and may have {_megabytes(MOST_TEXT)}.")
+    if len(text) > most:
+        raise InputError(f"{where}: its JSON has {_megabytes(len(text))}, and may have {_megabytes(most)}.")
     depth = 0
     for match in re.finditer(r'"(?:[^"\\]|\\.)*"|[\[{]|[\]}]', text):
         depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(match.group(), 0)
@@ -167,15 +168,19 @@ def parse_json(text: str | bytes, where: str | Path) -> Any:
     return json.loads(text, parse_int=whole)
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path, most: int = MOST_TEXT) -> Any:
     """The data of a JSON file.
+
+    Args:
+        path: the file.
+        most: bytes that it may have.
 
     Raises:
         InputError: it is too large, nests too deep or holds a number of too many digits.
         OSError: it cannot be read.
         ValueError: it is no JSON.
     """
-    return parse_json(read_text(path, "a JSON file"), path)
+    return parse_json(read_text(path, "a JSON file", most), path, most)
 
 
 def read_lines(path: Path, kind: str) -> Iterator[str]:

@@ -191,7 +191,7 @@ def test_a_kill_while_shards_are_written_loses_nothing(tmp_path: Path, monkeypat
         os.replace(written, path)
 
     monkeypatch.setattr("pb4u.dataset.dataset_folder.move_into_place", killed)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(Pb4uError, match="Stopped with 5 of 6 clips done"):
         make(runs(6), out, quick, WebDataset(2))
     monkeypatch.undo()
     assert len(list((out / "clips").iterdir())) == 3

@@ -37,6 +37,13 @@ def test_results_are_there_again(tmp_path: Path) -> None:
         assert folder.result(job("jump")) is None
 
 
+def test_results_of_long_runs_are_there_again_too(tmp_path: Path) -> None:
+    series = [0.1234567890123456] * 500_000
+    with opened(tmp_path / "run") as folder:
+        folder.take(JOB, Rollout({"series": series}, None))
+        assert folder.result(JOB) == {"series": series}
+
+
 @pytest.mark.parametrize("length", [0, 1, 40, -3])
 def test_half_written_results_are_not_believed(tmp_path: Path, length: int) -> None:
     file = kept(tmp_path / "run")

@@ -35,6 +35,35 @@ def test_a_concave_polygon_in_any_plane_is_covered_once():
     np.testing.assert_allclose(face_areas(star, corners).sum(), area)
 
 
+def best_ears_first(flat):
+    """Every ear looked at anew before each cut, in the order of `triangulate`."""
+
+    def quality(left, k):
+        a, b, c = (flat[left[i % len(left)]] for i in (k - 1, k, k + 1))
+        sides = np.array([b - a, c - b, a - c])
+        area = sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0]
+        others = flat[[i for i in left if i not in (left[k - 1], left[k], left[(k + 1) % len(left)])]]
+        offsets = others[:, None] - np.array([a, b, c])
+        inside = (sides[:, 0] * offsets[..., 1] - sides[:, 1] * offsets[..., 0] > 0).all(axis=1).any()
+        return -1.0 if area <= 0 or inside else area / np.linalg.norm(sides, axis=1).sum() ** 2
+
+    left, ears = list(range(len(flat))), set()
+    while len(left) > 3:
+        k = max(range(len(left)), key=lambda k: quality(left, k))
+        ears.add(frozenset((left[k - 1], left[k], left[(k + 1) % len(left)])))
+        del left[k]
+    return ears | {frozenset(left)}
+
+
+def test_large_polygons_are_cut_as_by_looking_at_every_corner_each_time():
+    draw = np.random.default_rng(0)
+    for count in (6, 9, 14, 25, 40):
+        angle, radius = np.sort(draw.uniform(0, 2 * np.pi, count)), draw.uniform(0.3, 1, count)
+        flat = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+        corners, _ = triangulate(np.column_stack([flat, np.zeros(count)]), [np.arange(count)])
+        assert {frozenset(ear) for ear in corners.tolist()} == best_ears_first(flat)
+
+
 def test_no_polygons_give_no_triangles():
     corners, owner = triangulate(np.zeros((3, 3)), [])
     assert corners.shape == (0, 3)

@@ -8,6 +8,7 @@ FOLDER holds pb4u.zip, the `pb4u` command, and body.npz: `vertices` (n, 3) [m] a
 import os
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -149,6 +150,56 @@ def world(each, frame=None):
     result = points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
     evaluated.to_mesh_clear()
     return result
+
+
+class Layout:
+    """Takes what a panel draws without a screen, and refuses properties and operators that are not there."""
+
+    def __init__(self, drawn):
+        self.drawn = drawn
+
+    def prop(self, data, name, **_):
+        assert name in data.bl_rna.properties, name
+
+    def prop_search(self, data, name, source, names, **_):
+        assert name in data.bl_rna.properties, name
+        assert names in source.bl_rna.properties, names
+
+    def operator(self, name, **_):
+        module, _, function = name.partition(".")
+        getattr(getattr(bpy.ops, module), function).get_rna_type()
+        self.drawn.append(name)
+        return self
+
+    def template_list(self, _kind, _name, data, entries, _active_data, active, rows):
+        assert {entries, active} <= set(data.bl_rna.properties.keys())
+
+    def label(self, text, **_):
+        assert text
+
+    def progress(self, factor, text):
+        assert 0.0 <= factor <= 1.0
+
+    def row(self, **_):
+        return self
+
+    column = box = row
+
+
+def draw_panels():
+    """Draw every panel of the add-on; the operators that they offer."""
+    module = sys.modules["bl_ext.user_default.pb4u.panels"]
+    drawn = []
+    # Without a screen the interface has no scale.
+    screen = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0))
+    context = SimpleNamespace(scene=bpy.context.scene, preferences=screen, region=SimpleNamespace(width=320))
+    for panel in module.CLASSES[1:]:
+        panel.draw(SimpleNamespace(layout=Layout(drawn)), context)
+    own = bpy.context.preferences.addons["bl_ext.user_default.pb4u"].preferences
+    sys.modules["bl_ext.user_default.pb4u.preferences"].Preferences.draw(
+        SimpleNamespace(layout=Layout(drawn), source=own.source, status="x", bl_rna=own.bl_rna), context
+    )
+    return drawn
 
 
 FOLDER = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(os.curdir)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -306,6 +307,14 @@ except RuntimeError as error:
     assert sorted(each.name for each in (tmp_path / "pb4u_cache").iterdir()) == ["run_0001"]
 
 
+def test_the_script_of_the_page_runs(run: Callable) -> None:
+    (script,) = re.findall(r"^```py\n(.*?)^```", (ROOT / "docs" / "blender.md").read_text(), re.MULTILINE | re.DOTALL)
+    before = "settings.garments.clear()\nbpy.context.scene.frame_end = 1\n"
+    before += 'settings.model, settings.self_contact = "skinning", False\n'
+    seen = run(f'{before}{script}seen["status"] = settings.status')
+    assert seen["status"] == "1 frame is there."
+
+
 def test_findings_are_marked_and_selected(run: Callable) -> None:
     seen = run("""
 import bmesh
@@ -323,6 +332,7 @@ seen["checked"] = (list(bpy.ops.pb4u.check()), settings.checked)
 seen["findings"] = [(f.object, f.severity, f.sentence, f.fix, json.loads(f.vertices)) for f in settings.findings]
 group = skirt.vertex_groups["pb4u findings"].index
 seen["marked"] = [v.index for v in skirt.data.vertices if any(g.group == group for g in v.groups)]
+seen["drawn"] = draw_panels()
 turned = [k for k, f in enumerate(settings.findings) if "turned over" in f.sentence][0]
 bpy.ops.pb4u.select_finding(index=turned)
 seen["mode"] = bpy.context.mode
@@ -331,6 +341,7 @@ seen["selected"] = [v.index for v in skirt.data.vertices if v.select]
 seen["face"] = sorted(skirt.data.polygons[200].vertices)
 """)
     assert seen["checked"][0] == ["FINISHED"]
+    assert {"pb4u.check", "pb4u.simulate", "pb4u.select_finding", "pb4u.add_garment"} <= set(seen["drawn"])
     by_fix = {fix: (each, sentence, vertices) for each, _, sentence, fix, vertices in seen["findings"]}
     each, sentence, vertices = by_fix["Mesh > Merge > By Distance"]
     assert each == "Skirt"

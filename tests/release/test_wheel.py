@@ -115,6 +115,8 @@ def test_an_empty_environment_simulates_from_another_folder(wheel: Path, tmp_pat
     assert "pb4u-small" in [model["name"] for model in listed["models"]]
 
 
-def test_the_changelog_dates_the_version() -> None:
+def test_the_changelog_dates_the_version_and_the_add_on_has_it() -> None:
     text = (ROOT / "CHANGELOG.md").read_text()
     assert text.index("## [Unreleased]") < text.index(f"## [{pb4u.__version__}] - 20")
+    manifest = (ROOT / "integrations" / "blender" / "blender_manifest.toml").read_text()
+    assert f'\nversion = "{pb4u.__version__}"' in manifest

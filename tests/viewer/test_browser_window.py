@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import io
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import count
 from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
+from PIL import Image
 from tests.viewer.clips import trajectory
 
 from pb4u.errors import InputError
@@ -16,6 +21,7 @@ from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 from pb4u.simulation.run_specification import RunSpecification
 from pb4u.viewer.browser_window import BrowserWindow
 from pb4u.viewer.clip import RecordedClip
+from pb4u.viewer.film import Film
 
 TINY = RunSpecification(
     SceneSpecification((GarmentSpecification(triangles=400),), frames=4, lead_in=2), model="skinning"
@@ -93,3 +99,40 @@ def test_what_cannot_be_painted_is_said_once_and_shown_shaded(client: MagicMock,
     time.sleep(0.7)
     assert client.add_notification.call_count == 1
     assert other.close(timeout=10.0)
+
+
+def test_a_film_is_taken_one_at_a_time_and_can_be_stopped(client: MagicMock, window: BrowserWindow) -> None:
+    seen = threading.Event()
+    taken = count(10, 10)
+    client.get_render.side_effect = lambda *_, **__: (
+        np.full((11, 21, 4), next(taken), dtype=np.uint8) if seen.wait(30.0) else None
+    )
+    window.film(".gif")
+    with pytest.raises(InputError, match="Pictures are being taken"):
+        window.film(".png")
+    window.stop_filming()
+    seen.set()
+    until(lambda: window._film is None)
+    client.send_file_download.assert_not_called()
+    window.film(".gif")
+    until(lambda: client.send_file_download.called)
+    name, content = client.send_file_download.call_args.args
+    assert name == "30.gif"
+    with Image.open(io.BytesIO(content)) as film:
+        assert (film.size, film.n_frames) == ((20, 10), 10)  # even, and every other one of twenty at 30 a second
+    client.add_notification.assert_not_called()
+
+
+def test_a_film_that_cannot_be_taken_is_said(client: MagicMock, window: BrowserWindow) -> None:
+    client.get_render.side_effect = TimeoutError
+    window.film(".png")
+    until(lambda: client.add_notification.called)
+    assert "keep its window in sight" in client.add_notification.call_args.args[1]
+    until(lambda: window._film is None)
+    with pytest.raises(InputError, match="There is no format"):
+        window.film(".exe")
+    window.change(lambda state: state.load(()))
+    with pytest.raises(InputError, match="nothing to see yet"):
+        window.film(".png")
+    with pytest.raises(InputError, match="at most 1,200 frames, and here are 1,201"):
+        Film(".gif", list(range(1201)), RecordedClip(trajectory(2), "a"))

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from tests.garment.cloth_shapes import quad_tube, saved
 
 from pb4u.errors import InputError
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
@@ -48,6 +52,32 @@ def test_frames_arrive_one_by_one() -> None:
     assert made.frame_count == 5
     assert np.isfinite(made.positions).all()
     assert made.metadata["model"] == "skinning"
+
+
+def test_a_garment_of_ones_own_is_worn_under_another(tmp_path: Path) -> None:
+    tube = saved(tmp_path, quad_tube(low=0.6, high=1.0, radius=0.22, around=24, rows=12))
+    worn = (GarmentSpecification(tube, pins="waist"), GarmentSpecification("tshirt", triangles=400))
+    run = replace(TINY, scene=replace(TINY.scene, garments=worn, frames=2, lead_in=0))
+    for files, ending in (((), Ending.failed), ((tube,), Ending.finished)):
+        hearer = Hearer()
+        simulation = LiveSimulation(run, hearer.advanced, hearer.ended, files)
+        simulation.start()
+        assert simulation.join(120.0)
+        assert hearer.ending is ending, hearer.sentence
+    assert hearer.clip is not None
+    assert [entry["name"] for entry in hearer.clip.header.garments] == ["tube", "tshirt"]
+    assert hearer.clip.frame_count == 2
+
+
+def test_a_file_with_too_many_triangles_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tube = saved(tmp_path, quad_tube(low=0.6, high=1.0, radius=0.22, around=24, rows=12))
+    monkeypatch.setattr("pb4u.viewer.live_simulation.MOST_TRIANGLES", 500)
+    hearer = Hearer()
+    run = replace(TINY, scene=replace(TINY.scene, garments=(GarmentSpecification(tube, pins="waist"),)))
+    simulation = LiveSimulation(run, hearer.advanced, hearer.ended, (tube,))
+    simulation.start()
+    assert simulation.join(60.0)
+    assert hearer.sentence == "tube has 576 triangles, and 500 are the most here; ask for fewer."
 
 
 @pytest.mark.parametrize("after", [2, 5])

@@ -14,10 +14,11 @@ from tests.viewer.clips import frame, header, trajectory, tube
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import load_material
+from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.scene.packed import pack
 from pb4u.scene.trajectory import Trajectory
 from pb4u.viewer.clip import RecordedClip
-from pb4u.viewer.overlay import OVERLAYS, ColourScale, Penetration, Strain, UpdateScale
+from pb4u.viewer.overlay import OVERLAYS, ColourScale, Penetration, SelfIntersections, Strain, UpdateScale
 from pb4u.viewer.surface import coloured_glb
 
 
@@ -41,6 +42,17 @@ def test_penetration_needs_a_closed_body() -> None:
     open_body = Trajectory(head, closed.positions, closed.velocities, closed.body_positions[:, :-2])
     with pytest.raises(InputError, match="not a closed surface"):
         Penetration(RecordedClip(open_body, "open"))
+
+
+def test_cloth_that_crosses_is_painted_and_no_other() -> None:
+    made = trajectory(2)
+    # One vertex of the second frame is drawn through the tube and out on its other side.
+    made.positions[1, 40] *= [-2.0, 1.0, -2.0]
+    overlay = SelfIntersections(RecordedClip(made, "a"))
+    assert not overlay.values(0).any()
+    pairs = self_crossings(made.positions[1], made.faces)
+    assert len(pairs)
+    np.testing.assert_array_equal(np.flatnonzero(overlay.values(1)), np.unique(made.faces[pairs]))
 
 
 def test_update_scale_is_the_mean_edge_at_a_vertex_over_the_reference() -> None:
@@ -112,5 +124,5 @@ def test_a_coloured_mesh_is_read_back_by_another_reader() -> None:
 def test_every_overlay_paints_or_does_not() -> None:
     clip = RecordedClip(trajectory(2), "a")
     painted = {name for name, overlay in OVERLAYS.items() if overlay(clip).scale is not None}
-    assert painted == {"strain", "penetration", "skin through cloth", "K and update scale"}
+    assert painted == {"strain", "penetration", "self-intersections", "skin through cloth", "K and update scale"}
     assert [name for name, overlay in OVERLAYS.items() if overlay.wireframe] == ["wireframe"]

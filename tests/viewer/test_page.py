@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import shutil
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
+from tests.garment.cloth_shapes import quad_tube, saved
 from tests.viewer.clips import trajectory
 
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
@@ -96,7 +100,12 @@ def window(studio: Any, downloads: Path, tmp_path_factory: pytest.TempPathFactor
     options.binary_location = BROWSER
     for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
         options.add_argument(flag)
-    options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
+    # Clicks by script are no gestures of a user, and without one a browser keeps a second file back.
+    wishes = {
+        "download.default_directory": str(downloads),
+        "profile.default_content_setting_values.automatic_downloads": 1,
+    }
+    options.add_experimental_option("prefs", wishes)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
     try:
@@ -182,6 +191,32 @@ def test_another_window_has_its_own_state_and_its_work_ends_with_it(studio: Any,
     assert [clip.label for clip in session.state.clips] == ["tube"]
 
 
+def test_the_view_is_kept_as_a_still_and_as_a_video(window: Window, session: Any, downloads: Path) -> None:
+    for file in downloads.glob("*"):
+        file.unlink()
+    shown = session.state.clips
+    session._load((RecordedClip(trajectory(5, widen=0.01), "tube"),))
+    window.tab("Look")
+    window.choose("Overlay", "strain")
+    window.tab("Export")
+    window.button("Still of this frame")
+    (still,) = wait_for(lambda: list(downloads.glob("*.png")), "the still is downloaded")
+    width, height = session._client.camera.image_width, session._client.camera.image_height
+    wait_for(lambda: window.says("was handed to the browser"), "it says so")
+    picture = np.asarray(Image.open(still))
+    assert picture.shape[:2] == (height, width)
+    assert len(np.unique(picture[..., :3].reshape(-1, 3), axis=0)) > 50
+    session.export_panel._film_format.value = ".gif"
+    window.button("Video of all frames")
+    (video,) = wait_for(lambda: list(downloads.glob("*.gif")), "the video is downloaded")
+    with Image.open(video) as frames:
+        assert frames.n_frames == 3  # of five, down to about 15 a second
+        first = np.asarray(frames.convert("RGB"), dtype=int)
+        frames.seek(2)
+        assert abs(np.asarray(frames.convert("RGB"), dtype=int) - first).max() > 30
+    session._load(shown)
+
+
 def test_it_simulates_live_cancels_and_exports(window: Window, session: Any, downloads: Path) -> None:
     window.tab("Simulate")
     window.type("Triangles", 400)
@@ -205,6 +240,29 @@ def test_it_simulates_live_cancels_and_exports(window: Window, session: Any, dow
     wait_for(lambda: window.says("was handed to the browser"), "the export is done")
     (file,) = wait_for(lambda: list(downloads.glob("*.npz")), "the file is downloaded")
     assert file.name == f"tshirt_walk_{default_model().replace('-', '_')}.npz"
+
+
+def test_files_of_ones_own_are_worn_over_each_other_and_kept_as_a_scene(
+    window: Window, session: Any, downloads: Path, tmp_path: Path
+) -> None:
+    tube = saved(tmp_path, quad_tube(low=0.6, high=1.0, radius=0.22, around=24, rows=12), "my tube.obj")
+    window.tab("Simulate")
+    window.find("//*[normalize-space()='Files of your own']").click()
+    chooser = wait_for(
+        lambda: window.driver.find_elements("css selector", "input[type=file]"), "there are places for files"
+    )[0]
+    chooser.send_keys(str(tube))
+    wait_for(lambda: window.says("my_tube.obj is here and chosen"), "the file has arrived")
+    window.button("Add a garment")
+    wait_for(lambda: len(session.simulation_panel.run().scene.garments) == 2, "there are two garments")
+    wait_for(lambda: window.says("Garment 2"), "the page shows both")
+    window.button("Save scene.toml")
+    file = wait_for(lambda: list(downloads.glob("scene.zip")), "the scene is downloaded")[0]
+    with zipfile.ZipFile(file) as archive:
+        assert set(archive.namelist()) == {"scene.toml", "garment/my_tube.obj"}
+        assert archive.read("garment/my_tube.obj") == tube.read_bytes()
+    window.button("Take off the last")
+    wait_for(lambda: len(session.simulation_panel.run().scene.garments) == 1, "one is taken off")
 
 
 def test_an_impossible_wish_is_answered_on_the_page(window: Window, session: Any) -> None:

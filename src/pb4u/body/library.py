@@ -42,6 +42,11 @@ def body_names() -> tuple[str, ...]:
     return BUILT_IN
 
 
+def file_suffixes() -> tuple[str, ...]:
+    """Suffixes of the files that `load_body` reads."""
+    return tuple(dict.fromkeys(suffix for form in _FORMATS for suffix in form.suffixes if suffix != _FOLDER))
+
+
 def load_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None) -> ShapedBody | VertexSequence:
     """A body by name, or from a file or folder.
 

@@ -75,7 +75,7 @@ def batch(
 
     made = make_dataset(
         runs, out, pool, WebDataset(clips_per_shard) if format == "webdataset" else FolderOfTrajectories(), half=half,
-        jobs_file=jobs.name, workers=workers, retry=retry, plan_only=plan,
+        jobs_file=jobs.name, workers=workers if ray in (None, "local") else None, retry=retry, plan_only=plan,
         say=lambda line: print(f"pb4u: {line}", file=sys.stderr), progress=progress_bar,
     )  # fmt: skip
     if json:

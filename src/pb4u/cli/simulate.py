@@ -396,7 +396,7 @@ def _simulate(
     if record.failed_at is not None:
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
-            "before it were written. Try --model solver, or --refine 10."
+            f"before it were written; {_advice(simulator.name)}."
         )
     if diverged == 0:
         raise Pb4uError(
@@ -405,11 +405,17 @@ def _simulate(
             "--triangles."
         )
     if diverged is not None:
-        mend = "look at it with `pb4u view`" if simulator.name == "solver" else "try --model solver, or --refine 10"
         _warn(
             f"The run diverged at frame {diverged}: the cloth is stretched by more than 60 %, or over 0.5 m from where "
-            f"the body carries it; {mend}."
+            f"the body carries it; {_advice(simulator.name)}."
         )
+
+
+def _advice(model: str) -> str:
+    """What to try where a model lost the cloth."""
+    if model == "solver":
+        return "look at it with `pb4u view`"
+    return "try --model solver" if model in ("skinning", "newton") else "try --model solver, or --refine 10"
 
 
 def _warn(sentence: str) -> None:

@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,7 @@ class ClipJob(Job):
     contents: tuple[tuple[str, str, str], ...] = ()
     weights: str | None = None
 
-    @property
+    @cached_property
     def key(self) -> str:
         files: dict[str, list[str]] = {}
         for value, file, content in self.contents:

@@ -20,7 +20,6 @@ from pb4u import __version__
 from pb4u.atomic_file import MARK, move_into_place
 from pb4u.dataset.clip import DATASET_VERSION, Clip, ClipJob
 from pb4u.errors import InputError
-from pb4u.jobs.job import Failure
 from pb4u.jobs.job_folder import MANIFEST, JobFolder
 
 CLIPS, SHARDS, INDEX = "clips", "shards", "index.parquet"
@@ -95,20 +94,8 @@ class DatasetFolder(JobFolder):
         # After the manifest: without one, a folder with clips in it would be taken for somebody else's.
         (self.path / CLIPS).mkdir(exist_ok=True)
 
-    def take(self, job: ClipJob, outcome: Clip | Failure) -> None:
-        """Keep what came of a clip.
-
-        Args:
-            job: the clip asked for.
-            outcome: the clip made, or why there is none.
-
-        Raises:
-            Pb4uError: the disk refuses.
-        """
-        if isinstance(outcome, Failure):
-            self.note_failure(job, outcome)
-        else:
-            self.keep(job, outcome.record, {_loose(job.key): outcome.trajectory})
+    def parts(self, job: ClipJob, made: Clip) -> tuple[dict[str, Any], dict[str, bytes]]:
+        return made.record, {_loose(job.key): made.trajectory}
 
     def result(self, job: Any) -> dict[str, Any] | None:
         """The record of a clip; None where it, or its trajectory, is not there whole."""

@@ -12,7 +12,7 @@ from pb4u.dataset.clip import ClipJob
 from pb4u.dataset.dataset_folder import INDEX, DatasetFolder, Layout
 from pb4u.dataset.index import require_parquet, write_index
 from pb4u.dataset.planning import Footprint, expected_seconds, footprints, plan_clips
-from pb4u.errors import InputError
+from pb4u.errors import InputError, Pb4uError
 from pb4u.jobs.job_queue import make_all, still_to_do
 from pb4u.jobs.worker_pool import WorkerPool
 from pb4u.progress import Progress, unheard
@@ -30,7 +30,7 @@ def make_dataset(
     *,
     half: bool = False,
     jobs_file: str = "",
-    workers: int = 1,
+    workers: int | None = 1,
     retry: bool = False,
     plan_only: bool = False,
     say: Callable[[str], None] = lambda sentence: None,
@@ -45,7 +45,7 @@ def make_dataset(
         layout: how clips lie in the folder.
         half: keep trajectories in half precision.
         jobs_file: name of the file that describes the runs, for the manifest.
-        workers: how many work, for the time told.
+        workers: how many work, for the time told; None where that is not known.
         retry: try clips again that failed before.
         plan_only: say what it takes, and make nothing.
         say: takes sentences on how it goes.
@@ -76,8 +76,11 @@ def make_dataset(
 
         with progress(f"{len(missing)} clips") if missing else nullcontext(unheard) as show:
             make_all(missing, pool, folder.take, show, stopped)
-        folder.pack(jobs)
-        write_index(folder, jobs)
+        try:
+            folder.pack(jobs)
+            write_index(folder, jobs)
+        except KeyboardInterrupt:
+            raise Pb4uError(stopped()) from None
         return _summary(jobs, folder)
 
 
@@ -86,17 +89,17 @@ def _told(
     jobs: Sequence[ClipJob],
     takes: dict[str, Footprint],
     folder: DatasetFolder,
-    workers: int,
+    workers: int | None,
 ) -> str:
     """Sentence on what the missing clips take."""
     records = [(takes[job.key], record) for job in jobs if (record := folder.result(job)) is not None]
-    seconds = expected_seconds([(job, takes[job.key]) for job in missing], records, workers)
+    seconds = expected_seconds([(job, takes[job.key]) for job in missing], records, workers or 1)
     size = sum(takes[job.key].size for job in missing)
     basis = "by those that are done" if records else "a first guess"
+    doing = "of one core's time" if workers is None else f"with {workers} {'worker' if workers == 1 else 'workers'}"
     return (
         f"{len(missing):,} clips take about {told_size(size)} on the disk, which has "
-        f"{told_size(_free(folder.path))} free, and about {_told_time(seconds)} with {workers} "
-        f"{'worker' if workers == 1 else 'workers'} ({basis})."
+        f"{told_size(_free(folder.path))} free, and about {_told_time(seconds)} {doing} ({basis})."
     )
 
 
@@ -133,8 +136,9 @@ def _told_time(seconds: float) -> str:
 
 
 def _summary(jobs: Sequence[ClipJob], folder: DatasetFolder) -> dict[str, Any]:
-    records = [record for job in jobs if (record := folder.result(job)) is not None]
-    failed = [(job, failure) for job in jobs if folder.result(job) is None and (failure := folder.failure(job))]
+    results = [(job, folder.result(job)) for job in jobs]
+    records = [record for _, record in results if record is not None]
+    failed = [(job, failure) for job, record in results if record is None and (failure := folder.failure(job))]
     return {
         "clips": len(jobs),
         "done": len(records),

@@ -61,7 +61,9 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[RunSpecification, ...
                 "raise --most-clips."
             )
         scenes: dict[Path, RunSpecification] = {}
-        return tuple(_run(number, entries, path.parent, scenes) for number, entries in enumerate(clips, start=1))
+        # Absolute, so that a worker finds the files from wherever it runs.
+        folder = path.absolute().parent
+        return tuple(_run(number, entries, folder, scenes) for number, entries in enumerate(clips, start=1))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

@@ -13,7 +13,6 @@ from typing import Any
 from pb4u import __version__
 from pb4u.errors import InputError
 from pb4u.evaluation.rollout import PROTOCOL_VERSION, Rollout, RolloutJob
-from pb4u.jobs.job import Failure
 from pb4u.jobs.job_folder import JOBS, MANIFEST, JobFolder
 
 
@@ -61,21 +60,8 @@ class ResultFolder(JobFolder):
         }
         self.write(MANIFEST, (json.dumps(manifest, indent=1, default=str) + "\n").encode())
 
-    def take(self, job: RolloutJob, outcome: Rollout | Failure) -> None:
-        """Keep what came of a rollout.
-
-        Args:
-            job: the rollout asked for.
-            outcome: the rollout made, or why there is none.
-
-        Raises:
-            Pb4uError: the disk refuses.
-        """
-        if isinstance(outcome, Failure):
-            self.note_failure(job, outcome)
-        else:
-            pictured = {} if outcome.still is None else {f"{JOBS}/{job.key}.npz": outcome.still}
-            self.keep(job, outcome.result, pictured)
+    def parts(self, job: RolloutJob, made: Rollout) -> tuple[dict[str, Any], dict[str, bytes]]:
+        return made.result, {} if made.still is None else {f"{JOBS}/{job.key}.npz": made.still}
 
     def still(self, job: RolloutJob) -> Path:
         """Path of the frame kept for pictures; the file may be absent."""

@@ -150,11 +150,12 @@ class PosedSurface:
             total.index_add_(0, faces[:, k], angle[:, None] * self.face_normals)
         return total
 
-    def nearest(self, points: Tensor | np.ndarray) -> NearestPoints:
+    def nearest(self, points: Tensor | np.ndarray, faces: np.ndarray | None = None) -> NearestPoints:
         """Exact nearest points of the surface.
 
         Args:
             points: (points, 3) [m].
+            faces: (points,) int64 nearest of the faces that may be touched, where they are known already.
 
         Raises:
             InputError: one of them is not finite.
@@ -163,7 +164,7 @@ class PosedSurface:
         queried = asked.to(self.vertices.device, torch.float64)
         if not bool(torch.isfinite(queried).all()):
             raise InputError("The nearest surface was asked for a point that is not finite.")
-        triangle = self._nearest_triangle(queried)
+        triangle = self._nearest_triangle(queried) if faces is None else torch.from_numpy(faces)
         a, b, c = (corner.index_select(0, triangle) for corner in self._corners)
         barycentric = closest_barycentric(queried, a, b, c)
         position = barycentric[:, :1] * a + barycentric[:, 1:2] * b + barycentric[:, 2:] * c

@@ -47,24 +47,40 @@ def _clip_ears(points: np.ndarray) -> np.ndarray:
     axis = np.eye(3)[np.argmin(np.abs(normal))]
     u = np.cross(axis, normal)
     flat = np.stack([points @ u, points @ np.cross(normal, u)], axis=1)
-    left = list(range(len(points)))
+    count = len(points)
+    before, after, left = np.roll(np.arange(count), 1), np.roll(np.arange(count), -1), np.ones(count, dtype=bool)
+    quality = np.array([_ear_quality(flat, left, before[k], k, after[k]) for k in range(count)])
     ears: list[tuple[int, int, int]] = []
-    while len(left) > 3:
-        best = max(range(len(left)), key=lambda k: _ear_quality(flat, left, k))
-        ears.append((left[best - 1], left[best], left[(best + 1) % len(left)]))
-        del left[best]
-    ears.append((left[0], left[1], left[2]))
+    while len(ears) < count - 3:
+        best = int(quality.argmax())
+        if quality[best] <= 0.0:
+            # Only a polygon that crosses itself has no ear; what is clipped then is as good as anything.
+            rest = np.flatnonzero(left).tolist()
+            quality[rest] = [_ear_quality(flat, left, before[k], k, after[k]) for k in rest]
+            best = int(np.where(left, quality, -np.inf).argmax())
+        a, c = int(before[best]), int(after[best])
+        ears.append((a, best, c))
+        left[best], quality[best] = False, -np.inf
+        after[a], before[c] = c, a
+        # A clipped corner is convex, and alone keeps no other from being an ear: only the two beside it change.
+        for k in (a, c):
+            quality[k] = _ear_quality(flat, left, before[k], k, after[k])
+    a, b, c = np.flatnonzero(left).tolist()
+    ears.append((a, b, c))
     return np.array(ears, dtype=np.int64)
 
 
-def _ear_quality(flat: np.ndarray, left: list[int], k: int) -> float:
-    """Signed area of the ear at place k over its squared perimeter; -1 when another corner lies in it."""
-    a, b, c = flat[left[k - 1]], flat[left[k]], flat[left[(k + 1) % len(left)]]
+def _ear_quality(flat: np.ndarray, left: np.ndarray, before: int, at: int, after: int) -> float:
+    """Signed area of the ear at a corner over its squared perimeter; -1 when another corner that is left lies in it."""
+    a, b, c = corners = flat[[before, at, after]]
     sides = np.array([b - a, c - b, a - c])
     area = float(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])
-    others = flat[[i for n, i in enumerate(left) if n not in (k, (k - 1) % len(left), (k + 1) % len(left))]]
-    offsets = others[:, None] - np.array([a, b, c])
+    if area <= 0.0:
+        return -1.0
+    others = left.copy()
+    others[[before, at, after]] = False
+    offsets = flat[others][:, None] - corners
     crosses = sides[:, 0] * offsets[..., 1] - sides[:, 1] * offsets[..., 0]
-    if area <= 0.0 or bool((crosses > 0.0).all(axis=1).any()):
+    if bool((crosses > 0.0).all(axis=1).any()):
         return -1.0
     return area / float(np.linalg.norm(sides, axis=1).sum() ** 2)

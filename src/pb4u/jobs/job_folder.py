@@ -21,7 +21,7 @@ from filelock import FileLock, Timeout
 from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError, Pb4uError
 from pb4u.jobs.job import Failure, Job
-from pb4u.reading_limits import read_json
+from pb4u.reading_limits import MOST_NUMBERS_TEXT, read_json
 
 MANIFEST, JOBS, LOCK = "manifest.json", "jobs", ".lock"
 _Folder = TypeVar("_Folder", bound="JobFolder")
@@ -65,6 +65,30 @@ class JobFolder(ABC):
             KeyError: it lacks what every manifest of the kind has.
         """
 
+    @abstractmethod
+    def parts(self, job: Any, made: Any) -> tuple[Mapping[str, Any], Mapping[str, bytes]]:
+        """What is kept of a job that was done: its result, and other files by path within the folder.
+
+        Args:
+            job: the job.
+            made: what it made.
+        """
+
+    def take(self, job: Any, outcome: Any) -> None:
+        """Keep what came of a job.
+
+        Args:
+            job: the job asked for.
+            outcome: what it made, or the `Failure` that says why it made nothing.
+
+        Raises:
+            Pb4uError: the disk refuses.
+        """
+        if isinstance(outcome, Failure):
+            self.note_failure(job, outcome)
+        else:
+            self.keep(job, *self.parts(job, outcome))
+
     def _read_manifest(self, kind: str) -> None:
         file = self.path / MANIFEST
         if not file.exists():
@@ -103,7 +127,7 @@ class JobFolder(ABC):
             "command goes on."
         )
 
-    def keep(self, job: Job, result: Mapping[str, Any], beside: Mapping[str, bytes] | None = None) -> None:
+    def keep(self, job: Job, result: Mapping[str, Any], beside: Mapping[str, bytes]) -> None:
         """Keep a result, and before it the files that belong to it, so that a result is whole once it is there.
 
         Args:
@@ -114,7 +138,7 @@ class JobFolder(ABC):
         Raises:
             Pb4uError: the disk refuses.
         """
-        for name, content in (beside or {}).items():
+        for name, content in beside.items():
             self.write(name, content)
         kept = json.loads(json_text(dict(result)))
         envelope = {"key": job.key, "checksum": _checksum(kept), "result": kept}
@@ -124,7 +148,8 @@ class JobFolder(ABC):
     def result(self, job: Job) -> dict[str, Any] | None:
         """The result of a job; None where there is none, or none that is whole."""
         try:
-            envelope = read_json(self._jobs / f"{job.key}.json")
+            # Series of numbers: a long clip has more of them than other texts may have.
+            envelope = read_json(self._jobs / f"{job.key}.json", MOST_NUMBERS_TEXT)
             result = envelope["result"]
             whole = envelope["key"] == job.key and envelope["checksum"] == _checksum(result)
         except (OSError, ValueError, KeyError, TypeError):

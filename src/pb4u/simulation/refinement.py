@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from torch import Tensor
 
+from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution, Solver, implicit_steps
@@ -16,11 +17,14 @@ from pb4u.scene.state import State
 from pb4u.simulation.step_start import CARRIED_SHARES, CarriedStart, FreeFlight, StepStart
 
 _BALANCED = 100.0
-"""Residual [standard gravity] times iterations above which a refined step is made anew.
+"""Residual [standard gravity] times iterations above which a refined step may be made anew.
 
 Five iterations leave 1 to 8 of a T-shirt that walks or dances, of a dress that walks 7 in the median; of steps in
 which a running body caught the dress, 50 to 800.
 """
+
+_TORN = 0.6
+"""Strain of a face from which on it is: contact between layers leaves such residuals too, with nothing caught."""
 
 _ROUGH_TOLERANCE = 1.0
 """Residual [standard gravity] to which such a step is solved: below that of steps that are refined as usual."""
@@ -124,7 +128,7 @@ class ImplicitSteps(SolverRefinement):
 
 
 class SafeguardedRefinement(SolverRefinement):
-    """Refines a prediction, and makes the step anew by the solver where that leaves it far from balance.
+    """Refines a prediction, and makes the step anew by the solver where that leaves it torn and far from balance.
 
     Cloth that a prediction left on two sides of a limb stays hooked there, however many iterations follow. The step is
     then solved from where the body carries the garment, to a rough tolerance.
@@ -148,7 +152,9 @@ class SafeguardedRefinement(SolverRefinement):
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
-        if refined.residual <= self.balanced:
+        garments = step.garments
+        strains = face_strains(refined.positions, garments.faces, garments.inverse_rest_shape)
+        if refined.residual <= self.balanced or not bool((strains > _TORN).any()):
             return step.reached(refined.positions)
         state, solved = self.anew.solved(step)
         if self.made_anew:

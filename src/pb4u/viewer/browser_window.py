@@ -12,11 +12,13 @@ from pb4u.errors import InputError
 from pb4u.simulation.run_specification import RunSpecification
 from pb4u.viewer.clip import Clip, GrowingClip
 from pb4u.viewer.display import Display
-from pb4u.viewer.export_panel import ExportPanel, deliver
+from pb4u.viewer.export_panel import ExportPanel, deliver, pack_scene
+from pb4u.viewer.film import Film, take_picture
 from pb4u.viewer.live_simulation import Ending, LiveSimulation, require_offered
 from pb4u.viewer.panel import Requests, Tone, notice
 from pb4u.viewer.plot_panel import Measurement, PlotPanel
 from pb4u.viewer.simulation_panel import SimulationPanel
+from pb4u.viewer.uploads import Uploads, bound_uploads
 from pb4u.viewer.view_panels import LookPanel, TimelinePanel
 from pb4u.viewer.view_state import ViewState
 from pb4u.viewer.worker import plain_sentence
@@ -48,9 +50,12 @@ class BrowserWindow(Requests):
         self.state = ViewState()
         self.simulation: LiveSimulation | None = None
         self.measurements: tuple[Measurement, ...] = ()
-        # Guards the state, the simulation, the measurements and the two flags below, which several threads change.
+        # Guards what several threads change: state, simulation, measurements and, below, the film and two flags.
         self._lock = threading.RLock()
         self._watching_live = self._camera_due = False
+        self._film: Film | None = None
+        self._uploads = Uploads()
+        bound_uploads(client.gui, self.say)
         self._wake, self._closed = threading.Event(), threading.Event()
         # Of the thread of the page alone.
         self.display = Display(client)
@@ -103,12 +108,39 @@ class BrowserWindow(Requests):
             self._camera_due = True
         self._wake.set()
 
+    def keep(self, kind: str, name: str, content: bytes) -> str:
+        return self._uploads.keep(kind, name, content)
+
+    def find(self, kind: str, name: str) -> Path | None:
+        return self._uploads.find(kind, name)
+
+    def save_scene(self, run: RunSpecification) -> str:
+        require_offered(run, self._uploads.files)
+        name, content = pack_scene(run, self._uploads.folder)
+        self._client.send_file_download(name, content, save_immediately=True)
+        return f"{name} was handed to the browser; run it with `pb4u simulate scene.toml`."
+
+    def film(self, suffix: str) -> None:
+        with self._lock:
+            if not self.state.clips:
+                raise InputError("There is nothing to see yet; simulate something first.")
+            if self._film is not None:
+                raise InputError("Pictures are being taken; wait for them, or stop.")
+            frames = [self.state.clock.frame] if suffix == ".png" else list(range(self.state.clock.frame_count))
+            self._film = Film(suffix, frames, self.state.clips[0])
+        self._wake.set()
+
+    def stop_filming(self) -> None:
+        with self._lock:
+            if self._film is not None:
+                self._film.stopped = True
+
     def simulate(self, run: RunSpecification) -> None:
-        require_offered(run)
+        require_offered(run, self._uploads.files)
         with self._lock:
             if self.simulation is not None and self.simulation.running:
                 raise InputError("A simulation is running in this window; cancel it first.")
-            self.simulation = LiveSimulation(run, self._advanced, self._ended)
+            self.simulation = LiveSimulation(run, self._advanced, self._ended, self._uploads.files)
             self.simulation_panel.began()
             self.simulation.start()
 
@@ -194,6 +226,7 @@ class BrowserWindow(Requests):
         until = time.monotonic() + timeout
         self._thread.join(max(until - time.monotonic(), 0.0))
         ended = [worker.join(max(until - time.monotonic(), 0.0)) for worker in workers]
+        self._uploads.close()
         return all(ended) and not self._thread.is_alive()
 
     def _run(self) -> None:
@@ -213,6 +246,10 @@ class BrowserWindow(Requests):
         if not self.display.ready:
             return _ASK_AGAIN
         with self._lock:
+            film = self._film
+        if film is not None:
+            self._shoot(film)
+        with self._lock:
             state, measurements = self.state.frozen(), self.measurements
             camera, self._camera_due = self._camera_due, False
         self.display.update(state)
@@ -222,3 +259,28 @@ class BrowserWindow(Requests):
         self.timeline_panel.refresh(state)
         self.plot_panel.refresh(measurements, state.clock.frame)
         return min(state.clock.wait, _REVEAL_AFTER) if self.display.waits else state.clock.wait
+
+    def _shoot(self, film: Film) -> None:
+        """Take the pictures of a film, frame by frame, and hand it to the browser."""
+        told = ""
+        try:
+            for done, frame in enumerate(film.frames):
+                if self.closed or film.stopped:
+                    return
+                self.export_panel.filming(done, len(film.frames))
+                with self._lock:
+                    state = self.state.frozen()
+                if state.clips[:1] != (film.clip,):
+                    raise InputError("Something else is shown now; the pictures were thrown away.")
+                state.clock.pause_at(frame)
+                self.display.settle(state, lambda: self.closed)
+                film.pictures.append(take_picture(self._client))
+            name, content = film.developed()
+            self._client.send_file_download(name, content, save_immediately=True)
+            told = f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser."
+        finally:
+            # Before it is told, so that whoever reads that may begin another.
+            with self._lock:
+                self._film = None
+            if not self.closed:
+                self.export_panel.filmed(told)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import time
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
@@ -38,6 +40,9 @@ _IN_FLIGHT = 2
 
 _PATIENCE = 5.0
 """Seconds after which a frame counts as lost, so that a browser that never answers is sent another."""
+
+_ASK_AGAIN, _READING = 0.004, 0.2
+"""Seconds between looks at whether the browser has answered; seconds that it is given to read a painted mesh."""
 
 _FOOT_HEIGHT, _FOOT_LENGTH = 0.12, 0.25
 """Of an adult's foot, ankle included [m]: what lies that low shades the ground, at least as far as one foot does."""
@@ -162,6 +167,21 @@ class Display:
         # No answer: the window is gone, has no storage, or is out of sight and does not draw.
         with contextlib.suppress(RuntimeError, TimeoutError):
             self._client.local_storage.get_item("pb4u", timeout=_PATIENCE)
+
+    def settle(self, state: ViewState, gone: Callable[[], bool]) -> None:
+        """Draw a state and wait until the browser shows it.
+
+        Args:
+            state: what is to be shown, as `ViewState.frozen` returns it.
+            gone: whether nobody is waiting any more.
+        """
+        self.update(state)
+        while any(not future.done() for future in self._asked) and not gone():
+            time.sleep(_ASK_AGAIN)
+        if self.waits:
+            # It is read beside the messages, and nothing tells when.
+            time.sleep(_READING)
+            self.update(state)
 
     @property
     def waits(self) -> bool:

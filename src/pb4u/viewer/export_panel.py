@@ -7,13 +7,16 @@ import re
 import tempfile
 import threading
 import zipfile
+from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, unknown_name
 from pb4u.export.registry import WRITERS, export
+from pb4u.simulation.run_specification import RunSpecification
 from pb4u.viewer.clip import Clip
+from pb4u.viewer.film import SUFFIXES as FILM_SUFFIXES
 from pb4u.viewer.panel import Panel, Tone, notice
 
 # Pictures are drawn with OpenGL, whose contexts do not share threads well, and two windows may keep the same name.
@@ -30,6 +33,15 @@ class ExportPanel(Panel):
         self._go = gui.add_button("Export")
         self._status = gui.add_html("")
         self._go.on_click(self._answer(self._export))
+        with gui.add_folder("The view as it is"):
+            self._still = gui.add_button("Still of this frame")
+            self._film_format = gui.add_dropdown("Video", FILM_SUFFIXES[1:], initial_value=usual_video())
+            self._film = gui.add_button("Video of all frames")
+            self._stop = gui.add_button("Stop", visible=False)
+            self._film_status = gui.add_html("")
+        self._still.on_click(self._answer(lambda: self._requests.film(".png")))
+        self._film.on_click(self._answer(lambda: self._requests.film(self._film_format.value)))
+        self._stop.on_click(self._answer(self._requests.stop_filming))
 
     def _export(self) -> None:
         self._go.disabled = True
@@ -41,9 +53,60 @@ class ExportPanel(Panel):
             self._status.content = notice(done, Tone.good)
             self._go.disabled = False
 
+    def filming(self, done: int, total: int) -> None:
+        """Show how many pictures of the view are taken.
+
+        Args:
+            done: pictures taken.
+            total: pictures in all.
+        """
+        self._still.disabled = self._film.disabled = True
+        self._stop.visible = total > 1
+        self._film_status.content = notice(f"Picture {done + 1} of {total}; the view stays as it is meanwhile.")
+
+    def filmed(self, sentence: str) -> None:
+        """Show that no more are taken; `sentence` says what became of them."""
+        self._still.disabled = self._film.disabled = self._stop.visible = False
+        self._film_status.content = notice(sentence, Tone.good)
+
     def offer(self, clips: int) -> None:
         """Show the choice of a clip where there are two; `clips` is their number."""
         self._which.visible = clips > 1
+
+
+def usual_video() -> str:
+    """The video format that is offered first: MP4 where it can be written."""
+    return ".mp4" if find_spec("cv2") else ".gif"
+
+
+def pack_scene(run: RunSpecification, folder: Path) -> tuple[str, bytes]:
+    """A scene file, alone or packed with the files it names: name and content of one file for the browser.
+
+    Args:
+        run: what it describes.
+        folder: that holds the files it names, and for a moment the scene file.
+    """
+    with _ONE_AT_A_TIME:
+        written = run.save(folder / "scene.toml").read_text(encoding="utf-8")
+        (folder / "scene.toml").unlink()
+    # Where they are unpacked, files lie beside the scene.
+    text = written.replace(f"{folder.as_posix()}/", "")
+    named = [path for path in run.files() if isinstance(path, Path)]
+    if not named:
+        return "scene.toml", text.encode()
+    # What belongs to a file lies beside it under the same name; a skeleton serves all recordings beside it.
+    beside = {
+        other
+        for path in named
+        for other in path.parent.iterdir()
+        if other.stem == path.stem or (path.suffix == ".amc" and other.suffix == ".asf")
+    }
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("scene.toml", text)
+        for path in sorted(beside):
+            archive.write(path, path.relative_to(folder))
+    return "scene.zip", packed.getvalue()
 
 
 def _free_names(folder: Path, stem: str, names: list[str]) -> list[str]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from enum import Enum
+from pathlib import Path
 
 from pb4u.body.library import body_names
 from pb4u.errors import InputError, unknown_name
@@ -28,11 +29,12 @@ MOST_REFINING = 100
 """Iterations a step: twenty times what a network is given unless told otherwise."""
 
 
-def require_offered(run: RunSpecification) -> None:
-    """Refuse what the page does not offer: it is not trusted, so it names what is built in and never a file.
+def require_offered(run: RunSpecification, files: Collection[Path] = ()) -> None:
+    """Refuse what the page does not offer: it is not trusted, so it names what is built in or what it handed over.
 
     Args:
         run: what a page asked for.
+        files: files that it handed over.
 
     Raises:
         InputError: a name that is not built in, or a number out of range.
@@ -50,9 +52,11 @@ def require_offered(run: RunSpecification) -> None:
     ]
     for worn in scene.garments:
         named += [("garment", worn.garment, garment_names()), ("material", worn.material, material_names())]
-        counts.append(("triangles", worn.triangles, LEAST_TRIANGLES, MOST_TRIANGLES))
+        # A file may keep its own mesh; how large that is shows when it is read.
+        count = worn.triangles if worn.garment in files else worn.triangles or 0
+        counts.append(("triangles", count, LEAST_TRIANGLES, MOST_TRIANGLES))
     for what, name, known in named:
-        if name is not None and name not in known:
+        if name is not None and name not in known and not (isinstance(name, Path) and name in files):
             raise unknown_name(what, str(name), known)
     for what, number, least, most in counts:
         if number is not None and not least <= number <= most:
@@ -79,6 +83,7 @@ class LiveSimulation(Worker):
         advanced: called with the clip so far, the steps done and the steps in all, both with the lead-in, after every
             step and every frame, in the thread that computes.
         ended: called at the end with the clip, or None where it could not begin, how it ended in words, and how.
+        files: files that the page handed over.
     """
 
     def __init__(
@@ -86,9 +91,11 @@ class LiveSimulation(Worker):
         run: RunSpecification,
         advanced: Callable[[GrowingClip, int, int], None],
         ended: Callable[[GrowingClip | None, str, Ending], None],
+        files: Collection[Path] = (),
     ) -> None:
         super().__init__("live simulation")
         self._specification, self._advanced, self._ended = run, advanced, ended
+        self._files = frozenset(files)
         self._clip: GrowingClip | None = None
         self._frames = run.scene.frames or 0
 
@@ -104,10 +111,16 @@ class LiveSimulation(Worker):
 
     def _simulate(self) -> tuple[str, Ending]:
         run = self._specification
-        require_offered(run)
+        require_offered(run, self._files)
         simulator = run.simulator()
         self._end_if_cancelled()
         scene = assemble(replace(run.scene, fps=simulator.fps or run.scene.fps))
+        for worn in scene.garments:
+            if (count := worn.garment.triangle_count) > MOST_TRIANGLES:
+                raise InputError(
+                    f"{worn.garment.name} has {count:,} triangles, and {MOST_TRIANGLES:,} are the most here; ask for "
+                    "fewer."
+                )
         self._end_if_cancelled()
         label = f"{scene.labels['garment']}, {scene.labels['motion']}, {simulator.name}"
         self._frames = scene.frames

@@ -14,6 +14,7 @@ import torch
 from pb4u.errors import InputError
 from pb4u.evaluation.metrics import Ruler, visible_skin
 from pb4u.geometry.principal_stretch import face_strains
+from pb4u.geometry.proximity.surface_search import CrossingSearch, NearestFaceSearch
 from pb4u.graph.features import MaterialRange
 from pb4u.graph.garment_graph import garment_graph
 from pb4u.model.propagation_control import ConstantDistance
@@ -190,11 +191,30 @@ class Penetration(PaintedOverlay):
         super().__init__(clip)
         if self.ruler.surface is None:
             raise InputError(f"The body of {clip.label} is not a closed surface, so nothing can be inside it.")
+        self._search = NearestFaceSearch(clip.body(0), self.ruler.surface.faces)
 
     def values(self, t: int) -> np.ndarray:
         assert self.ruler.surface is not None
-        body = torch.from_numpy(self.clip.body(t).astype(np.float64))
-        return self.ruler.surface.at(body).nearest(self._garment(t)).signed_distance.numpy()
+        body, garment = self.clip.body(t), self._garment(t)
+        faces = self._search.nearest(body, garment.numpy())
+        posed = self.ruler.surface.at(torch.from_numpy(body.astype(np.float64)))
+        return posed.nearest(garment, faces).signed_distance.numpy()
+
+
+class SelfIntersections(PaintedOverlay):
+    """Triangles of cloth that cross others which they share no vertex with, of one garment or of two."""
+
+    scale = ColourScale("Cloth through cloth", 0.0, 1.0, "free", "crosses", "coolwarm")
+
+    @cached_property
+    def _search(self) -> CrossingSearch:
+        return CrossingSearch(self.ruler.garments.surface_tree)
+
+    def values(self, t: int) -> np.ndarray:
+        crossed = np.zeros(self.ruler.garments.vertex_count)
+        faces = self.ruler.garments.faces.numpy()
+        crossed[faces[np.unique(self._search.pairs(self.clip.garment(t)))]] = 1.0
+        return crossed
 
 
 class VisibleSkin(PaintedOverlay):
@@ -247,6 +267,7 @@ OVERLAYS: dict[str, type[Overlay]] = {
     "wireframe": Wireframe,
     "strain": Strain,
     "penetration": Penetration,
+    "self-intersections": SelfIntersections,
     "skin through cloth": VisibleSkin,
     "K and update scale": UpdateScale,
 }

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from enum import Enum
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from pb4u.simulation.run_specification import RunSpecification
@@ -44,6 +45,42 @@ class Requests(Protocol):
 
     def cancel(self) -> None:
         """End the simulation before its next step."""
+
+    def keep(self, kind: str, name: str, content: bytes) -> str:
+        """Keep a file of the user's own; its name from now on.
+
+        Args:
+            kind: one of `pb4u.viewer.uploads.KINDS`.
+            name: of the file.
+            content: all of its bytes.
+
+        Raises:
+            InputError: it cannot be used.
+        """
+
+    def find(self, kind: str, name: str) -> Path | None:
+        """The file of that kind and name that the user handed over; None where there is none."""
+
+    def save_scene(self, run: RunSpecification) -> str:
+        """Hand the user a scene file, packed with the files it names; returns a sentence that says so.
+
+        Args:
+            run: what it describes.
+        """
+
+    def film(self, suffix: str) -> None:
+        """Begin to take pictures of the view as it is.
+
+        Args:
+            suffix: ".png" for the frame that is shown, ".gif" or ".mp4" for all of them.
+
+        Raises:
+            InputError: there is nothing to see, or pictures are being taken.
+            MissingExtraError: the format needs an extra.
+        """
+
+    def stop_filming(self) -> None:
+        """Take no more pictures, and throw away what is there."""
 
     def export(self, suffix: str, which: int) -> str:
         """Hand the user a clip as a file; returns a sentence that says so.

@@ -2,31 +2,87 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 from pb4u.body.library import body_names
 from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import material_names
+from pb4u.garment.pins import NAMES as PIN_NAMES
 from pb4u.motion.library import motion_names
 from pb4u.scene.assembly import DEFAULT_FRAMES, DEFAULT_MATERIAL, DEFAULT_MOTION
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+from pb4u.scene.specification import MOST_GARMENTS, GarmentSpecification, SceneSpecification
 from pb4u.simulation.models import default_model, model_descriptions
 from pb4u.simulation.run_specification import RunSpecification
-from pb4u.viewer.live_simulation import LEAST_TRIANGLES, MOST_FRAMES, MOST_REFINING, MOST_TRIANGLES, Ending
+from pb4u.viewer.live_simulation import MOST_FRAMES, MOST_REFINING, MOST_TRIANGLES, Ending
 from pb4u.viewer.panel import Panel, Tone, notice
+from pb4u.viewer.uploads import KINDS, MOST_BYTES
 from pb4u.viewer.worker import plain_sentence
+
+if TYPE_CHECKING:
+    from viser import GuiApi, GuiUploadButtonHandle
+
+_OWN_PINS = "its own"
+
+
+class GarmentControls:
+    """Controls of one garment.
+
+    Args:
+        gui: controls of one page.
+        garments: names that can be chosen.
+        number: of the garment, from 1 for the innermost.
+        worn: what is filled in first.
+    """
+
+    def __init__(self, gui: GuiApi, garments: tuple[str, ...], number: int, worn: GarmentSpecification) -> None:
+        self.folder = gui.add_folder(f"Garment {number}" + (", the innermost" if number == 1 else ""))
+        with self.folder:
+            self.garment = gui.add_dropdown("Garment", garments, initial_value=str(worn.garment))
+            self.material = gui.add_dropdown("Material", material_names(), initial_value=DEFAULT_MATERIAL)
+            self.triangles = gui.add_number(
+                "Triangles", LEVELS["base"], min=0, max=MOST_TRIANGLES, step=100,
+                hint="0 for a file of your own: simulate its own mesh.",
+            )  # fmt: skip
+            self.pins = gui.add_dropdown("Pins", (_OWN_PINS, *PIN_NAMES), hint="Vertices that follow the body.")
+            self.tucked = gui.add_checkbox("Tucked in", False, hint="Goes into what is worn from the waist.")
+
+    def specification(self, find: Callable[[str, str], Path | None]) -> GarmentSpecification:
+        """The garment that is filled in; `find` gives the file of a kind and name, if there is one."""
+        return GarmentSpecification(
+            find("garment", self.garment.value) or self.garment.value,
+            self.material.value,
+            pins=None if self.pins.value == _OWN_PINS else self.pins.value,
+            triangles=int(self.triangles.value) or None,
+            tucked=bool(self.tucked.value),
+        )
 
 
 class SimulationPanel(Panel):
-    """Controls of a simulation: garment, body, motion, material, triangle count and model, and how far it is."""
+    """Controls of a simulation: garments, body, motion, model, files of the user's own, and how far it is."""
 
     def _add_controls(self) -> None:
         gui = self._gui
         usual, models = RunSpecification(), model_descriptions()
-        scene, worn = usual.scene, usual.scene.garments[0]
-        self._garment = gui.add_dropdown("Garment", garment_names(), initial_value=str(worn.garment))
+        scene = usual.scene
+        self._offered = {"garment": garment_names(), "body": body_names(), "motion": motion_names()}
+        self._place = gui.add_folder(None)
+        self._worn: list[GarmentControls] = []
+        self._more = gui.add_button("Add a garment", hint="Worn over those that are there.")
+        self._fewer = gui.add_button("Take off the last", visible=False)
         self._body = gui.add_dropdown("Body", body_names(), initial_value=str(scene.body))
         self._motion = gui.add_dropdown("Motion", motion_names(), initial_value=DEFAULT_MOTION)
-        self._material = gui.add_dropdown("Material", material_names(), initial_value=DEFAULT_MATERIAL)
-        self._triangles = gui.add_number("Triangles", LEVELS["base"], min=LEAST_TRIANGLES, max=MOST_TRIANGLES, step=100)
+        with gui.add_folder("Files of your own", expand_by_default=False):
+            for kind, accepted in KINDS.items():
+                suffixes = accepted.suffixes + accepted.companions
+                button = gui.add_upload_button(
+                    f"Open a {kind}", mime_type=",".join(suffixes),
+                    hint=f"{', '.join(suffixes)}, to {MOST_BYTES // 2**20} MB; it stays on the machine of the studio "
+                    "and goes when this page is closed.",
+                )  # fmt: skip
+                button.on_upload(self._answer(partial(self._take, kind, button)))
         self._frames = gui.add_number("Frames", DEFAULT_FRAMES, min=1, max=MOST_FRAMES, step=1)
         self._lead_in = gui.add_number(
             "Lead-in", scene.lead_in, min=0, max=MOST_FRAMES, step=1,
@@ -44,8 +100,50 @@ class SimulationPanel(Panel):
         self._stop = gui.add_button("Cancel", disabled=True)
         self._bar = gui.add_progress_bar(0.0, visible=False)
         self._status = gui.add_html("")
+        self._save = gui.add_button("Save scene.toml", hint="For `pb4u simulate scene.toml`; with the files it names.")
+        self._add_garment()
+        self._more.on_click(self._answer(self._add_garment))
+        self._fewer.on_click(self._answer(self._take_off))
         self._start.on_click(self._answer(self._simulate))
         self._stop.on_click(self._answer(self._requests.cancel))
+        self._save.on_click(self._answer(self._save_scene))
+
+    def _add_garment(self) -> None:
+        taken = [each.garment.value for each in self._worn]
+        usual = str(GarmentSpecification().garment)
+        free = next((name for name in (usual, *self._offered["garment"]) if name not in taken), usual)
+        with self._place:
+            self._worn.append(
+                GarmentControls(self._gui, self._offered["garment"], len(self._worn) + 1, GarmentSpecification(free))
+            )
+        self._show_counts()
+
+    def _take_off(self) -> None:
+        self._worn.pop().folder.remove()
+        self._show_counts()
+
+    def _show_counts(self) -> None:
+        self._fewer.visible = len(self._worn) > 1
+        self._more.visible = len(self._worn) < MOST_GARMENTS
+
+    def _take(self, kind: str, button: GuiUploadButtonHandle) -> None:
+        """Keep the file of a button, offer it and choose it: for the last garment, the body or the motion."""
+        name = self._requests.keep(kind, button.value.name, button.value.content)
+        if self._requests.find(kind, name) is None or Path(name).suffix.lower() in KINDS[kind].companions:
+            self._status.content = notice(f"{name} is here; it is read with the file that it belongs to.")
+            return
+        self._offered[kind] = tuple(dict.fromkeys((*self._offered[kind], name)))
+        controls = {
+            "garment": [each.garment for each in self._worn], "body": [self._body], "motion": [self._motion],
+        }[kind]  # fmt: skip
+        for control in controls:
+            chosen = control.value
+            control.options = self._offered[kind]
+            control.value = chosen  # type: ignore[misc]
+        controls[-1].value = name  # type: ignore[misc]
+        if kind == "garment":
+            self._worn[-1].triangles.value = 0  # type: ignore[misc]
+        self._status.content = notice(f"{name} is here and chosen.", Tone.good)
 
     def run(self) -> RunSpecification:
         """The run that is filled in.
@@ -53,15 +151,21 @@ class SimulationPanel(Panel):
         Raises:
             InputError: that cannot be a run.
         """
-        worn = GarmentSpecification(self._garment.value, self._material.value, triangles=int(self._triangles.value))
+        find = self._requests.find
         return RunSpecification(
             SceneSpecification(
-                (worn,), self._body.value, motion=self._motion.value, frames=int(self._frames.value),
+                tuple(each.specification(find) for each in self._worn),
+                find("body", self._body.value) or self._body.value,
+                motion=find("motion", self._motion.value) or self._motion.value,
+                frames=int(self._frames.value),
                 lead_in=int(self._lead_in.value),
             ),
             model=self._model.value,
             refine=int(self._refine.value),
-        )  # fmt: skip
+        )
+
+    def _save_scene(self) -> None:
+        self._status.content = notice(self._requests.save_scene(self.run()), Tone.good)
 
     def _simulate(self) -> None:
         try:
