@@ -42,15 +42,6 @@ def without(edges: EdgeSet, kept: Tensor) -> EdgeSet:
 
 def hood(net, graph: Graph) -> Tensor:
     """With HOOD's way up: world edges that had left the graph come back as they were, the others as they became."""
-    return _hood(net, graph, all_return=False)
-
-
-def hood_all_return(net, graph: Graph) -> Tensor:
-    """With the way up that `comparison-hood` was trained with: all world edges come back as they were."""
-    return _hood(net, graph, all_return=True)
-
-
-def _hood(net, graph: Graph, all_return: bool) -> Tensor:
     nodes, edges = encoded(net, graph)
     stages = [
         (("mesh", "coarse_near"), None),
@@ -72,9 +63,7 @@ def _hood(net, graph: Graph, all_return: bool) -> Tensor:
                 ends = graph.edges[name]
                 index = (ends.receivers if ends.receiver_set == "garment" else ends.senders).index
                 stayed = torch.isin(index, graph.edges[coarser].receivers.index)
-                if not all_return:
-                    values = torch.where(stayed[:, None], edges[name], values)
-                edges = edges | {name: values}
+                edges = edges | {name: torch.where(stayed[:, None], edges[name], values)}
         for name, edge_set in graph.edges.items():
             if edge_set.kind != "world":
                 continue
@@ -124,6 +113,6 @@ READABLE = {
     "mgn": blocks_in_a_row,
     "contourcraft": blocks_in_a_row,
     "hood": hood,
-    "hood_metric": hood_all_return,
+    "hood_metric": hood,
     "eslr": eslr,
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from tests.network_scenes import DT, Moment, accelerations, moment, prepared_for
 
 from pb4u.baselines.contourcraft import ContourCraftConfiguration
 from pb4u.baselines.eslr import EslrConfiguration, GeodesicAttention, geodesic_landmarks
-from pb4u.baselines.hood import AllReturn, HoodConfiguration, LeftReturn, LevelsByLength
+from pb4u.baselines.hood import HoodConfiguration, LevelsByLength
 from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
@@ -29,7 +28,7 @@ from pb4u.simulation.network_configuration import configuration_from_json, confi
 
 TINY = {
     "mgn": MeshGraphNetConfiguration(width=16, blocks=3),
-    "hood": HoodConfiguration(width=16, repeats=1, way_up=LeftReturn()),
+    "hood": HoodConfiguration(width=16, repeats=1),
     "hood_metric": HoodConfiguration(width=16, repeats=1, choice=LevelsByLength(0.03, 0.12)),
     "eslr": EslrConfiguration(width=16, layers=2, landmarks=8),
     "contourcraft": ContourCraftConfiguration(width=16, blocks=2, level=1),
@@ -351,10 +350,3 @@ def test_mgn_relative_differs_from_mgn_in_its_edge_features_only():
     other = NETWORKS["mgn_relative"]
     assert replace(other, layout=mgn.layout) == mgn
     assert other.layout == FeatureLayout()
-
-
-def test_shipped_hood_weights_run_by_the_rule_they_were_trained_with_and_new_ones_by_the_released_rule():
-    shipped: Any = from_pretrained("comparison-hood").configuration
-    assert shipped.way_up == AllReturn()
-    for name in ("hood", "hood_metric", "hood_small", "hood_metric_small", "release_hood", "release_hood_cvpr"):
-        assert NETWORKS[name].way_up == LeftReturn(), name

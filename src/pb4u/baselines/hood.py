@@ -85,35 +85,6 @@ class LevelsByLength:
         return near, max(far, near + 1)
 
 
-class WayUp(Protocol):
-    """A rule for the latents of world edges when a stage on a coarser level has ended."""
-
-    def latents(self, before: Tensor, after: Tensor, stayed: Tensor) -> Tensor:
-        """Latents (edges, width), dimensionless, on the finer level.
-
-        Args:
-            before: (edges, width) [1] when the coarser stage began.
-            after: (edges, width) [1] when it ended.
-            stayed: (edges, 1) [1] factors, 1 for edges of vertices on the coarser level, 0 for those that left it.
-        """
-
-
-@dataclass(frozen=True)
-class AllReturn:
-    """All world edges take back what they had, which HOOD's code does not do: how `comparison-hood` was trained."""
-
-    def latents(self, before: Tensor, after: Tensor, stayed: Tensor) -> Tensor:
-        return before
-
-
-@dataclass(frozen=True)
-class LeftReturn:
-    """Edges that left the level take back what they had, and those that stayed keep what they became: HOOD's rule."""
-
-    def latents(self, before: Tensor, after: Tensor, stayed: Tensor) -> Tensor:
-        return torch.where(stayed > 0.0, after, before)
-
-
 @dataclass(frozen=True, kw_only=True)
 class HoodConfiguration(NetworkConfiguration):
     """Configuration of a HOOD; fields that are not listed are as in `NetworkConfiguration`.
@@ -123,7 +94,6 @@ class HoodConfiguration(NetworkConfiguration):
         choice: rule for the coarse levels.
         labelled: number of levels, from the finest, that vertices are labelled by; 3 in HOOD's code, None for the two
             that are used.
-        way_up: rule for world edges back on a finer level; weights that do not say were trained with the first.
         layout: the columns read; coarse edges have those of mesh edges.
 
     Raises:
@@ -133,7 +103,6 @@ class HoodConfiguration(NetworkConfiguration):
     repeats: int | tuple[int, ...] = 3
     choice: LevelsByHops | LevelsByLength = field(default_factory=LevelsByHops)
     labelled: int | None = None
-    way_up: AllReturn | LeftReturn = field(default_factory=AllReturn)
     layout: FeatureLayout = field(default_factory=lambda: MESH_GRAPH_LAYOUT)
 
     def __post_init__(self) -> None:
@@ -165,7 +134,6 @@ class Hood(EncodeProcessDecode):
         super().__init__(configuration, ("mesh", NEAR, FAR), levels=1 + (configuration.labelled or 2))
         self.choice: LevelChoice = configuration.choice
         self.labelled = configuration.labelled
-        self.way_up: WayUp = configuration.way_up
         self._levels = MeshMemory(coarse_levels, REMEMBERED)
         width = configuration.width
         self.decoder = MLP(width, width, 3, norm=False)
@@ -190,7 +158,8 @@ class Hood(EncodeProcessDecode):
             elif depth < len(saved):
                 stayed = masks[len(saved)]
                 before = saved.pop()
-                edges = edges | {name: self.way_up.latents(before[name], edges[name], stayed[name]) for name in before}
+                # Edges that left the level take back what they had, and those that stayed keep what they became.
+                edges = edges | {name: torch.where(stayed[name] > 0.0, edges[name], before[name]) for name in before}
             last = index == len(self.blocks) - 1
             nodes, changed = block(nodes, edges, graph, (GARMENT,) if last else None, masks[depth])
             edges = edges | changed

@@ -8,7 +8,7 @@ from typing import TypeVar
 from pb4u.baselines.contourcraft import ContourCraftConfiguration
 from pb4u.baselines.directed_self_contact import DirectedSelfEdges
 from pb4u.baselines.eslr import EslrConfiguration
-from pb4u.baselines.hood import HoodConfiguration, LeftReturn, LevelsByLength
+from pb4u.baselines.hood import HoodConfiguration, LevelsByLength
 from pb4u.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.errors import unknown_name
 from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout, MaterialRange
@@ -46,7 +46,7 @@ pb4u_small_two_passes = replace(pb4u_small_carried, passes=2)
 _small_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
 
 mgn = MeshGraphNetConfiguration()
-hood = HoodConfiguration(way_up=LeftReturn())
+hood = HoodConfiguration()
 eslr = EslrConfiguration()
 contourcraft = ContourCraftConfiguration()
 # The small ones take about as long as `pb4u_small` for a step of training at 2,500 triangles (docs/baselines.md), and
@@ -86,7 +86,6 @@ release_mgn = replace(
 )
 release_hood = HoodConfiguration(
     labelled=3,
-    way_up=LeftReturn(),
     layout=replace(release_mgn.layout, node=_released_layout.node),
     world_edges=_released_world_edges,
     pins=PinsAtTarget(),
