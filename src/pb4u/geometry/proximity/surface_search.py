@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from pb4u.geometry.proximity.box_tree import BoxTree, boxes_meet, boxes_of, with_room
 from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.geometry.proximity.element_distance import compiled
-from pb4u.geometry.proximity.surface_tree import SurfaceTree, _boxes, _fit, _meet, _split, _with_room
+from pb4u.geometry.proximity.surface_tree import SurfaceTree
 
 _TOUCHING = 1e-10
 """Gap [m] up to which two faces are left to the exact predicates; the rounding of a few metres is 1e-15."""
@@ -33,9 +34,8 @@ class CrossingSearch:
             vertices: (vertices, 3) [m], finite.
         """
         tree, points = self._tree, np.ascontiguousarray(vertices, dtype=np.float64)
-        face_boxes = _boxes(points, np.zeros_like(points), tree.faces, 0.5 * _TOUCHING)
-        node_boxes = _fit(face_boxes, tree._order, tree._children, tree._ranges)
-        shape = (tree._order, tree._children, tree._ranges, tree._roots)
+        face_boxes = boxes_of(points, np.zeros_like(points), tree.faces, 0.5 * _TOUCHING)
+        node_boxes, shape = tree.boxes.fitted(face_boxes), tree.boxes.arrays
         touching = np.unique(_touching_faces(points, tree.faces, node_boxes, face_boxes, shape))
         if not len(touching):
             return np.zeros((0, 2), dtype=np.int64)
@@ -54,7 +54,7 @@ class NearestFaceSearch:
         self._faces = np.ascontiguousarray(faces, dtype=np.int64)
         none = np.zeros(len(faces), dtype=np.int64)
         centres = np.asarray(rest, dtype=np.float64)[self._faces].mean(axis=1)
-        self._order, self._children, self._ranges, self._roots = _split(centres, none, none[:1])
+        self._tree = BoxTree.over(centres, none, none[:1])
         self._last = np.zeros(0, dtype=np.int64)
 
     def nearest(self, vertices: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -65,10 +65,10 @@ class NearestFaceSearch:
             points: (points, 3) [m], finite.
         """
         places, asked = (np.ascontiguousarray(values, dtype=np.float64) for values in (vertices, points))
-        face_boxes = _boxes(places, np.zeros_like(places), self._faces, 0.0)
-        boxes = np.ascontiguousarray(_fit(face_boxes, self._order, self._children, self._ranges)[:, :6])
+        face_boxes = boxes_of(places, np.zeros_like(places), self._faces, 0.0)
+        boxes = np.ascontiguousarray(self._tree.fitted(face_boxes)[:, :6])
         guess = self._last if len(self._last) == len(asked) else np.zeros(len(asked), dtype=np.int64)
-        shape = (self._order, self._children, self._ranges)
+        shape = self._tree.arrays[:3]
         self._last = _nearest_faces(places, self._faces, boxes, shape, asked, guess)
         return self._last
 
@@ -99,7 +99,7 @@ def _touching_faces(
                     stack[depth + 2, 0], stack[depth + 2, 1] = left, right
                     depth += 3
                     continue
-            elif not _meet(node_boxes[a], node_boxes[b]):
+            elif not boxes_meet(node_boxes[a], node_boxes[b]):
                 continue
             elif inner_a or inner_b:
                 if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
@@ -114,10 +114,10 @@ def _touching_faces(
                 f = order[i]
                 for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                     g = order[j]
-                    if not _meet(face_boxes[f], face_boxes[g]) or _share(faces[f], faces[g]):
+                    if not boxes_meet(face_boxes[f], face_boxes[g]) or _share(faces[f], faces[g]):
                         continue
                     if not _apart(vertices, faces[f], faces[g], work):
-                        found = _with_room(found, count)
+                        found = with_room(found, count)
                         found[count, 0], found[count, 1] = f, g
                         count += 1
     return found[:count]

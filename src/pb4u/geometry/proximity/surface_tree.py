@@ -13,10 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
+from pb4u.geometry.proximity.box_tree import BoxTree, boxes_meet, boxes_of, copy_row, with_room
 from pb4u.geometry.proximity.element_distance import compiled, fastest_approach, gather, nearest
-
-_LEAF = 2
-"""Most faces of a leaf: smaller leaves cost more boxes, larger ones more comparisons of faces."""
 
 _ROOM = 1.5e-3
 """How far [m] a vertex may go from where it was before what is near it is searched again."""
@@ -105,7 +103,7 @@ class SurfaceTree:
         face_part = self.part[self.faces[:, 0]]
         centres = self.rest[self.faces].mean(axis=1)
         self.vertex_world = np.asarray(world, dtype=np.int64)[self.part]
-        self._order, self._children, self._ranges, self._roots = _split(centres, face_part, np.asarray(world))
+        self.boxes = BoxTree.over(centres, face_part, np.asarray(world))
         self._vertices = np.arange(len(self.rest))[:, None]
         self._owned_vertices, self._owned_edges = _owners(self.faces, self.edges, len(self.rest))
 
@@ -145,7 +143,7 @@ class SurfaceTree:
             found = [np.concatenate(parts) for parts in zip(stayed, found, strict=True)]
         # Boxes of long edges across each other meet long before the edges do.
         vertex_faces, edge_edges = (
-            corners[_may_meet(vertices, moving, corners, kind, reach)]
+            corners[_mayboxes_meet(vertices, moving, corners, kind, reach)]
             for corners, kind in zip(found, (True, False), strict=True)
         )
         corners = np.concatenate([vertex_faces, edge_edges])
@@ -177,64 +175,12 @@ class SurfaceTree:
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
         face_boxes, edge_boxes, vertex_boxes = (
-            _boxes(vertices, moves, corners, margin) for corners in (self.faces, self.edges, self._vertices)
+            boxes_of(vertices, moves, corners, margin) for corners in (self.faces, self.edges, self._vertices)
         )
-        boxes = (_fit(face_boxes, self._order, self._children, self._ranges), face_boxes, edge_boxes, vertex_boxes)
-        tree = (self._order, self._children, self._ranges, self._roots)
+        boxes = (self.boxes.fitted(face_boxes), face_boxes, edge_boxes, vertex_boxes)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
-        pairs: tuple[np.ndarray, np.ndarray] = _search(boxes, tree, elements, among)
+        pairs: tuple[np.ndarray, np.ndarray] = _search(boxes, self.boxes.arrays, elements, among)
         return pairs
-
-
-def _split(
-    centres: np.ndarray, face_part: np.ndarray, world: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Order (faces,) of the faces, children (nodes, 2), ranges (nodes, 2) in that order, and a root of each world.
-
-    Children come after their parents; a leaf has children -1.
-    """
-    order: list[np.ndarray] = []
-    children: list[list[int]] = []
-    ranges: list[list[int]] = []
-    roots = []
-    placed = 0
-    face_world = world[face_part] if len(face_part) else face_part
-    for number in np.unique(face_world):
-        rows = np.flatnonzero(face_world == number)
-        roots.append(len(children))
-        children.append([-1, -1])
-        ranges.append([placed, placed + len(rows)])
-        # (node, its faces, where they begin in the order)
-        waiting = [(roots[-1], rows[np.argsort(face_part[rows], kind="stable")], placed)]
-        placed += len(rows)
-        while waiting:
-            node, rows, first = waiting.pop()
-            if len(rows) <= _LEAF:
-                order.append(np.column_stack([np.arange(first, first + len(rows)), rows]))
-                continue
-            parts = face_part[rows]
-            if parts[0] != parts[-1]:
-                middle = parts[len(parts) // 2]
-                cut = int(np.searchsorted(parts, middle if middle != parts[0] else middle + 1))
-            else:
-                spread = np.ptp(centres[rows], axis=0)
-                cut = len(rows) // 2
-                rows = rows[np.argpartition(centres[rows, int(spread.argmax())], cut)]
-            halves = ((rows[:cut], first), (rows[cut:], first + cut))
-            for side, (half, start) in enumerate(halves):
-                children[node][side] = len(children)
-                waiting.append((len(children), half, start))
-                children.append([-1, -1])
-                ranges.append([start, start + len(half)])
-    placed_faces = np.concatenate(order) if order else np.zeros((0, 2), dtype=np.int64)
-    ordered = np.empty(len(centres), dtype=np.int64)
-    ordered[placed_faces[:, 0]] = placed_faces[:, 1]
-    return (
-        ordered,
-        np.asarray(children, dtype=np.int64).reshape(-1, 2),
-        np.asarray(ranges, dtype=np.int64).reshape(-1, 2),
-        np.asarray(roots, dtype=np.int64),
-    )
 
 
 def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -255,83 +201,6 @@ def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np
     own_edges = np.full(len(keys), -1, dtype=np.int64)
     own_edges[first] = number[first]
     return own.reshape(-1, 3), own_edges.reshape(-1, 3)
-
-
-@compiled
-def _boxes(vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margin: float) -> np.ndarray:
-    """Boxes (elements, 12) of elements, wider by `margin` on every side.
-
-    Lowest and highest position of the corners; then the same with the lowest and highest move added. In between the
-    bounds change linearly, for two boxes in the same measure, so that they need be compared at the ends alone.
-    """
-    boxes = np.empty((len(corners), 12))
-    for element in range(len(corners)):
-        box = boxes[element]
-        for axis in range(3):
-            low, high, slowest, fastest = np.inf, -np.inf, np.inf, -np.inf
-            for k in range(corners.shape[1]):
-                position, move = vertices[corners[element, k], axis], moves[corners[element, k], axis]
-                low, high = min(low, position), max(high, position)
-                slowest, fastest = min(slowest, move), max(fastest, move)
-            box[axis], box[3 + axis] = low - margin, high + margin
-            box[6 + axis], box[9 + axis] = low - margin + slowest, high + margin + fastest
-    return boxes
-
-
-@compiled
-def _fit(face_boxes: np.ndarray, order: np.ndarray, children: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    """Boxes (nodes, 12) of the nodes from those of the faces."""
-    boxes = np.empty((len(children), 12))
-    for node in range(len(children) - 1, -1, -1):
-        box = boxes[node]
-        if children[node, 0] >= 0:
-            _copy(boxes[children[node, 0]], box)
-            _include(box, boxes[children[node, 1]])
-        else:
-            _copy(face_boxes[order[ranges[node, 0]]], box)
-            for place in range(ranges[node, 0] + 1, ranges[node, 1]):
-                _include(box, face_boxes[order[place]])
-    return boxes
-
-
-@compiled
-def _copy(source: np.ndarray, target: np.ndarray) -> None:
-    for k in range(len(source)):
-        target[k] = source[k]
-
-
-@compiled
-def _include(box: np.ndarray, other: np.ndarray) -> None:
-    """Widen `box` (12,) to hold `other` (12,)."""
-    for axis in range(3):
-        slowest = min(box[6 + axis] - box[axis], other[6 + axis] - other[axis])
-        fastest = max(box[9 + axis] - box[3 + axis], other[9 + axis] - other[3 + axis])
-        box[axis] = min(box[axis], other[axis])
-        box[3 + axis] = max(box[3 + axis], other[3 + axis])
-        box[6 + axis] = box[axis] + slowest
-        box[9 + axis] = box[3 + axis] + fastest
-
-
-@compiled
-def _meet(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two boxes (12,) may come together: on no axis is one beyond the other at both ends of their moves."""
-    for axis in range(3):
-        if one[axis] > other[3 + axis] and one[6 + axis] > other[9 + axis]:
-            return False
-        if other[axis] > one[3 + axis] and other[6 + axis] > one[9 + axis]:
-            return False
-    return True
-
-
-@compiled
-def _with_room(rows: np.ndarray, count: int) -> np.ndarray:
-    """`rows` with room for one more than `count`."""
-    if count < len(rows):
-        return rows
-    larger = np.empty((2 * len(rows), rows.shape[1]), dtype=rows.dtype)
-    for row in range(count):
-        _copy(rows[row], larger[row])
-    return larger
 
 
 @compiled
@@ -370,7 +239,7 @@ def _search(boxes: tuple, tree: tuple, elements: tuple, among: np.ndarray) -> tu
                     stack[depth + 2, 0], stack[depth + 2, 1] = left, right
                     depth += 3
                     continue
-            elif not _meet(node_boxes[a], node_boxes[b]):
+            elif not boxes_meet(node_boxes[a], node_boxes[b]):
                 continue
             elif inner_a or inner_b:
                 if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
@@ -385,21 +254,21 @@ def _search(boxes: tuple, tree: tuple, elements: tuple, among: np.ndarray) -> tu
                 f = order[i]
                 for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                     g = order[j]
-                    if not (asked_faces[f] or asked_faces[g]) or not _meet(face_boxes[f], face_boxes[g]):
+                    if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes[f], face_boxes[g]):
                         continue
                     for one, two in ((f, g), (g, f)):
                         for k in range(3):
                             v = owned_vertices[one, k]
                             if v < 0 or v == faces[two, 0] or v == faces[two, 1] or v == faces[two, 2]:
                                 continue
-                            if (among[v] or asked_faces[two]) and _meet(vertex_boxes[v], face_boxes[two]):
-                                near_faces = _with_room(near_faces, face_count)
+                            if (among[v] or asked_faces[two]) and boxes_meet(vertex_boxes[v], face_boxes[two]):
+                                near_faces = with_room(near_faces, face_count)
                                 near_faces[face_count, 0] = v
-                                _copy(faces[two], near_faces[face_count, 1:])
+                                copy_row(faces[two], near_faces[face_count, 1:])
                                 face_count += 1
                     for k in range(3):
                         p = owned_edges[f, k]
-                        if p < 0 or not _meet(edge_boxes[p], face_boxes[g]):
+                        if p < 0 or not boxes_meet(edge_boxes[p], face_boxes[g]):
                             continue
                         for m in range(3):
                             q = owned_edges[g, m]
@@ -407,10 +276,10 @@ def _search(boxes: tuple, tree: tuple, elements: tuple, among: np.ndarray) -> tu
                                 continue
                             if edges[p, 1] == edges[q, 0] or edges[p, 1] == edges[q, 1]:
                                 continue
-                            if (asked_edges[p] or asked_edges[q]) and _meet(edge_boxes[p], edge_boxes[q]):
-                                near_edges = _with_room(near_edges, edge_count)
-                                _copy(edges[p], near_edges[edge_count, :2])
-                                _copy(edges[q], near_edges[edge_count, 2:])
+                            if (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes[p], edge_boxes[q]):
+                                near_edges = with_room(near_edges, edge_count)
+                                copy_row(edges[p], near_edges[edge_count, :2])
+                                copy_row(edges[q], near_edges[edge_count, 2:])
                                 edge_count += 1
     return near_faces[:face_count], near_edges[:edge_count]
 
@@ -440,7 +309,7 @@ def _leaving(before: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.
 
 
 @compiled
-def _may_meet(
+def _mayboxes_meet(
     vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_face: bool, reach: float
 ) -> np.ndarray:
     """Whether each pair (pairs,) is no further apart than `reach` and what it may approach by the moves."""

@@ -1,0 +1,173 @@
+"""A tree of boxes over the faces of a moving surface: built once, fitted to the positions of every search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pb4u.geometry.proximity.element_distance import compiled
+
+_LEAF = 2
+"""Most faces of a leaf: smaller leaves cost more boxes, larger ones more comparisons of faces."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoxTree:
+    """Which faces each node of the tree holds.
+
+    Args:
+        order: (faces,) int64 the faces, those of a node in one piece.
+        children: (nodes, 2) int64, after their parents; -1 in a leaf.
+        ranges: (nodes, 2) int64 where the faces of a node begin and end in the order.
+        roots: (worlds,) int64 a node for each world.
+    """
+
+    order: np.ndarray
+    children: np.ndarray
+    ranges: np.ndarray
+    roots: np.ndarray
+
+    @staticmethod
+    def over(centres: np.ndarray, face_part: np.ndarray, world: np.ndarray) -> BoxTree:
+        """Tree over faces: those of a part lie together, and near ones next to each other.
+
+        Args:
+            centres: (faces, 3) [m].
+            face_part: (faces,) int64 part of each face.
+            world: (parts,) int64 world of each part, with a root of its own.
+        """
+        order: list[np.ndarray] = []
+        children: list[list[int]] = []
+        ranges: list[list[int]] = []
+        roots = []
+        placed = 0
+        face_world = world[face_part] if len(face_part) else face_part
+        for number in np.unique(face_world):
+            rows = np.flatnonzero(face_world == number)
+            roots.append(len(children))
+            children.append([-1, -1])
+            ranges.append([placed, placed + len(rows)])
+            # (node, its faces, where they begin in the order)
+            waiting = [(roots[-1], rows[np.argsort(face_part[rows], kind="stable")], placed)]
+            placed += len(rows)
+            while waiting:
+                node, rows, first = waiting.pop()
+                if len(rows) <= _LEAF:
+                    order.append(np.column_stack([np.arange(first, first + len(rows)), rows]))
+                    continue
+                parts = face_part[rows]
+                if parts[0] != parts[-1]:
+                    middle = parts[len(parts) // 2]
+                    cut = int(np.searchsorted(parts, middle if middle != parts[0] else middle + 1))
+                else:
+                    spread = np.ptp(centres[rows], axis=0)
+                    cut = len(rows) // 2
+                    rows = rows[np.argpartition(centres[rows, int(spread.argmax())], cut)]
+                halves = ((rows[:cut], first), (rows[cut:], first + cut))
+                for side, (half, start) in enumerate(halves):
+                    children[node][side] = len(children)
+                    waiting.append((len(children), half, start))
+                    children.append([-1, -1])
+                    ranges.append([start, start + len(half)])
+        placed_faces = np.concatenate(order) if order else np.zeros((0, 2), dtype=np.int64)
+        ordered = np.empty(len(centres), dtype=np.int64)
+        ordered[placed_faces[:, 0]] = placed_faces[:, 1]
+        return BoxTree(
+            ordered,
+            np.asarray(children, dtype=np.int64).reshape(-1, 2),
+            np.asarray(ranges, dtype=np.int64).reshape(-1, 2),
+            np.asarray(roots, dtype=np.int64),
+        )
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Order, children, ranges and roots, for compiled searches."""
+        return self.order, self.children, self.ranges, self.roots
+
+    def fitted(self, face_boxes: np.ndarray) -> np.ndarray:
+        """Boxes (nodes, 12) of the nodes [m].
+
+        Args:
+            face_boxes: (faces, 12) [m] as `boxes_of` gives them.
+        """
+        boxes: np.ndarray = _fit(face_boxes, self.order, self.children, self.ranges)
+        return boxes
+
+
+@compiled
+def boxes_of(vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margin: float) -> np.ndarray:
+    """Boxes (elements, 12) of elements, wider by `margin` on every side.
+
+    Lowest and highest position of the corners; then the same with the lowest and highest move added. In between the
+    bounds change linearly, for two boxes in the same measure, so that they need be compared at the ends alone.
+    """
+    boxes = np.empty((len(corners), 12))
+    for element in range(len(corners)):
+        box = boxes[element]
+        for axis in range(3):
+            low, high, slowest, fastest = np.inf, -np.inf, np.inf, -np.inf
+            for k in range(corners.shape[1]):
+                position, move = vertices[corners[element, k], axis], moves[corners[element, k], axis]
+                low, high = min(low, position), max(high, position)
+                slowest, fastest = min(slowest, move), max(fastest, move)
+            box[axis], box[3 + axis] = low - margin, high + margin
+            box[6 + axis], box[9 + axis] = low - margin + slowest, high + margin + fastest
+    return boxes
+
+
+@compiled
+def _fit(face_boxes: np.ndarray, order: np.ndarray, children: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """Boxes (nodes, 12) of the nodes from those of the faces."""
+    boxes = np.empty((len(children), 12))
+    for node in range(len(children) - 1, -1, -1):
+        box = boxes[node]
+        if children[node, 0] >= 0:
+            copy_row(boxes[children[node, 0]], box)
+            _include(box, boxes[children[node, 1]])
+        else:
+            copy_row(face_boxes[order[ranges[node, 0]]], box)
+            for place in range(ranges[node, 0] + 1, ranges[node, 1]):
+                _include(box, face_boxes[order[place]])
+    return boxes
+
+
+@compiled
+def copy_row(source: np.ndarray, target: np.ndarray) -> None:
+    """Put the numbers of `source` (n,) into `target` (n,)."""
+    for k in range(len(source)):
+        target[k] = source[k]
+
+
+@compiled
+def _include(box: np.ndarray, other: np.ndarray) -> None:
+    """Widen `box` (12,) to hold `other` (12,)."""
+    for axis in range(3):
+        slowest = min(box[6 + axis] - box[axis], other[6 + axis] - other[axis])
+        fastest = max(box[9 + axis] - box[3 + axis], other[9 + axis] - other[3 + axis])
+        box[axis] = min(box[axis], other[axis])
+        box[3 + axis] = max(box[3 + axis], other[3 + axis])
+        box[6 + axis] = box[axis] + slowest
+        box[9 + axis] = box[3 + axis] + fastest
+
+
+@compiled
+def boxes_meet(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two boxes (12,) may come together: on no axis is one beyond the other at both ends of their moves."""
+    for axis in range(3):
+        if one[axis] > other[3 + axis] and one[6 + axis] > other[9 + axis]:
+            return False
+        if other[axis] > one[3 + axis] and other[6 + axis] > one[9 + axis]:
+            return False
+    return True
+
+
+@compiled
+def with_room(rows: np.ndarray, count: int) -> np.ndarray:
+    """`rows` with room for one more than `count`."""
+    if count < len(rows):
+        return rows
+    larger = np.empty((2 * len(rows), rows.shape[1]), dtype=rows.dtype)
+    for row in range(count):
+        copy_row(rows[row], larger[row])
+    return larger
