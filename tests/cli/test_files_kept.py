@@ -204,6 +204,8 @@ def test_an_interrupt_in_compiled_code_is_one(pb4u: Callable, tmp_path: Path, mo
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_leaves_the_frames_and_nothing_else(tmp_path: Path, number: signal.Signals) -> None:
+    if signal.getsignal(number) is signal.SIG_IGN:
+        pytest.skip(f"whoever started these tests has {number.name} ignored, as nohup does, and so has what they start")
     flags = ["simulate", "--triangles", "1000", "--lead-in", "0", "--frames", "5000", "--model", "skinning"]
     run = subprocess.Popen([*PB4U, *flags, "--out", "a.npz"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     raw = None
