@@ -10,7 +10,7 @@ import pytest
 
 from pb4u.errors import InputError
 from pb4u.scene.author_mesh import Polygons, SourceTrack
-from pb4u.scene.trajectory import FORMAT_VERSION, Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
+from pb4u.scene.trajectory import FORMAT_VERSION, HALF_VERSION, Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
 
 
 def make_trajectory(frames: int = 5, vertices: int = 700, with_source: bool = False) -> Trajectory:
@@ -179,7 +179,7 @@ def test_cut_file_is_refused_in_one_sentence(tmp_path: Path, keep: float) -> Non
 
 def test_newer_format_and_missing_members_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    np.savez(path, format_version=np.array(FORMAT_VERSION + 1), positions=np.zeros((1, 3, 3)))
+    np.savez(path, format_version=np.array(HALF_VERSION + 1), positions=np.zeros((1, 3, 3)))
     with pytest.raises(InputError, match="update pb4u"):
         Trajectory.open(path)
     np.savez(path, positions=np.zeros((1, 3, 3)))
