@@ -19,7 +19,7 @@ from pb4u.physics.incremental_potential import IncrementalPotential, StepPotenti
 from pb4u.physics.inertia import Inertia
 from pb4u.physics.linear_solver import PatchBasis, TwoLevelPreconditioner, conjugate_gradient
 from pb4u.physics.pair_stiffness import PairStiffness
-from pb4u.physics.solver import Iteration, Solver, implicit_steps, lengths_of_least_energy, substep_count
+from pb4u.physics.solver import Iteration, Solver, implicit_steps, substep_count
 from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.stretch import Stretch
 from pb4u.physics.time_step import DivergedError, TimeStep, integrate, require_finite
@@ -288,13 +288,3 @@ def test_conjugate_gradient_solves_and_notices_negative_curvature(share: float) 
     else:
         assert solved.negative is None
         np.testing.assert_allclose(whole @ solved.solution.reshape(-1), right.reshape(-1), atol=1e-5)
-
-
-def test_steplengths_of_least_energy_are_those_of_parabolas() -> None:
-    """Of four worlds: past the least, at it, short of it, and without any."""
-    lengths = torch.tensor([1.0, 0.5, 0.25, 1.0], dtype=torch.float64)
-    slopes = torch.tensor([-1.0, -2.0, -2.0, -1.0], dtype=torch.float64)
-    bends = torch.tensor([0.8, 2.0, 2.0, -0.5], dtype=torch.float64)
-    changes = slopes * lengths + bends * lengths**2
-    expected = torch.tensor([0.625, 0.5, 0.5, 1.0], dtype=torch.float64)
-    torch.testing.assert_close(lengths_of_least_energy(lengths, slopes, changes), expected)

@@ -39,12 +39,6 @@ _HALVINGS = 20
 """Most halvings of the step length in a line search: where not even a millionth of a Newton step lowers the energy, the
 difference is rounding."""
 
-_NOTICEABLE = 0.15
-"""Share by which a parabola must want another step length for its energy to be asked for: it is hardly lower nearer."""
-
-_SHORTEST = 0.1
-"""Share of an accepted step below which no parabola is believed."""
-
 _LARGEST_MOVE = 0.2
 """How far [m] one Newton step may move a vertex: further, the tangent planes of the body mean nothing."""
 
@@ -265,7 +259,6 @@ class Solver:
             if not bool(falls.all()):
                 # Turned aside it no longer lowers the energy of a world: all of that goes as far as it can.
                 frozen, length = frozen.as_far_as_free(x, direction)
-        free_length = length
         for _ in range(_HALVINGS):
             candidate = x + each_vertex(length) * direction
             reached = energies_at(candidate)
@@ -277,15 +270,7 @@ class Solver:
             if not bool(accepted.any()):
                 return None
             candidate = torch.where(each_vertex(accepted), candidate, x)
-            length = torch.where(accepted, length, 0.0)
             reached = energies_at(candidate)
-        least = lengths_of_least_energy(length, slope, reached - energies).minimum(free_length)
-        asked = (least - length).abs() > _NOTICEABLE * length
-        if bool(asked.any()):
-            other = x + each_vertex(torch.where(asked, least, length)) * direction
-            there = energies_at(other)
-            better = asked & (there < reached)
-            candidate, reached = torch.where(each_vertex(better), other, candidate), torch.where(better, there, reached)
         if solved.negative is None:
             return candidate, frozen.contacts.cloth
         buckling = torch.from_numpy(solved.negative)
@@ -323,21 +308,6 @@ def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, T
     if not bool(better.any()):
         return moved, start
     return potential.reached(before, torch.where(better[step.garments.vertex_world, None], held, start))
-
-
-def lengths_of_least_energy(lengths: Tensor, slopes: Tensor, changes: Tensor) -> Tensor:
-    """Step lengths (worlds,) at which parabolas through what is known of the energy are least.
-
-    Friction takes hold within a step: the whole of it often lowers the energy, and half of it by more.
-
-    Args:
-        lengths: (worlds,) of the steps taken.
-        slopes: (worlds,) [J] of the energy where they begin, by their length.
-        changes: (worlds,) [J] of the energy where they end.
-    """
-    bend = changes - slopes * lengths
-    least = torch.where(bend > 0, -0.5 * slopes * lengths.square() / bend.clamp_min(1e-300), lengths)
-    return least.maximum(_SHORTEST * lengths)
 
 
 def _factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:
