@@ -190,7 +190,7 @@ def simulate(
         int | None,
         typer.Option(
             metavar="N",
-            help="Solver iterations after each step of a network; what they leave far from balance the solver makes "
+            help="Solver iterations after each step of a network; what they leave torn the solver makes "
             f"anew. Default: {RunSpecification.refine}.",
         ),
     ] = None,

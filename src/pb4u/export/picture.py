@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -15,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from pb4u.errors import MissingExtraError, Pb4uError
+from pb4u.errors import Pb4uError
 from pb4u.export.finite_frames import held_frames
 from pb4u.export.shading import CLOTH, SKIN, face_colours
+from pb4u.export.video_writer import H264Writer, VideoWriter, Vp9Writer
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.progress import Progress, unheard
 from pb4u.scene.trajectory import Trajectory
@@ -341,109 +338,11 @@ def save_mp4(pictures: Iterable[np.ndarray], path: Path, fps: float, view: View)
         MissingExtraError: there is neither such an encoder nor the "render" extra.
         Pb4uError: the encoder cannot write the file.
     """
-    writer: VideoWriter = H264Writer.opened(path, fps, view) or Vp9Writer(path, fps, view)
+    size = view.width, view.height
+    writer: VideoWriter = H264Writer.opened(path, fps, size) or Vp9Writer(path, fps, size)
     with writer:
         for picture in pictures:
             writer.write(picture)
-
-
-class VideoWriter(ABC):
-    """Writes pictures (height, width, 3) uint8 sRGB into a video; closes it as a context manager."""
-
-    def __enter__(self) -> VideoWriter:
-        return self
-
-    @abstractmethod
-    def write(self, picture: np.ndarray) -> None:
-        """Add a picture."""
-
-    @abstractmethod
-    def __exit__(self, *error: object) -> None:
-        """End the video."""
-
-
-class Vp9Writer(VideoWriter):
-    """VP9, by the encoder in OpenCV's wheel, which is free of the GPL, unlike x264; browsers play it.
-
-    Args:
-        path: file to write.
-        fps: frames a second [1/s].
-        view: its size.
-    """
-
-    def __init__(self, path: Path, fps: float, view: View) -> None:
-        try:
-            import cv2
-        except ImportError as error:
-            raise MissingExtraError("render", "Writing MP4") from error
-        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), fps, (view.width, view.height))
-        if not self._writer.isOpened():
-            raise Pb4uError(f"The video encoder could not open {path}; write a .gif instead.")
-
-    def write(self, picture: np.ndarray) -> None:
-        self._writer.write(np.ascontiguousarray(picture[..., ::-1]))
-
-    def __exit__(self, *error: object) -> None:
-        self._writer.release()
-
-
-class H264Writer(VideoWriter):
-    """H.264, by an ffmpeg that the user installed; phones and video editors play it.
-
-    Args:
-        command: ffmpeg's, which reads raw pictures from its standard input.
-    """
-
-    def __init__(self, command: list[str]) -> None:
-        pipe, nothing = subprocess.PIPE, subprocess.DEVNULL
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=nothing, stderr=pipe)
-
-    @staticmethod
-    def opened(path: Path, fps: float, view: View) -> H264Writer | None:
-        """A writer, or None where there is no ffmpeg with an encoder for it.
-
-        Args:
-            path: file to write.
-            fps: frames a second [1/s].
-            view: its size; H.264 halves the resolution of colours, so both sides have to be even.
-        """
-        ffmpeg = shutil.which("ffmpeg")
-        if ffmpeg is None or view.width % 2 or view.height % 2:
-            return None
-        listed = subprocess.run([ffmpeg, "-hide_banner", "-encoders"], capture_output=True, text=True, check=False)
-        encoder = next((name for name in _H264_ENCODERS if f" {name} " in listed.stdout), None)
-        if encoder is None:
-            return None
-        size = f"{view.width}x{view.height}"
-        return H264Writer(
-            [ffmpeg, "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{fps:g}",
-             "-i", "-", "-c:v", encoder, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
-        )  # fmt: skip
-
-    def write(self, picture: np.ndarray) -> None:
-        if self._process.stdin is None:
-            raise AssertionError
-        try:
-            self._process.stdin.write(np.ascontiguousarray(picture).tobytes())
-        except BrokenPipeError as error:
-            raise self._failure() from error
-
-    def __exit__(self, *error: object) -> None:
-        if self._process.stdin is not None and not self._process.stdin.closed:
-            with suppress(BrokenPipeError):
-                self._process.stdin.close()
-        if error[0] is not None:
-            self._process.kill()
-        if self._process.wait() and error[0] is None:
-            raise self._failure()
-
-    def _failure(self) -> Pb4uError:
-        told = self._process.stderr.read().decode(errors="replace").strip().splitlines() if self._process.stderr else []
-        return Pb4uError(f"ffmpeg could not write the video: {told[-1] if told else 'it ended early'}.")
-
-
-_H264_ENCODERS = ("libx264", "h264_videotoolbox", "h264_mf", "libopenh264")
-"""By ffmpeg's names: x264, macOS, Windows, Cisco's."""
 
 
 def _counted(pictures: Iterator[np.ndarray], total: int, progress: Progress) -> Iterator[np.ndarray]:

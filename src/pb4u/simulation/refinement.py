@@ -152,14 +152,17 @@ class SafeguardedRefinement(SolverRefinement):
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
-        garments = step.garments
-        strains = face_strains(refined.positions, garments.faces, garments.inverse_rest_shape)
-        if refined.residual <= self.balanced or not bool((strains > _TORN).any()):
+        if refined.residual <= self.balanced or not _torn(step, refined.positions):
             return step.reached(refined.positions)
         state, solved = self.anew.solved(step)
         if self.made_anew:
             self.made_anew()
         return state if solved.residual < refined.residual else step.reached(refined.positions)
+
+
+def _torn(step: TimeStep, x: Tensor) -> bool:
+    garments = step.garments
+    return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _TORN).any())
 
 
 def carried(self_contact: SelfContact, step: TimeStep, before: State, wanted: State) -> State:
