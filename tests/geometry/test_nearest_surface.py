@@ -54,7 +54,7 @@ def test_the_tree_the_candidates_and_brute_force_agree() -> None:
     found = surface.nearest(points)
     torch.testing.assert_close(found.signed_distance.abs(), expected, rtol=0, atol=1e-12)
     torch.testing.assert_close((points - found.positions).norm(dim=1), expected, rtol=0, atol=1e-12)
-    candidate = surface._nearest_triangle_from_candidates(points)
+    candidate = surface._nearest_triangle(points)
     torch.testing.assert_close((points - closest[torch.arange(300), candidate]).norm(dim=1), expected)
     np.testing.assert_array_equal((found.signed_distance < 0).numpy(), winding_numbers(points, a, b, c).numpy() > 0.5)
 
@@ -90,6 +90,28 @@ def test_beyond_the_border_of_a_region_nothing_is_inside() -> None:
     assert found.signed_distance[0] > 0
     assert found.signed_distance[2] < 0
     assert region[np.asarray(mesh.faces)[found.triangle.numpy()]].all(), "faces are numbered as in the whole surface"
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_the_compiled_search_and_the_candidates_describe_the_same_points(cut: bool) -> None:
+    """Faces, edges and corners, inside and outside, with and without a border; in a later pose than the tree's."""
+    mesh = box().subdivide().subdivide()
+    region = np.asarray(mesh.vertices[:, 1] < 0.3) if cut else None
+    surface = TriangleSurface(np.asarray(mesh.faces), len(mesh.vertices), region)
+    surface.at(np.asarray(mesh.vertices)).nearest(np.zeros((1, 3)))
+    moved = surface.at(np.asarray(mesh.vertices) * [1.0, 0.4, 1.3] + 0.05 * np.sin(7.0 * np.asarray(mesh.vertices)))
+    points = torch.from_numpy(random_points(500, 2.0, seed=5))
+    kept = points[(moved.nearest(points).signed_distance.abs() > 1e-3)]
+    found = moved.nearest(kept)
+    _, _, positions, normals, distance, beyond = moved._nearest_by_candidates(kept)
+    zeros = (found.barycentric <= 1e-12).sum(1)
+    assert {0, 1, 2} <= set(zeros.tolist())
+    assert bool(beyond.any()) == cut
+    assert bool((distance < 0).any())
+    torch.testing.assert_close(found.positions, positions, rtol=0, atol=1e-9)
+    torch.testing.assert_close(found.signed_distance, distance, rtol=0, atol=1e-12)
+    torch.testing.assert_close(found.normals, normals, rtol=0, atol=1e-9)
+    assert torch.equal(found.beyond_border, beyond)
 
 
 def test_nearest_face_centre() -> None:

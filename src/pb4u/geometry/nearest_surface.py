@@ -1,15 +1,14 @@
 """Nearest points on a moving triangle surface, with sign: negative inside.
 
-The nearest triangle is exact: a bounding-box tree on the CPU, certified candidates on other devices and without libigl.
-The sign comes from angle-weighted pseudo-normals (Baerentzen and Aanaes 2005), which are right at edges and corners
-too.
+The nearest triangle is exact: a compiled search of a tree of boxes on the processor; certified candidates on other
+devices, and where Numba is not installed. The sign comes from angle-weighted pseudo-normals (Baerentzen and Aanaes
+2005), which are right at edges and corners too.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
-from importlib.util import find_spec
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,9 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
+from pb4u.geometry.proximity.box_tree import BoxTree
+from pb4u.geometry.proximity.element_distance import COMPILES
+from pb4u.geometry.proximity.nearest_points import fitted, nearest_points
 from pb4u.geometry.topology import Topology
 
 # Faces with the nearest centres among which the nearest face is looked for; more are tried where it is not certain.
@@ -67,6 +69,7 @@ class TriangleSurface:
         self.faces = np.ascontiguousarray(faces[kept])
         self.vertex_count = vertex_count
         self._kept = kept
+        self._tree: BoxTree | None = None
 
     @cached_property
     def topology(self) -> Topology:
@@ -85,13 +88,31 @@ class TriangleSurface:
             self._tensors[key] = tuple(torch.from_numpy(a).to(device) for a in arrays)  # type: ignore[assignment]
         return self._tensors[key]
 
+    @cached_property
+    def fans(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Begin of the faces of each vertex (vertices + 1,), these faces, and which vertices are on a border."""
+        around = np.argsort(self.faces.reshape(-1), kind="stable") // 3
+        begins = np.searchsorted(np.sort(self.faces.reshape(-1)), np.arange(self.vertex_count + 1))
+        return begins, around, self.topology.border_vertices
+
+    def tree(self, vertices: np.ndarray) -> BoxTree:
+        """Tree over the faces, built at the first pose it is asked for: what is near on a body mostly stays near.
+
+        Args:
+            vertices: (vertices, 3) [m].
+        """
+        if self._tree is None:
+            none = np.zeros(len(self.faces), dtype=np.int64)
+            self._tree = BoxTree.over(vertices[self.faces].mean(axis=1), none, none[:1])
+        return self._tree
+
     def at(self, vertices: Tensor | np.ndarray) -> PosedSurface:
         """This surface with its `vertices` (vertices, 3) [m] somewhere."""
         return PosedSurface(self, torch.as_tensor(vertices).detach())
 
 
 class PosedSurface:
-    """A surface at one instant, ready to be queried; the search tree is built on first use and kept.
+    """A surface at one instant, ready to be queried; the search tree is fitted to it on first use.
 
     Args:
         surface: the unchanging part.
@@ -110,13 +131,11 @@ class PosedSurface:
         self.vertices = vertices.to(torch.float64)
 
     @cached_property
-    def _tree(self) -> tuple[Any, np.ndarray]:
-        import igl
-
+    def _searched(self) -> tuple[np.ndarray, np.ndarray, tuple, tuple, tuple]:
+        """Vertices, faces, fans, what is fitted of the tree, and the tree, for the compiled search."""
         vertices = np.ascontiguousarray(self.vertices.numpy())
-        tree = igl.AABB()
-        tree.init(vertices, self.surface.faces)
-        return tree, vertices
+        tree = self.surface.tree(vertices).arrays[:3]
+        return vertices, self.surface.faces, self.surface.fans, fitted(vertices, self.surface.faces, *tree), tree
 
     @cached_property
     def _corners(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -150,12 +169,11 @@ class PosedSurface:
             total.index_add_(0, faces[:, k], angle[:, None] * self.face_normals)
         return total
 
-    def nearest(self, points: Tensor | np.ndarray, faces: np.ndarray | None = None) -> NearestPoints:
-        """Exact nearest points of the surface.
+    def nearest(self, points: Tensor | np.ndarray) -> NearestPoints:
+        """Exact nearest points of the surface; quickest for points that lie near the ones before and after them.
 
         Args:
             points: (points, 3) [m].
-            faces: (points,) int64 nearest of the faces that may be touched, where they are known already.
 
         Raises:
             InputError: one of them is not finite.
@@ -164,17 +182,11 @@ class PosedSurface:
         queried = asked.to(self.vertices.device, torch.float64)
         if not bool(torch.isfinite(queried).all()):
             raise InputError("The nearest surface was asked for a point that is not finite.")
-        triangle = self._nearest_triangle(queried) if faces is None else torch.from_numpy(faces)
-        a, b, c = (corner.index_select(0, triangle) for corner in self._corners)
-        barycentric = closest_barycentric(queried, a, b, c)
-        position = barycentric[:, :1] * a + barycentric[:, 1:2] * b + barycentric[:, 2:] * c
-        pseudo_normal, interior, beyond = self._feature(triangle, barycentric)
-        offset = queried - position
-        length = offset.norm(dim=1)
-        along = (offset * pseudo_normal).sum(1)
-        sign = torch.where((along < 0) & ~beyond, -1.0, 1.0).to(torch.float64)
-        usable = ~interior & (length > 1e-9)
-        normal = torch.where(usable[:, None], offset * (sign / length.clamp_min(1e-300))[:, None], pseudo_normal)
+        if COMPILES and self.vertices.device.type == "cpu":
+            found = nearest_points(*self._searched, np.ascontiguousarray(queried.numpy()))
+            triangle, barycentric, position, normal, distance, beyond = (torch.from_numpy(values) for values in found)
+        else:
+            triangle, barycentric, position, normal, distance, beyond = self._nearest_by_candidates(queried)
         original = self.surface._on(self.vertices.device)[4].index_select(0, triangle)
 
         def back(t: Tensor) -> Tensor:
@@ -185,9 +197,24 @@ class PosedSurface:
             barycentric=back(barycentric),
             positions=back(position),
             normals=back(normal),
-            signed_distance=back(sign * length),
+            signed_distance=back(distance),
             beyond_border=beyond.to(asked.device),
         )
+
+    def _nearest_by_candidates(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """What `nearest_points` gives, by tensors alone."""
+        triangle = self._nearest_triangle(points)
+        a, b, c = (corner.index_select(0, triangle) for corner in self._corners)
+        barycentric = closest_barycentric(points, a, b, c)
+        position = barycentric[:, :1] * a + barycentric[:, 1:2] * b + barycentric[:, 2:] * c
+        pseudo_normal, interior, beyond = self._feature(triangle, barycentric)
+        offset = points - position
+        length = offset.norm(dim=1)
+        along = (offset * pseudo_normal).sum(1)
+        sign = torch.where((along < 0) & ~beyond, -1.0, 1.0).to(torch.float64)
+        usable = ~interior & (length > 1e-9)
+        normal = torch.where(usable[:, None], offset * (sign / length.clamp_min(1e-300))[:, None], pseudo_normal)
+        return triangle, barycentric, position, normal, sign * length, beyond
 
     def _feature(self, triangle: Tensor, barycentric: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Unit pseudo-normal of the nearest face, edge or vertex, whether it is a face, whether it is on the border."""
@@ -209,13 +236,6 @@ class PosedSurface:
         return normal / normal.norm(dim=1, keepdim=True).clamp_min(1e-300), zeros == 0, beyond
 
     def _nearest_triangle(self, points: Tensor) -> Tensor:
-        if self.vertices.device.type == "cpu" and _has_igl():
-            tree, vertices = self._tree
-            _, triangle, _ = tree.squared_distance(vertices, self.surface.faces, np.ascontiguousarray(points.numpy()))
-            return torch.from_numpy(np.asarray(triangle, dtype=np.int64).reshape(-1))
-        return self._nearest_triangle_from_candidates(points)
-
-    def _nearest_triangle_from_candidates(self, points: Tensor) -> Tensor:
         """Nearest face among those with the nearest centres; every face where that cannot be certified."""
         a, b, c = self._corners
         centres = (a + b + c) / 3.0
@@ -262,12 +282,6 @@ class PosedSurface:
 
         a, b, c = self._corners
         return cKDTree(((a + b + c) / 3.0).numpy(), balanced_tree=False, compact_nodes=False)
-
-
-@cache
-def _has_igl() -> bool:
-    """Whether the tree is installed; machines that only train make do without."""
-    return find_spec("igl") is not None
 
 
 def _closest_of(points: Tensor, faces: Tensor, corners: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:

@@ -151,9 +151,10 @@ class Solver:
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
         # What was asked for may cross, where contact between cloths has no finite energy to compare.
-        potential, start = _reached(potential, lifted_off_the_body(potential.without_cloth(), start))
+        lifted = lifted_off_the_body(potential.without_cloth(), start)
+        potential, start = _reached(potential, lifted.positions)
         cloth = potential.contacts.cloth
-        contact = TrackedContact(potential, start)
+        contact = TrackedContact(potential, start, lifted)
         preconditioner = _StepPreconditioner(self._basis, self._pattern.free)
         x, inner, iteration, damping_level = start, 0, 0, -1
         while True:

@@ -14,7 +14,7 @@ import torch
 from pb4u.errors import InputError
 from pb4u.evaluation.metrics import Ruler, visible_skin
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.geometry.proximity.surface_search import CrossingSearch, NearestFaceSearch
+from pb4u.geometry.proximity.crossing_search import CrossingSearch
 from pb4u.graph.features import MaterialRange
 from pb4u.graph.garment_graph import garment_graph
 from pb4u.model.propagation_control import ConstantDistance
@@ -191,14 +191,12 @@ class Penetration(PaintedOverlay):
         super().__init__(clip)
         if self.ruler.surface is None:
             raise InputError(f"The body of {clip.label} is not a closed surface, so nothing can be inside it.")
-        self._search = NearestFaceSearch(clip.body(0), self.ruler.surface.faces)
 
     def values(self, t: int) -> np.ndarray:
         assert self.ruler.surface is not None
         body, garment = self.clip.body(t), self._garment(t)
-        faces = self._search.nearest(body, garment.numpy())
         posed = self.ruler.surface.at(torch.from_numpy(body.astype(np.float64)))
-        return posed.nearest(garment, faces).signed_distance.numpy()
+        return posed.nearest(garment).signed_distance.numpy()
 
 
 class SelfIntersections(PaintedOverlay):

@@ -37,48 +37,12 @@ class BoxTree:
             face_part: (faces,) int64 part of each face.
             world: (parts,) int64 world of each part, with a root of its own.
         """
-        order: list[np.ndarray] = []
-        children: list[list[int]] = []
-        ranges: list[list[int]] = []
-        roots = []
-        placed = 0
-        face_world = world[face_part] if len(face_part) else face_part
-        for number in np.unique(face_world):
-            rows = np.flatnonzero(face_world == number)
-            roots.append(len(children))
-            children.append([-1, -1])
-            ranges.append([placed, placed + len(rows)])
-            # (node, its faces, where they begin in the order)
-            waiting = [(roots[-1], rows[np.argsort(face_part[rows], kind="stable")], placed)]
-            placed += len(rows)
-            while waiting:
-                node, rows, first = waiting.pop()
-                if len(rows) <= _LEAF:
-                    order.append(np.column_stack([np.arange(first, first + len(rows)), rows]))
-                    continue
-                parts = face_part[rows]
-                if parts[0] != parts[-1]:
-                    middle = parts[len(parts) // 2]
-                    cut = int(np.searchsorted(parts, middle if middle != parts[0] else middle + 1))
-                else:
-                    spread = np.ptp(centres[rows], axis=0)
-                    cut = len(rows) // 2
-                    rows = rows[np.argpartition(centres[rows, int(spread.argmax())], cut)]
-                halves = ((rows[:cut], first), (rows[cut:], first + cut))
-                for side, (half, start) in enumerate(halves):
-                    children[node][side] = len(children)
-                    waiting.append((len(children), half, start))
-                    children.append([-1, -1])
-                    ranges.append([start, start + len(half)])
-        placed_faces = np.concatenate(order) if order else np.zeros((0, 2), dtype=np.int64)
-        ordered = np.empty(len(centres), dtype=np.int64)
-        ordered[placed_faces[:, 0]] = placed_faces[:, 1]
-        return BoxTree(
-            ordered,
-            np.asarray(children, dtype=np.int64).reshape(-1, 2),
-            np.asarray(ranges, dtype=np.int64).reshape(-1, 2),
-            np.asarray(roots, dtype=np.int64),
-        )
+        face_world = np.asarray(world, dtype=np.int64)[face_part] if len(face_part) else face_part
+        order = np.lexsort((face_part, face_world))
+        _, begins = np.unique(face_world[order], return_index=True)
+        spans = np.append(begins, len(order)).astype(np.int64)
+        children, ranges, roots = _split(np.ascontiguousarray(centres, dtype=np.float64), face_part, order, spans)
+        return BoxTree(order, children, ranges, roots)
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -93,6 +57,61 @@ class BoxTree:
         """
         boxes: np.ndarray = _fit(face_boxes, self.order, self.children, self.ranges)
         return boxes
+
+
+@compiled
+def _split(
+    centres: np.ndarray, face_part: np.ndarray, order: np.ndarray, spans: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Children (nodes, 2), ranges (nodes, 2) and roots (worlds,); puts `order` (faces,) in order of the leaves.
+
+    Faces are halved where two parts meet, or else at the median along the axis on which their centres lie furthest
+    apart. The faces of a world are those between two of the `spans` (worlds + 1,) of the order, sorted by part.
+    """
+    most = 2 * len(order) + 1
+    children, ranges = np.full((most, 2), -1, dtype=np.int64), np.empty((most, 2), dtype=np.int64)
+    roots = np.empty(len(spans) - 1, dtype=np.int64)
+    waiting = np.empty(most, dtype=np.int64)
+    nodes = 0
+    for number in range(len(roots)):
+        roots[number] = waiting[0] = nodes
+        ranges[nodes, 0], ranges[nodes, 1] = spans[number], spans[number + 1]
+        nodes, depth = nodes + 1, 1
+        while depth > 0:
+            depth -= 1
+            node = waiting[depth]
+            first, stop = ranges[node]
+            if stop - first <= _LEAF:
+                continue
+            cut = (first + stop) // 2
+            if face_part[order[first]] != face_part[order[stop - 1]]:
+                middle = face_part[order[cut]]
+                if middle == face_part[order[first]]:
+                    while face_part[order[cut]] == middle:
+                        cut += 1
+                else:
+                    while face_part[order[cut - 1]] == middle:
+                        cut -= 1
+            else:
+                rows = order[first:stop].copy()
+                widest, spread = 0, -1.0
+                for axis in range(3):
+                    low, high = np.inf, -np.inf
+                    for row in rows:
+                        low, high = min(low, centres[row, axis]), max(high, centres[row, axis])
+                    if high - low > spread:
+                        widest, spread = axis, high - low
+                along = np.empty(len(rows))
+                for place in range(len(rows)):
+                    along[place] = centres[rows[place], widest]
+                sorting = np.argsort(along, kind="mergesort")
+                for place in range(len(rows)):
+                    order[first + place] = rows[sorting[place]]
+            for side in range(2):
+                children[node, side] = waiting[depth] = nodes
+                ranges[nodes, 0], ranges[nodes, 1] = (first, cut) if side == 0 else (cut, stop)
+                nodes, depth = nodes + 1, depth + 1
+    return children[:nodes].copy(), ranges[:nodes].copy(), roots
 
 
 @compiled

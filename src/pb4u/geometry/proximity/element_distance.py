@@ -17,6 +17,9 @@ except ImportError:
     # A machine that only trains from packed data needs no contact between cloths.
     numba = None  # type: ignore[assignment]
 
+COMPILES = numba is not None
+"""Whether what is marked as `compiled` is."""
+
 Compiled = TypeVar("Compiled", bound=Callable)
 
 

@@ -40,6 +40,15 @@ class ContactPlanes:
         """
         return ((x - self.points) * self.normals).sum(-1)
 
+    def where(self, rows: Tensor, otherwise: ContactPlanes) -> ContactPlanes:
+        """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest."""
+        return ContactPlanes(
+            **{
+                name: torch.where(rows.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(otherwise, name))
+                for name, value in vars(self).items()
+            }
+        )
+
     def transported(self, pose: ColliderPose) -> Tensor:
         """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`."""
         return self.interpolated(pose.positions, pose.colliders.faces)
@@ -128,7 +137,7 @@ def nearest_planes(
         rows = _rows(garments, world, among, x.device)
         if surface is None or not len(rows):
             continue
-        nearest = surface.nearest(x[rows])
+        nearest = surface.nearest(x.detach()[rows])
         planes.points[rows] = nearest.positions
         planes.normals[rows] = nearest.normals
         planes.distance[rows] = nearest.signed_distance

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import torch
 from torch import Tensor
 
@@ -30,8 +32,21 @@ _LIFT = 2e-3
 """Height [m] over the body that a lifted vertex gets, unless it was lower before."""
 
 
-def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
-    """Positions (vertices, 3) [m] with vertices that the body passed over lifted, in every world whose energy falls.
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """Where a step starts once cloth that the body passed over is lifted.
+
+    Args:
+        positions: (vertices, 3) [m].
+        planes: of the bodies at t+1 nearest to these positions, where they had to be looked up, or None.
+    """
+
+    positions: Tensor
+    planes: ContactPlanes | None = None
+
+
+def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Lifted:
+    """Positions with vertices that the body passed over lifted, in every world whose energy falls.
 
     Args:
         potential: potential of the step.
@@ -40,7 +55,7 @@ def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
     step, planes = potential.step, potential.contacts.now
     garments, bodies = step.garments, step.bodies
     if planes is None or bodies is None:
-        return x
+        return Lifted(x)
     point = planes.transported(bodies.following).to(x)
     normal = planes.transported_normals(bodies.following).to(x)
     height = ((x - point) * normal).sum(1)
@@ -48,10 +63,15 @@ def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
     moves = ~garments.pinned & (garments.vertex_masses > 0)
     overrun = planes.touchable & moves & (planes.distance.abs() < REACH) & (height < wanted)
     if not bool(overrun.any()):
-        return x
+        return Lifted(x)
     lifted = torch.where(overrun[:, None], x + (wanted - height)[:, None] * normal, x)
-    better = potential.energies(lifted).per_world(garments) < potential.energies(x).per_world(garments)
-    return torch.where(better[garments.vertex_world, None], lifted, x)
+    below = nearest_planes(bodies.following, garments, x)
+    above = nearest_planes(bodies.following, garments, lifted, overrun, below)
+    before, after = (
+        potential.with_contact(found).energies(at).per_world(garments) for found, at in ((below, x), (above, lifted))
+    )
+    better = (after < before)[garments.vertex_world]
+    return Lifted(torch.where(better[:, None], lifted, x), above.where(better, below))
 
 
 class TrackedContact:
@@ -64,11 +84,17 @@ class TrackedContact:
     Args:
         potential: potential of the step.
         start: (vertices, 3) [m] where the iterations begin.
+        lifted: what the start comes from, the planes of which serve all vertices that still are there.
     """
 
-    def __init__(self, potential: StepPotential, start: Tensor) -> None:
+    def __init__(self, potential: StepPotential, start: Tensor, lifted: Lifted) -> None:
         self._potential = potential
-        self._planes = potential.contact_at(start)
+        step = potential.step
+        if lifted.planes is None or step.bodies is None:
+            self._planes = potential.contact_at(start)
+        else:
+            moved = (start != lifted.positions).any(1)
+            self._planes = nearest_planes(step.bodies.following, step.garments, start, moved, lifted.planes)
         self._opposite: ContactPlanes | None = None
         self._found_at = start
         self._iteration = 0
@@ -110,12 +136,8 @@ def _left_behind(
     if opposite is None:
         if not bool(jumped.any()):
             return None
-        opposite = ContactPlanes(**{**vars(old), "touchable": torch.zeros_like(old.touchable)})
-    taken = {
-        name: torch.where(jumped.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(opposite, name))
-        for name, value in vars(old).items()
-    }
-    caught = ((x - taken["points"]).norm(dim=1) < _CAUGHT_WITHIN) & new.touchable
-    apart = (taken["normals"] * new.normals).sum(1) < opposed
-    taken["touchable"] = taken["touchable"] & caught & apart
-    return ContactPlanes(**taken)
+        opposite = replace(old, touchable=torch.zeros_like(old.touchable))
+    taken = old.where(jumped, opposite)
+    caught = ((x - taken.points).norm(dim=1) < _CAUGHT_WITHIN) & new.touchable
+    apart = (taken.normals * new.normals).sum(1) < opposed
+    return replace(taken, touchable=taken.touchable & caught & apart)

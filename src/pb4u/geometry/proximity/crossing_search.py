@@ -1,14 +1,14 @@
-"""Searches of a moving surface that are made for every frame: which faces may cross, and which is nearest to a point.
+"""Which faces of a moving surface cross, asked for every frame.
 
-The tree is built once and its boxes are fitted to each frame, as that of `surface_tree`. Both searches only leave out
-what is certainly not wanted, so that their results are those of a search among all faces.
+The tree is built once and its boxes are fitted to each frame, as that of `surface_tree`. Only what is certainly apart
+is left out, so that the result is that of a search among all faces.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from pb4u.geometry.proximity.box_tree import BoxTree, boxes_meet, boxes_of, with_room
+from pb4u.geometry.proximity.box_tree import boxes_meet, boxes_of, with_room
 from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.geometry.proximity.element_distance import compiled
 from pb4u.geometry.proximity.surface_tree import SurfaceTree
@@ -40,37 +40,6 @@ class CrossingSearch:
         if not len(touching):
             return np.zeros((0, 2), dtype=np.int64)
         return touching[self_crossings(points, tree.faces[touching])]
-
-
-class NearestFaceSearch:
-    """Faces of a moving surface that are nearest to points that move with it, such as cloth on a body.
-
-    Args:
-        rest: (vertices, 3) [m] from which the tree is built.
-        faces: (faces, 3) int64.
-    """
-
-    def __init__(self, rest: np.ndarray, faces: np.ndarray) -> None:
-        self._faces = np.ascontiguousarray(faces, dtype=np.int64)
-        none = np.zeros(len(faces), dtype=np.int64)
-        centres = np.asarray(rest, dtype=np.float64)[self._faces].mean(axis=1)
-        self._tree = BoxTree.over(centres, none, none[:1])
-        self._last = np.zeros(0, dtype=np.int64)
-
-    def nearest(self, vertices: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Nearest face (points,) int64 of each point; quickest where the same points were asked for a little before.
-
-        Args:
-            vertices: (vertices, 3) of the surface [m], finite.
-            points: (points, 3) [m], finite.
-        """
-        places, asked = (np.ascontiguousarray(values, dtype=np.float64) for values in (vertices, points))
-        face_boxes = boxes_of(places, np.zeros_like(places), self._faces, 0.0)
-        boxes = np.ascontiguousarray(self._tree.fitted(face_boxes)[:, :6])
-        guess = self._last if len(self._last) == len(asked) else np.zeros(len(asked), dtype=np.int64)
-        shape = self._tree.arrays[:3]
-        self._last = _nearest_faces(places, self._faces, boxes, shape, asked, guess)
-        return self._last
 
 
 @compiled
@@ -186,93 +155,3 @@ def _cross(u: np.ndarray, v: np.ndarray, result: np.ndarray) -> None:
     result[0] = u[1] * v[2] - u[2] * v[1]
     result[1] = u[2] * v[0] - u[0] * v[2]
     result[2] = u[0] * v[1] - u[1] * v[0]
-
-
-@compiled
-def _nearest_faces(
-    vertices: np.ndarray, faces: np.ndarray, boxes: np.ndarray, tree: tuple, points: np.ndarray, guess: np.ndarray
-) -> np.ndarray:
-    """Nearest face (points,) of each point; `guess` (points,) bounds the search, `boxes` (nodes, 6) are its nodes'."""
-    order, children, ranges = tree
-    result = np.empty(len(points), dtype=np.int64)
-    stack = np.empty(1024, dtype=np.int64)
-    distances = np.empty(1024)
-    for row in range(len(points)):
-        point = points[row]
-        best = guess[row]
-        least = _squared_distance(point, vertices, faces[best])
-        stack[0], distances[0] = 0, 0.0
-        depth = 1
-        while depth > 0:
-            depth -= 1
-            node = stack[depth]
-            if distances[depth] >= least:
-                continue
-            if children[node, 0] < 0:
-                for place in range(ranges[node, 0], ranges[node, 1]):
-                    face = order[place]
-                    distance = _squared_distance(point, vertices, faces[face])
-                    if distance < least:
-                        best, least = face, distance
-                continue
-            near, far = children[node, 0], children[node, 1]
-            near_distance, far_distance = _box_distance(point, boxes[near]), _box_distance(point, boxes[far])
-            if near_distance > far_distance:
-                near, far, near_distance, far_distance = far, near, far_distance, near_distance
-            # The nearer one is looked at first.
-            if far_distance < least:
-                stack[depth], distances[depth] = far, far_distance
-                depth += 1
-            if near_distance < least:
-                stack[depth], distances[depth] = near, near_distance
-                depth += 1
-        result[row] = best
-    return result
-
-
-@compiled
-def _box_distance(point: np.ndarray, box: np.ndarray) -> float:
-    """Squared distance [m^2] of a point (3,) to a box (6,)."""
-    total = 0.0
-    for axis in range(3):
-        beyond = max(box[axis] - point[axis], point[axis] - box[3 + axis], 0.0)
-        total += beyond * beyond
-    return total
-
-
-@compiled
-def _squared_distance(point: np.ndarray, vertices: np.ndarray, face: np.ndarray) -> float:
-    """Squared distance [m^2] of a point (3,) to a face (3,): Ericson, Real-Time Collision Detection, 5.1.5."""
-    d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for axis in range(3):
-        a, b, c = vertices[face[0], axis], vertices[face[1], axis], vertices[face[2], axis]
-        ab, ac = b - a, c - a
-        d1 += ab * (point[axis] - a)
-        d2 += ac * (point[axis] - a)
-        d3 += ab * (point[axis] - b)
-        d4 += ac * (point[axis] - b)
-        d5 += ab * (point[axis] - c)
-        d6 += ac * (point[axis] - c)
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    v, w = 0.0, 0.0
-    if d1 <= 0.0 and d2 <= 0.0:
-        pass
-    elif d3 >= 0.0 and d4 <= d3:
-        v = 1.0
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        v = d1 / (d1 - d3)
-    elif d6 >= 0.0 and d5 <= d6:
-        w = 1.0
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        w = d2 / (d2 - d6)
-    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        v = 1.0 - w
-    elif va + vb + vc > 0.0:
-        v, w = vb / (va + vb + vc), vc / (va + vb + vc)
-    total = 0.0
-    for axis in range(3):
-        a = vertices[face[0], axis]
-        offset = point[axis] - a - v * (vertices[face[1], axis] - a) - w * (vertices[face[2], axis] - a)
-        total += offset * offset
-    return total

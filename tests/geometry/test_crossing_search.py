@@ -1,4 +1,4 @@
-"""Searches that are made for every frame find what a search among all faces finds."""
+"""The search for crossing faces finds what a search among all faces finds."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from tests.garment.cloth_shapes import tube_arrays
 
-from pb4u.geometry.nearest_surface import TriangleSurface
+from pb4u.geometry.proximity.crossing_search import CrossingSearch
 from pb4u.geometry.proximity.crossings import self_crossings
-from pb4u.geometry.proximity.surface_search import CrossingSearch, NearestFaceSearch
 from pb4u.geometry.proximity.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology
 
@@ -45,15 +44,3 @@ def test_faces_that_only_touch_are_left_to_the_exact_predicates() -> None:
     topology = Topology(faces, 9)
     search = CrossingSearch(SurfaceTree(vertices, faces, topology.edges, np.zeros(9, dtype=int), [0]))
     assert unordered(search.pairs(vertices)) == unordered(self_crossings(vertices, faces))
-
-
-def test_nearest_faces_are_as_near_as_those_of_a_search_without_memory() -> None:
-    vertices, faces = tube()
-    search, surface = NearestFaceSearch(vertices, faces), TriangleSurface(faces, len(vertices))
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-0.5, 1.2, (200, 3))
-    for t, asked in enumerate((points, points + 0.02, -points, points[:50])):
-        moved = vertices + 0.03 * t * rng.uniform(-1.0, 1.0, vertices.shape)
-        posed = surface.at(moved)
-        known = posed.nearest(asked, search.nearest(moved, asked)).signed_distance
-        np.testing.assert_allclose(known, posed.nearest(asked).signed_distance, atol=1e-12)
