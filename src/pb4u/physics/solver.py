@@ -59,6 +59,13 @@ _NEAR = 0.05
 _DAMPING_LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
 
 
+_YOUNG = 4
+"""Iterations for which a preconditioner's patches are kept in any case: made anew they cost as much as three."""
+
+_AGED, _FEW = 1.3, 5
+"""Factor and number by which linear solves are longer than with new patches when these have aged."""
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """Result of a minimisation.
@@ -113,7 +120,7 @@ class Solver:
         self.tolerance, self.max_iterations, self.forcing = tolerance, max_iterations, forcing
         self._garments: PackedGarments | None = None
         self._pattern: StiffnessPattern
-        self._basis: PatchBasis
+        self._preconditioner: _AgeingPreconditioner
         self._free: Tensor
         self._threads: ThreadpoolController
 
@@ -155,7 +162,6 @@ class Solver:
         potential, start = _reached(potential, lifted.positions)
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start, lifted)
-        preconditioner = _StepPreconditioner(self._basis, self._pattern.free)
         x, inner, iteration, damping_level = start, 0, 0, -1
         while True:
             frozen = contact.potential_at(x).with_cloth(cloth)
@@ -170,7 +176,7 @@ class Solver:
                 solved = residual <= self.tolerance
                 return Solution(x, energies, residual, iteration, inner, solved, frozen.contacts.next)
             highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
-            newton, damping_level = self._direction(frozen, x, gradient, highest, preconditioner)
+            newton, damping_level = self._direction(frozen, x, gradient, highest, self._preconditioner)
             inner += newton.iterations
             moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
@@ -191,7 +197,8 @@ class Solver:
         if new or not self._pattern.couples(elements):
             self._pattern = StiffnessPattern(garments, elements)
         if new:
-            self._basis = PatchBasis(garments, self._pattern.free)
+            basis = PatchBasis(garments, self._pattern.free)
+            self._preconditioner = _AgeingPreconditioner(basis, self._pattern.free)
             self._free = torch.from_numpy(self._pattern.free)
             self._garments = garments
 
@@ -211,7 +218,7 @@ class Solver:
         x: Tensor,
         gradient: Tensor,
         damping_level: int,
-        preconditioner: _StepPreconditioner,
+        preconditioner: _AgeingPreconditioner,
     ) -> tuple[LinearSolution, int]:
         """Newton direction, a direction of negative curvature where there is one, and the damping level taken."""
         right = -gradient.numpy()
@@ -226,7 +233,7 @@ class Solver:
             solved = conjugate_gradient(matrix, pairs, right, preconditioner.current, self.forcing, 300)
             spent += solved.iterations
             if solved.negative is None or damping_level == 0:
-                preconditioner.last_iterations = solved.iterations
+                preconditioner.served(solved.iterations)
                 return LinearSolution(solved.solution, spent, negative), damping_level
             negative = solved.negative
             damping_level -= 1
@@ -327,14 +334,19 @@ def _sums(values: Tensor, garments: PackedGarments) -> Tensor:
     return torch.stack([values[start:stop].sum() for start, stop in zip(starts, stops, strict=True)])
 
 
-class _StepPreconditioner:
-    """The preconditioner of one minimisation: its diagonal is always new, its patches when they have aged."""
+class _AgeingPreconditioner:
+    """The preconditioner of some garments: its diagonal is always new, its patches when they have aged.
+
+    Patches serve several time steps, for the cloth hangs much as it did; they are made anew once linear solves take
+    longer than they did with new ones.
+    """
 
     def __init__(self, basis: PatchBasis, free: np.ndarray) -> None:
         self._basis, self._free = basis, free
         self._current: TwoLevelPreconditioner | None = None
         self._age = 0
-        self.last_iterations = 0
+        self._iterations_when_new = 0
+        self._last_iterations = 0
 
     @property
     def current(self) -> TwoLevelPreconditioner:
@@ -344,14 +356,20 @@ class _StepPreconditioner:
 
     def update(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
         """Recompute what has aged from a new stiffness `matrix` and the contacts `pairs` added to it."""
-        self._age += 1
         if self._current is None:
             self._current = TwoLevelPreconditioner(self._basis, matrix, pairs, self._free)
             return
         self._current.refresh_diagonal(matrix, pairs)
-        if self._age >= 4 and self.last_iterations > 50:
+        self._age += 1
+        if self._age >= _YOUNG and self._last_iterations > _AGED * self._iterations_when_new + _FEW:
             self._current.refresh_patches(matrix, pairs)
             self._age = 0
+
+    def served(self, iterations: int) -> None:
+        """Take note of the iterations of a linear solve."""
+        if self._age == 0:
+            self._iterations_when_new = iterations
+        self._last_iterations = iterations
 
 
 def substep_count(step: TimeStep) -> int:
