@@ -7,16 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.graph.graph import GARMENT, EdgeSet, Graph, pieces
+from pb4u.graph.graph import GARMENT, EdgePiece, EdgeSet, Graph, pieces
 from pb4u.graph.incidence import Incidence, Span, incidence
 from pb4u.nn.mlp import EDGE, RECEIVER, SENDER, EdgeMLP
 from pb4u.nn.segment import gather, segment_sum, sum_of_rows
+from pb4u.nn.tiles import of_tiles
 
 
 @dataclass(frozen=True)
@@ -152,16 +154,19 @@ class Propagation(nn.Module):
         last = message.last.weight.t()
         shift = receivers.offsets.diff()[:, None].to(last.dtype) * message.last.bias
         state = state.clone()
+
+        def moved(after: Tensor, run: EdgePiece) -> None:
+            sent = message.up_to_last(sum_of_rows(table, run.ends))
+            if output is None:
+                total = torch.addmm(shift[run.nodes], segment_sum(sent, run.receivers), last)
+            else:
+                total = segment_sum(output(sent), run.receivers)
+            at = state[run.nodes]
+            at.copy_(self._moved(at, total.to(at.dtype)))
+            torch.mm(at.to(message.precision), ends, out=after[run.nodes])
+
         for step in range(steps):
-            for run in runs[step % 2]:
-                sent = message.up_to_last(sum_of_rows(table, run.ends))
-                if output is None:
-                    total = torch.addmm(shift[run.nodes], segment_sum(sent, run.receivers), last)
-                else:
-                    total = segment_sum(output(sent), run.receivers)
-                at = state[run.nodes]
-                at.copy_(self._moved(at, total.to(at.dtype)))
-                torch.mm(at.to(message.precision), ends, out=shares[1 - step % 2, run.nodes])
+            of_tiles(partial(moved, shares[1 - step % 2]), runs[step % 2])
         return state
 
     def _moved(self, state: Tensor, total: Tensor) -> Tensor:

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor, nn
 
-from pb4u.graph.graph import Graph
+from pb4u.graph.graph import EdgePiece, Graph
 from pb4u.nn.mlp import EDGE, RECEIVER, SENDER, EdgeMLP, SplitMLP
 from pb4u.nn.segment import gather, joined, segment_sum, sum_of_rows
+from pb4u.nn.tiles import of_tiles
 
 
 class InteractionBlock(nn.Module):
@@ -94,15 +95,26 @@ class InteractionBlock(nn.Module):
                 continue
             mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
             table = mlp.shares_of_ends(rounded[edge_set.sender_set], rounded[edge_set.receiver_set])
-            of_edges, output, latents, sums = mlp.weight_of(EDGE).t(), mlp.output_layer(), edges[name], []
-            for piece in edge_set.pieces:
-                old = latents[piece.edges]
-                first = sum_of_rows(table, piece.ends).addmm_(old.to(mlp.precision), of_edges)
-                new = output(mlp.up_to_last(first))
-                sums.append(segment_sum(new * masks[name][piece.edges] if name in masks else new, piece.receivers))
-                if keep_edges:
-                    old += new
+            run = _EdgeRun(mlp, table, edges[name], masks.get(name), keep_edges)
+            sums = of_tiles(run, edge_set.pieces)
             share = self.node_mlp.weight_of(1 + self.kinds.index(edge_set.kind))
             hidden[edge_set.receiver_set].addmm_(joined(sums).to(self.node_mlp.precision), share.t())
-            new_edges[name] = latents
+            new_edges[name] = edges[name]
         return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges
+
+
+class _EdgeRun:
+    """Sums of the new edges of a piece at its receivers; what that needs of the weights is made once for all pieces."""
+
+    def __init__(self, mlp: EdgeMLP, table: Tensor, latents: Tensor, mask: Tensor | None, keep: bool) -> None:
+        self.mlp, self.table, self.latents, self.mask, self.keep = mlp, table, latents, mask, keep
+        self.of_edges, self.output = mlp.weight_of(EDGE).t(), mlp.output_layer()
+
+    def __call__(self, piece: EdgePiece) -> Tensor:
+        old = self.latents[piece.edges]
+        first = sum_of_rows(self.table, piece.ends).addmm_(old.to(self.mlp.precision), self.of_edges)
+        new = self.output(self.mlp.up_to_last(first))
+        sums = segment_sum(new if self.mask is None else new * self.mask[piece.edges], piece.receivers)
+        if self.keep:
+            old += new
+        return sums

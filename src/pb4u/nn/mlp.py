@@ -12,6 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from pb4u.nn.tiles import of_tiles
+
 ROWS_PER_RUN = 8192
 """So many rows of 64 columns in float32 take 2 MB, which stays in a processor's cache between two layers."""
 
@@ -101,8 +103,8 @@ def in_runs(of: Callable[..., Tensor], *values: Tensor) -> Tensor:
     rows = values[0].shape[0]
     if torch.is_grad_enabled() or rows <= ROWS_PER_RUN or values[0].device.type != "cpu":
         return of(*values)
-    runs = (slice(start, start + ROWS_PER_RUN) for start in range(0, rows, ROWS_PER_RUN))
-    return torch.cat([of(*(each[run] for each in values)) for run in runs])
+    runs = [slice(start, start + ROWS_PER_RUN) for start in range(0, rows, ROWS_PER_RUN)]
+    return torch.cat(of_tiles(lambda run: of(*(each[run] for each in values)), runs))
 
 
 def _widened(values: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from pb4u.geometry.proximity.element_distance import COMPILES
 from pb4u.physics.bending import Bending
 from pb4u.physics.contact.cloth_contact import ClothContact, ClothFriction
 from pb4u.physics.contact.collision import Collision, ReleasedCollision
@@ -235,6 +236,12 @@ class StepPotential:
         """This potential as the solver evaluates it: each term compiled, without autograd."""
         terms = tuple(term.compiled(self.step, self.contacts) for term in self.potential.terms)
         return replace(self, potential=replace(self.potential, terms=terms))
+
+    def undifferentiated(self) -> StepPotential:
+        """This potential for its numbers alone: compiled where the garments are what the solver computes with."""
+        garments = self.step.garments
+        of_solver = COMPILES and garments.dtype == torch.float64 and garments.device.type == "cpu"
+        return self.compiled() if of_solver else self
 
     def stiffness(self, x: Tensor, pattern: StiffnessPattern) -> Stiffness:
         """Second derivative, or one near it, of the terms that couple `elements`.

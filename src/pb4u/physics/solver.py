@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -28,9 +27,7 @@ from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
-
-if TYPE_CHECKING:
-    from threadpoolctl import ThreadpoolController
+from pb4u.threads import one_torch_thread
 
 _SUFFICIENT_DECREASE = 1e-4
 """Share of the decrease that the slope promises with which a line search is content (Nocedal and Wright, 3.1)."""
@@ -122,7 +119,6 @@ class Solver:
         self._pattern: StiffnessPattern
         self._preconditioner: _AgeingPreconditioner
         self._free: Tensor
-        self._threads: ThreadpoolController
 
     def minimise(
         self,
@@ -142,8 +138,7 @@ class Solver:
         Raises DivergedError when `start` or its energy is not finite.
         """
         self._prepare(potential)
-        # Tensors of cloth are small: threads gain little, and wait for one another wherever another process is at work.
-        with self._threads.limit(limits=1, user_api="openmp"):
+        with one_torch_thread():
             return self._minimise(potential, start, iterations, watch)
 
     def _minimise(
@@ -187,13 +182,8 @@ class Solver:
     def _prepare(self, potential: StepPotential) -> None:
         garments, elements = potential.step.garments, potential.elements()
         new = self._garments is not garments
-        if new:
-            if garments.dtype != torch.float64 or garments.device.type != "cpu":
-                raise ValueError(f"the solver needs garments packed in float64 on the CPU, not {garments.dtype}")
-            from threadpoolctl import ThreadpoolController
-
-            # Of this thread alone: torch's own setting would be that of every thread begun meanwhile, for good.
-            self._threads = ThreadpoolController()
+        if new and (garments.dtype != torch.float64 or garments.device.type != "cpu"):
+            raise ValueError(f"the solver needs garments packed in float64 on the CPU, not {garments.dtype}")
         if new or not self._pattern.couples(elements):
             self._pattern = StiffnessPattern(garments, elements)
         if new:

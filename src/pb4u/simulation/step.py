@@ -17,6 +17,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.network_pass import Network, NoNetwork
 from pb4u.simulation.refinement import NoRefinement, Refinement, carried
 from pb4u.simulation.step_start import FreeFlight, StepStart
+from pb4u.threads import one_torch_thread
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +46,15 @@ def take(step: TimeStep, method: StepMethod) -> State:
         step: that is taken.
         method: what takes it.
     """
-    # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
-    *_, predicted = predictions(step, method)
-    # A few iterations of the solver, or all of them, lower the same energies that the network was trained on.
-    refined = method.refinement.refine(step, require_finite(predicted))
-    # Vertices still inside the body are pushed out, without gaining speed.
-    answered = method.contact.respond(step, refined)
-    # A push, like every other move, goes no further than to the next cloth.
-    return carried(method.self_contact, step, refined, answered)
+    with one_torch_thread():
+        # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
+        *_, predicted = predictions(step, method)
+        # A few iterations of the solver, or all of them, lower the same energies that the network was trained on.
+        refined = method.refinement.refine(step, require_finite(predicted))
+        # Vertices still inside the body are pushed out, without gaining speed.
+        answered = method.contact.respond(step, refined)
+        # A push, like every other move, goes no further than to the next cloth.
+        return carried(method.self_contact, step, refined, answered)
 
 
 def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:

@@ -50,7 +50,7 @@ class CarriedStart(StepStart):
         free = integrate(step, torch.zeros_like(step.state.positions)).positions
         if step.skinned_motion is None:
             return torch.zeros_like(free)
-        garments, potential = step.garments, self.potential.of(step)
+        garments, potential = step.garments, self.potential.of(step).undifferentiated()
         missing = step.skinned_motion - step.dt * step.state.velocities
         missing = torch.where(garments.pinned[:, None], 0.0, missing)
         shares = missing.new_tensor((0.0, *self.shares))

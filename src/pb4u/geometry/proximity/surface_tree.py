@@ -15,12 +15,19 @@ import numpy as np
 
 from pb4u.geometry.proximity.box_tree import BoxTree, boxes_meet, boxes_of, copy_row, with_room
 from pb4u.geometry.proximity.element_distance import compiled, fastest_approach, gather, nearest
+from pb4u.threads import of_parts
 
 _ROOM = 1.5e-3
 """How far [m] a vertex may go from where it was before what is near it is searched again."""
 
 _MOST_LEAVING = 0.1
 """Share of the vertices that may leave their room before the whole surface is searched again."""
+
+_FEW = 4096
+"""Vertices up to which one thread searches: 6 ms, beside which it takes long to wake another processor."""
+
+_HALVED = 2
+"""How often the surface is halved for the parts that threads search: four pieces, and the three seams between them."""
 
 _DEEPEST = 512
 """Entries of the stack of a search: a median split halves, so that 2^60 faces would not fill it."""
@@ -179,8 +186,26 @@ class SurfaceTree:
         )
         boxes = (self.boxes.fitted(face_boxes), face_boxes, edge_boxes, vertex_boxes)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
-        pairs: tuple[np.ndarray, np.ndarray] = _search(boxes, self.boxes.arrays, elements, among)
-        return pairs
+        tree = self.boxes.arrays[:3]
+        asked = (among, *_asked(tree, self.faces, self.edges, among))
+        whole = np.count_nonzero(among) > _FEW
+        parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
+        found = of_parts(lambda part: _search(boxes, tree, elements, asked, part), parts)
+        vertex_faces, edge_edges = (np.concatenate(pairs) for pairs in zip(*found, strict=True))
+        return vertex_faces, edge_edges
+
+    @cached_property
+    def _parts(self) -> np.ndarray:
+        """Pairs (parts, 2) int64 of nodes, a search of all of which is one of everything."""
+        parts = [(root, root) for root in self.boxes.roots]
+        children = self.boxes.children
+        for _ in range(_HALVED):
+            finer = []
+            for a, b in parts:
+                left, right = children[a]
+                finer += [(left, left), (right, right), (left, right)] if a == b and left >= 0 else [(a, b)]
+            parts = finer
+        return np.asarray(parts, dtype=np.int64).reshape(-1, 2)
 
 
 def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -204,11 +229,11 @@ def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np
 
 
 @compiled
-def _search(boxes: tuple, tree: tuple, elements: tuple, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (pairs, 4) of vertex and face, and of two edges, with one `among` (vertices,) and boxes that meet."""
-    order, children, ranges, roots = tree
-    faces, edges, owned_vertices, owned_edges = elements
-    node_boxes, face_boxes, edge_boxes, vertex_boxes = boxes
+def _asked(
+    tree: tuple, faces: np.ndarray, edges: np.ndarray, among: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which nodes, faces and edges have a vertex `among` (vertices,) those asked for."""
+    order, children, ranges = tree
     asked_edges, asked_faces = _any_corner(edges, among), _any_corner(faces, among)
     asked_nodes = np.empty(len(children), dtype=np.bool_)
     for node in range(len(children) - 1, -1, -1):
@@ -219,11 +244,26 @@ def _search(boxes: tuple, tree: tuple, elements: tuple, among: np.ndarray) -> tu
             for place in range(ranges[node, 0], ranges[node, 1]):
                 asked = asked or asked_faces[order[place]]
         asked_nodes[node] = asked
+    return asked_nodes, asked_faces, asked_edges
+
+
+@compiled
+def _search(
+    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (pairs, 4) of vertex and face, and of two edges, with one `asked` for and boxes that meet.
+
+    Of the elements in the pairs of nodes `parts` (parts, 2).
+    """
+    order, children, ranges = tree
+    faces, edges, owned_vertices, owned_edges = elements
+    node_boxes, face_boxes, edge_boxes, vertex_boxes = boxes
+    among, asked_nodes, asked_faces, asked_edges = asked
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
     stack = np.empty((_DEEPEST, 2), dtype=np.int64)
-    for root in roots:
-        stack[0, 0], stack[0, 1] = root, root
+    for part in range(len(parts)):
+        stack[0, 0], stack[0, 1] = parts[part, 0], parts[part, 1]
         depth = 1
         while depth > 0:
             depth -= 1
