@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from html import escape
+from typing import Any
 
 from pb4u.viewer.overlay import OVERLAYS, Overlay
 from pb4u.viewer.panel import Panel, Tone, notice
@@ -29,10 +31,14 @@ class TimelinePanel(Panel):
         self._sets(speed, lambda state, text: setattr(state.clock, "speed", float(text.split()[0])))
         self._sets(loop, lambda state, wanted: setattr(state.clock, "loop", bool(wanted)))
         self._play.on_click(self._answer(lambda: self._requests.change(lambda state: state.clock.toggle())))
-        self._step.on_click(self._answer(self._go))
+        self._step.on_click(self._stepped)
 
-    def _go(self) -> None:
-        match self._step.value:
+    async def _stepped(self, event: Any) -> None:
+        # Awaited where messages come in: by the time a thread reads it, the value may be that of the next click.
+        self._answer(partial(self._go, self._step.value))(event)
+
+    def _go(self, wanted: str) -> None:
+        match wanted:
             case "first":
                 self._requests.change(lambda state: state.clock.pause_at(0))
             case "last":
