@@ -139,7 +139,7 @@ class ContourSides:
 
     Args:
         enclosed: (vertices, sides) bool, vertices that a side encloses.
-        reached: (vertices, sides) bool, those and, of open sides, the ends of their crossing edges.
+        reached: (vertices, sides) bool, those and the ends of the edges that cross at a side.
         touched: (faces, sides) bool, faces that a side pierces, or that hold a vertex which the other side encloses.
         on_open: (vertices,) bool, ends of edges that cross at an open side and at no closed one.
     """
@@ -171,9 +171,8 @@ class ContourSides:
         on_open, on_closed = np.zeros(vertex_count, dtype=bool), np.zeros(vertex_count, dtype=bool)
         on_open[contours.edges[~closed[side]]] = True
         on_closed[contours.edges[closed[side]]] = True
-        ends = contours.edges[~closed[side]]
-        at_open = _table(ends.reshape(-1), np.repeat(side[~closed[side]], 2), enclosed.shape)
-        return cls(enclosed, enclosed + at_open, touched, on_open & ~on_closed)
+        at_ends = _table(contours.edges.reshape(-1), np.repeat(side, 2), enclosed.shape)
+        return cls(enclosed, enclosed + at_ends, touched, on_open & ~on_closed)
 
 
 def _sides(contours: Contours, mesh: Topology) -> tuple[np.ndarray, np.ndarray]:
@@ -212,8 +211,13 @@ def _cut_off(contours: Contours, mesh: Topology, side: np.ndarray, count: int) -
     parts, part = connected_components(_table(kept[:, 0], kept[:, 1], (mesh.vertex_count,) * 2), directed=False)
     sizes, ends = np.bincount(part, minlength=parts), part[contours.edges]
     rows, columns, closed = [], [], np.zeros(count, dtype=bool)
+    # An edge that crosses more than twice is cut by the first of its contours alone; seen in one golden step.
+    often = np.bincount(edges, minlength=len(mesh.edges)) > 2
+    first = np.full(len(mesh.edges), contours.count)
+    np.minimum.at(first, edges, contours.contour)
+    cuts = ~often[edges] | (contours.contour == first[edges])
     for number in range(count):
-        own = np.isin(edges, edges[side == number])
+        own = np.isin(edges, edges[(side == number) & cuts])
         others = ends[~own]
         _, joined = connected_components(_table(others[:, 0], others[:, 1], (parts, parts)), directed=False)
         reached = np.unique(joined[ends[own]])
