@@ -259,7 +259,7 @@ def page(found: dict[str, Any]) -> str:
         "# Performance, side by side",
         "",
         f"Made by `python benchmarks/side_by_side.py`: {asked['garment']} on {asked['body']}, {asked['motion']}, "
-        f"{asked['frames']} frames after the lead-in, medians of {asked['repeats']} rounds, every rival in a process "
+        f"{asked['frames']} frames after the lead-in, medians of rounds: {asked['repeats']}, every rival in a process "
         "of its own and in turn. Energies (without gravity, of our materials), strain, penetration and crossing "
         "triangles are `pb4u.measure`'s for all; Blender keeps its own stiffnesses.",
         "",
