@@ -63,6 +63,24 @@ def test_the_released_rollout_is_met(
         assert np.abs(positions[step + 2] - expected).max() < 3e-6, step
 
 
+def test_the_released_contourcraft_is_met_but_for_where_the_scene_stands(
+    compat: Path, pb4u: Callable[..., Any], tmp_path: Path
+) -> None:
+    """It turns the posed body where the others turn the pose: everything stands aside by the same in every frame."""
+    golden = np.load(compat / "golden/contourcraft_outfit.npz")
+    files = arguments(compat, "contourcraft_outfit.pkl")
+    model = compat / "checkpoints/contourcraft.pth"
+    ended = pb4u(*files, "--model", model, "--start", "contourcraft", "--out", tmp_path / "run.npz")
+    assert (tmp_path / "run.npz").exists(), ended.err
+    with np.load(tmp_path / "run.npz") as run:
+        positions, body = run["positions"].astype(float), run["body_positions"].astype(float)
+    aside = (golden["scene/body_frames"] - body).mean(axis=1)
+    assert np.ptp(aside, axis=0).max() < 1e-6
+    for step in range(3):
+        expected = golden[f"case0/step{step}/pred_pos"]
+        assert np.abs(positions[step + 2] + aside[0] - expected).max() < 3e-6, step
+
+
 READERS: dict[str, Callable[[Path], object]] = {
     "garment": lambda path: read_dictionary_garment(DictionaryEntry(path, None, None), MATERIALS["default"]),
     "recording": read_smpl_sequence,
