@@ -21,6 +21,12 @@ from pb4u.scene.packed import PackedGarments
 _PATCHES_PER_GARMENT = 40
 """Enough for a sleeve to move apart from a front; their dense matrix, 360 wide, still inverts in milliseconds."""
 
+_YOUNG = 4
+"""Iterations for which a preconditioner's patches are kept in any case: made anew they cost as much as three."""
+
+_AGED, _FEW = 1.3, 5
+"""Factor and number by which linear solves are longer than with new patches when these have aged."""
+
 Functions = tuple[np.ndarray, np.ndarray, np.ndarray]
 """A sparse matrix as first entries of its rows, columns and values of its entries."""
 
@@ -163,6 +169,53 @@ class TwoLevelPreconditioner:
         result = np.empty_like(residual)
         _precondition(*self.parts, residual, result)
         return result
+
+
+class AgeingPreconditioner:
+    """The preconditioner of some garments: its diagonal is always new, its patches when they have aged.
+
+    Patches serve several time steps, for the cloth hangs much as it did; they are made anew once linear solves take
+    longer than they did with new ones.
+
+    Args:
+        basis: patch motions.
+        free: (vertices,) bool, vertices that move.
+    """
+
+    def __init__(self, basis: PatchBasis, free: np.ndarray) -> None:
+        self._basis, self._free = basis, free
+        self._current: TwoLevelPreconditioner | None = None
+        self._age = 0
+        self._iterations_when_new = 0
+        self._last_iterations = 0
+
+    @property
+    def current(self) -> TwoLevelPreconditioner:
+        """The preconditioner as last updated."""
+        assert self._current is not None
+        return self._current
+
+    def update(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
+        """Recompute what has aged.
+
+        Args:
+            matrix: new stiffness.
+            pairs: contacts between cloth elements, added to it.
+        """
+        if self._current is None:
+            self._current = TwoLevelPreconditioner(self._basis, matrix, pairs, self._free)
+            return
+        self._current.refresh_diagonal(matrix, pairs)
+        self._age += 1
+        if self._age >= _YOUNG and self._last_iterations > _AGED * self._iterations_when_new + _FEW:
+            self._current.refresh_patches(matrix, pairs)
+            self._age = 0
+
+    def served(self, iterations: int) -> None:
+        """Take note of the iterations of a linear solve."""
+        if self._age == 0:
+            self._iterations_when_new = iterations
+        self._last_iterations = iterations
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:

@@ -20,9 +20,9 @@ from pb4u.physics.contact.planes import ContactPlanes
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
-from pb4u.physics.linear_solver import LinearSolution, PatchBasis, TwoLevelPreconditioner, conjugate_gradient
+from pb4u.physics.linear_solver import AgeingPreconditioner, LinearSolution, PatchBasis, conjugate_gradient
 from pb4u.physics.pair_stiffness import PairStiffness
-from pb4u.physics.stiffness_matrix import StiffnessPattern, SymmetricBlocks
+from pb4u.physics.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY
@@ -54,13 +54,6 @@ _NEAR = 0.05
 # Share of the compressive curvature and extra mass, from most damped to exact: an iteration starts one damping level
 # above the last and falls back while the curvature is negative. The extra mass holds back vertices about to buckle.
 _DAMPING_LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
-
-
-_YOUNG = 4
-"""Iterations for which a preconditioner's patches are kept in any case: made anew they cost as much as three."""
-
-_AGED, _FEW = 1.3, 5
-"""Factor and number by which linear solves are longer than with new patches when these have aged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +110,7 @@ class Solver:
         self.tolerance, self.max_iterations, self.forcing = tolerance, max_iterations, forcing
         self._garments: PackedGarments | None = None
         self._pattern: StiffnessPattern
-        self._preconditioner: _AgeingPreconditioner
+        self._preconditioner: AgeingPreconditioner
         self._free: Tensor
 
     def minimise(
@@ -188,7 +181,7 @@ class Solver:
             self._pattern = StiffnessPattern(garments, elements)
         if new:
             basis = PatchBasis(garments, self._pattern.free)
-            self._preconditioner = _AgeingPreconditioner(basis, self._pattern.free)
+            self._preconditioner = AgeingPreconditioner(basis, self._pattern.free)
             self._free = torch.from_numpy(self._pattern.free)
             self._garments = garments
 
@@ -208,7 +201,7 @@ class Solver:
         x: Tensor,
         gradient: Tensor,
         damping_level: int,
-        preconditioner: _AgeingPreconditioner,
+        preconditioner: AgeingPreconditioner,
     ) -> tuple[LinearSolution, int]:
         """Newton direction, a direction of negative curvature where there is one, and the damping level taken."""
         right = -gradient.numpy()
@@ -322,44 +315,6 @@ def _sums(values: Tensor, garments: PackedGarments) -> Tensor:
     """(worlds,) sums of `values` (vertices, 3) over the vertices of each world."""
     starts, stops = garments.world_offsets[:-1], garments.world_offsets[1:]
     return torch.stack([values[start:stop].sum() for start, stop in zip(starts, stops, strict=True)])
-
-
-class _AgeingPreconditioner:
-    """The preconditioner of some garments: its diagonal is always new, its patches when they have aged.
-
-    Patches serve several time steps, for the cloth hangs much as it did; they are made anew once linear solves take
-    longer than they did with new ones.
-    """
-
-    def __init__(self, basis: PatchBasis, free: np.ndarray) -> None:
-        self._basis, self._free = basis, free
-        self._current: TwoLevelPreconditioner | None = None
-        self._age = 0
-        self._iterations_when_new = 0
-        self._last_iterations = 0
-
-    @property
-    def current(self) -> TwoLevelPreconditioner:
-        """The preconditioner as last updated."""
-        assert self._current is not None
-        return self._current
-
-    def update(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
-        """Recompute what has aged from a new stiffness `matrix` and the contacts `pairs` added to it."""
-        if self._current is None:
-            self._current = TwoLevelPreconditioner(self._basis, matrix, pairs, self._free)
-            return
-        self._current.refresh_diagonal(matrix, pairs)
-        self._age += 1
-        if self._age >= _YOUNG and self._last_iterations > _AGED * self._iterations_when_new + _FEW:
-            self._current.refresh_patches(matrix, pairs)
-            self._age = 0
-
-    def served(self, iterations: int) -> None:
-        """Take note of the iterations of a linear solve."""
-        if self._age == 0:
-            self._iterations_when_new = iterations
-        self._last_iterations = iterations
 
 
 def substep_count(step: TimeStep) -> int:

@@ -11,6 +11,9 @@ from pb4u.geometry.proximity.element_distance import compiled
 _LEAF = 2
 """Most faces of a leaf: smaller leaves cost more boxes, larger ones more comparisons of faces."""
 
+_DEEPEST = 1024
+"""Entries of the stack of a search: a median split halves, so that 2^60 faces would not fill it."""
+
 
 @dataclass(frozen=True, eq=False)
 class BoxTree:
@@ -179,6 +182,50 @@ def boxes_meet(one: np.ndarray, other: np.ndarray) -> bool:
         if other[axis] > one[3 + axis] and other[6 + axis] > one[9 + axis]:
             return False
     return True
+
+
+@compiled
+def meeting_leaves(
+    node_boxes: np.ndarray, children: np.ndarray, ranges: np.ndarray, asked: np.ndarray, parts: np.ndarray
+) -> np.ndarray:
+    """Pairs (pairs, 2) of leaves whose boxes (nodes, 12) meet, of which one is `asked` (nodes,) for; each once.
+
+    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2).
+    """
+    found, count = np.empty((1024, 2), dtype=np.int64), 0
+    stack = np.empty((_DEEPEST, 2), dtype=np.int64)
+    for part in range(len(parts)):
+        stack[0, 0], stack[0, 1] = parts[part, 0], parts[part, 1]
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            a, b = stack[depth, 0], stack[depth, 1]
+            if not (asked[a] or asked[b]):
+                continue
+            inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
+            if a == b:
+                if inner_a:
+                    left, right = children[a, 0], children[a, 1]
+                    stack[depth, 0], stack[depth, 1] = left, left
+                    stack[depth + 1, 0], stack[depth + 1, 1] = right, right
+                    stack[depth + 2, 0], stack[depth + 2, 1] = left, right
+                    depth += 3
+                    continue
+            elif not boxes_meet(node_boxes[a], node_boxes[b]):
+                continue
+            elif inner_a or inner_b:
+                if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
+                    stack[depth, 0], stack[depth, 1] = children[a, 0], b
+                    stack[depth + 1, 0], stack[depth + 1, 1] = children[a, 1], b
+                else:
+                    stack[depth, 0], stack[depth, 1] = a, children[b, 0]
+                    stack[depth + 1, 0], stack[depth + 1, 1] = a, children[b, 1]
+                depth += 2
+                continue
+            found = with_room(found, count)
+            found[count, 0], found[count, 1] = a, b
+            count += 1
+    return found[:count]
 
 
 @compiled

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pb4u.geometry.proximity.box_tree import boxes_meet, boxes_of, with_room
+from pb4u.geometry.proximity.box_tree import boxes_meet, boxes_of, meeting_leaves, with_room
 from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.geometry.proximity.element_distance import compiled
 from pb4u.geometry.proximity.surface_tree import SurfaceTree
@@ -50,45 +50,22 @@ def _touching_faces(
     order, children, ranges, roots = tree
     found = np.empty((256, 2), dtype=np.int64)
     count = 0
-    stack = np.empty((1024, 2), dtype=np.int64)
     # Taken once: an array made for every pair would cost more than its numbers.
     work = np.empty((9, 3))
-    for root in roots:
-        stack[0, 0], stack[0, 1] = root, root
-        depth = 1
-        while depth > 0:
-            depth -= 1
-            a, b = stack[depth, 0], stack[depth, 1]
-            inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
-            if a == b:
-                if inner_a:
-                    left, right = children[a, 0], children[a, 1]
-                    stack[depth, 0], stack[depth, 1] = left, left
-                    stack[depth + 1, 0], stack[depth + 1, 1] = right, right
-                    stack[depth + 2, 0], stack[depth + 2, 1] = left, right
-                    depth += 3
+    asked = np.ones(len(children), dtype=np.bool_)
+    leaves = meeting_leaves(node_boxes, children, ranges, asked, np.column_stack((roots, roots)))
+    for pair in range(len(leaves)):
+        a, b = leaves[pair]
+        for i in range(ranges[a, 0], ranges[a, 1]):
+            f = order[i]
+            for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
+                g = order[j]
+                if not boxes_meet(face_boxes[f], face_boxes[g]) or _share(faces[f], faces[g]):
                     continue
-            elif not boxes_meet(node_boxes[a], node_boxes[b]):
-                continue
-            elif inner_a or inner_b:
-                if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
-                    stack[depth, 0], stack[depth, 1] = children[a, 0], b
-                    stack[depth + 1, 0], stack[depth + 1, 1] = children[a, 1], b
-                else:
-                    stack[depth, 0], stack[depth, 1] = a, children[b, 0]
-                    stack[depth + 1, 0], stack[depth + 1, 1] = a, children[b, 1]
-                depth += 2
-                continue
-            for i in range(ranges[a, 0], ranges[a, 1]):
-                f = order[i]
-                for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
-                    g = order[j]
-                    if not boxes_meet(face_boxes[f], face_boxes[g]) or _share(faces[f], faces[g]):
-                        continue
-                    if not _apart(vertices, faces[f], faces[g], work):
-                        found = with_room(found, count)
-                        found[count, 0], found[count, 1] = f, g
-                        count += 1
+                if not _apart(vertices, faces[f], faces[g], work):
+                    found = with_room(found, count)
+                    found[count, 0], found[count, 1] = f, g
+                    count += 1
     return found[:count]
 
 

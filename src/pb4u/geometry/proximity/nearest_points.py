@@ -117,8 +117,7 @@ def _nearest_face(
 ) -> int:
     """Place in the order of the face nearest to a point (3,); a `guess` nearby makes it quicker.
 
-    `stack` and `waiting` are room. Numbers are handed on rather than rows of arrays, each of which would be counted
-    as a reference: three times as fast.
+    `stack` and `waiting` are room.
     """
     x, y, z = point[0], point[1], point[2]
     best, least = guess, _squared_distance(x, y, z, corners, guess)

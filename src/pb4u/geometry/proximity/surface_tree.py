@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pb4u.geometry.proximity.box_tree import BoxTree, boxes_meet, boxes_of, copy_row, with_room
+from pb4u.geometry.proximity.box_tree import BoxTree, boxes_meet, boxes_of, copy_row, meeting_leaves, with_room
 from pb4u.geometry.proximity.element_distance import compiled, fastest_approach, gather, nearest
 from pb4u.threads import of_parts
 
@@ -28,9 +28,6 @@ _FEW = 4096
 
 _HALVED = 2
 """How often the surface is halved for the parts that threads search: four pieces, and the three seams between them."""
-
-_DEEPEST = 512
-"""Entries of the stack of a search: a median split halves, so that 2^60 faces would not fill it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,66 +258,40 @@ def _search(
     among, asked_nodes, asked_faces, asked_edges = asked
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
-    stack = np.empty((_DEEPEST, 2), dtype=np.int64)
-    for part in range(len(parts)):
-        stack[0, 0], stack[0, 1] = parts[part, 0], parts[part, 1]
-        depth = 1
-        while depth > 0:
-            depth -= 1
-            a, b = stack[depth, 0], stack[depth, 1]
-            if not (asked_nodes[a] or asked_nodes[b]):
-                continue
-            inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
-            if a == b:
-                if inner_a:
-                    left, right = children[a, 0], children[a, 1]
-                    stack[depth, 0], stack[depth, 1] = left, left
-                    stack[depth + 1, 0], stack[depth + 1, 1] = right, right
-                    stack[depth + 2, 0], stack[depth + 2, 1] = left, right
-                    depth += 3
+    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts)
+    for pair in range(len(leaves)):
+        a, b = leaves[pair]
+        for i in range(ranges[a, 0], ranges[a, 1]):
+            f = order[i]
+            for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
+                g = order[j]
+                if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes[f], face_boxes[g]):
                     continue
-            elif not boxes_meet(node_boxes[a], node_boxes[b]):
-                continue
-            elif inner_a or inner_b:
-                if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
-                    stack[depth, 0], stack[depth, 1] = children[a, 0], b
-                    stack[depth + 1, 0], stack[depth + 1, 1] = children[a, 1], b
-                else:
-                    stack[depth, 0], stack[depth, 1] = a, children[b, 0]
-                    stack[depth + 1, 0], stack[depth + 1, 1] = a, children[b, 1]
-                depth += 2
-                continue
-            for i in range(ranges[a, 0], ranges[a, 1]):
-                f = order[i]
-                for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
-                    g = order[j]
-                    if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes[f], face_boxes[g]):
-                        continue
-                    for one, two in ((f, g), (g, f)):
-                        for k in range(3):
-                            v = owned_vertices[one, k]
-                            if v < 0 or v == faces[two, 0] or v == faces[two, 1] or v == faces[two, 2]:
-                                continue
-                            if (among[v] or asked_faces[two]) and boxes_meet(vertex_boxes[v], face_boxes[two]):
-                                near_faces = with_room(near_faces, face_count)
-                                near_faces[face_count, 0] = v
-                                copy_row(faces[two], near_faces[face_count, 1:])
-                                face_count += 1
+                for one, two in ((f, g), (g, f)):
                     for k in range(3):
-                        p = owned_edges[f, k]
-                        if p < 0 or not boxes_meet(edge_boxes[p], face_boxes[g]):
+                        v = owned_vertices[one, k]
+                        if v < 0 or v == faces[two, 0] or v == faces[two, 1] or v == faces[two, 2]:
                             continue
-                        for m in range(3):
-                            q = owned_edges[g, m]
-                            if q < 0 or edges[p, 0] == edges[q, 0] or edges[p, 0] == edges[q, 1]:
-                                continue
-                            if edges[p, 1] == edges[q, 0] or edges[p, 1] == edges[q, 1]:
-                                continue
-                            if (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes[p], edge_boxes[q]):
-                                near_edges = with_room(near_edges, edge_count)
-                                copy_row(edges[p], near_edges[edge_count, :2])
-                                copy_row(edges[q], near_edges[edge_count, 2:])
-                                edge_count += 1
+                        if (among[v] or asked_faces[two]) and boxes_meet(vertex_boxes[v], face_boxes[two]):
+                            near_faces = with_room(near_faces, face_count)
+                            near_faces[face_count, 0] = v
+                            copy_row(faces[two], near_faces[face_count, 1:])
+                            face_count += 1
+                for k in range(3):
+                    p = owned_edges[f, k]
+                    if p < 0 or not boxes_meet(edge_boxes[p], face_boxes[g]):
+                        continue
+                    for m in range(3):
+                        q = owned_edges[g, m]
+                        if q < 0 or edges[p, 0] == edges[q, 0] or edges[p, 0] == edges[q, 1]:
+                            continue
+                        if edges[p, 1] == edges[q, 0] or edges[p, 1] == edges[q, 1]:
+                            continue
+                        if (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes[p], edge_boxes[q]):
+                            near_edges = with_room(near_edges, edge_count)
+                            copy_row(edges[p], near_edges[edge_count, :2])
+                            copy_row(edges[q], near_edges[edge_count, 2:])
+                            edge_count += 1
     return near_faces[:face_count], near_edges[:edge_count]
 
 
