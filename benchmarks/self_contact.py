@@ -23,6 +23,7 @@ import numpy as np
 from pb4u.errors import Pb4uError
 from pb4u.evaluation.metrics import Ruler
 from pb4u.garment.library import garment_names
+from pb4u.garment.material import material_names
 from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.motion.library import motion_names
 from pb4u.scene.assembly import make_scene
@@ -53,6 +54,8 @@ class Clip:
     self_contact: bool
     shape: tuple[tuple[str, float], ...] = ()
     body: str = "woman"
+    material: str = "default"
+    seed: int = 0
 
 
 def clips(kind: str, model: str, frames: int | None, self_contact: bool) -> Iterator[Clip]:
@@ -75,12 +78,13 @@ def clips(kind: str, model: str, frames: int | None, self_contact: bool) -> Iter
                 yield clip(outfit, motion, 2500, 60)
     elif kind == "drawn":
         draw = np.random.default_rng(0)
-        for _ in range(300):
+        for seed in range(300):
             alone = draw.random() < 0.7
             garments = (str(draw.choice(garment_names())),) if alone else OUTFITS[draw.integers(len(OUTFITS))]
             shape = tuple((name, float(draw.uniform(0.1, 0.9))) for name in ("height", "weight", "muscle"))
             body = str(draw.choice(["woman", "man"]))
-            yield clip(garments, str(draw.choice(motion_names())), 1500, 60, shape=shape, body=body)
+            motion, material = str(draw.choice(motion_names())), str(draw.choice(material_names()))
+            yield clip(garments, motion, 1500, 60, shape=shape, body=body, material=material, seed=seed)
     else:
         raise SystemExit(f"There is no set {kind}: motions, fine, outfits or drawn.")
 
@@ -94,6 +98,8 @@ def result(clip: Clip) -> dict[str, object]:
         triangles=clip.triangles,
         body=clip.body,
         body_shape=dict(clip.shape),
+        material=clip.material,
+        seed=clip.seed,
     )
     simulator, record = load_simulator(clip.model, self_contact=clip.self_contact), RunRecord()
     began = time.perf_counter()
