@@ -12,6 +12,7 @@ import torch
 from tests.physics.shapes import DT, at_rest, capsule, collider, packed, potential_of, sheet, time_step, tube
 from tests.readable_stiffness import readable_stiffness
 
+import pb4u.physics.solver as solver_module
 from pb4u.errors import InputError
 from pb4u.physics.bending import Bending
 from pb4u.physics.gravity import Gravity
@@ -288,3 +289,43 @@ def test_conjugate_gradient_solves_and_notices_negative_curvature(share: float) 
     else:
         assert solved.negative is None
         np.testing.assert_allclose(whole @ solved.solution.reshape(-1), right.reshape(-1), atol=1e-5)
+
+
+def test_tangents_have_the_force_of_where_a_step_leads() -> None:
+    """Laid there, the model's force of contact and friction is the true one, whatever it was where the step begins."""
+    garments, step, _ = dressed_capsule(24, 12)
+    generator = torch.Generator().manual_seed(0)
+    x = garments.rest_positions + 1e-3 * torch.randn(garments.vertex_count, 3, generator=generator).double()
+    moves = 3e-3 * torch.randn(garments.vertex_count, 3, generator=generator).double()
+    frozen = step.compiled().with_contact_at(x)
+    terms = tuple(term for term in frozen.potential.terms if term.name in ("collision", "friction"))
+    frozen = replace(frozen, potential=replace(frozen.potential, terms=terms))
+    pattern = StiffnessPattern(garments, frozen.elements())
+    stiffness, slope = frozen.stiffness(x, pattern), frozen.energies_and_gradient(x)[1].numpy().copy()
+    true = frozen.energies_and_gradient(x + moves)[1].numpy()
+    tangents = frozen.tangents(x, pattern)
+    model = slope + stiffness.matrix() @ moves.numpy()
+    wrong = []
+    for _ in range(8):
+        missed = np.zeros_like(slope)
+        for tangent in tangents:
+            tangent.follow(moves.numpy(), stiffness, slope, missed)
+        assert np.allclose(model + missed, true, rtol=0.0, atol=1e-9 * np.abs(true).max())
+        model = slope + stiffness.matrix() @ moves.numpy()
+        wrong.append(np.abs(missed).max())
+    assert wrong[0] > 0.1 * np.abs(true).max()
+    assert np.allclose(model, true, rtol=0.0, atol=1e-9 * np.abs(true).max())
+    np.linalg.cholesky(stiffness.matrix(extra=np.full(garments.vertex_count, 1e-6)).toarray())
+
+
+def test_a_step_onto_a_body_is_not_cut_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two iterations that look where they lead leave less energy than four that do not."""
+    _, step, start = dressed_capsule(48, 24)
+    least = float(Solver().minimise(step, start).energies.total)
+
+    def left(iterations: int) -> float:
+        return float(Solver().minimise(step, start, iterations).energies.total) - least
+
+    ahead = left(2)
+    monkeypatch.setattr(solver_module, "_LOOKS_AHEAD", 0)
+    assert ahead < left(4)

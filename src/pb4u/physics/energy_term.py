@@ -10,9 +10,28 @@ from torch import Tensor
 
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.pair_stiffness import PairStiffness
-from pb4u.physics.stiffness_matrix import Stiffness
+from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
+
+
+class Tangent(ABC):
+    """A term's part of the quadratic model of a Newton step, which can be laid anew where the step leads.
+
+    Contact that begins, and friction that holds, change their force within a step far more than their second derivative
+    where it begins can tell.
+    """
+
+    @abstractmethod
+    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
+        """Lay the tangent where `moves` lead.
+
+        Args:
+            moves: (vertices, 3) [m] of the step.
+            stiffness: of the model; changed.
+            gradient: (vertices, 3) [N] of the model where the step begins; changed.
+            missed: (vertices, 3) [N] to which is added by how much the model was wrong where `moves` lead.
+        """
 
 
 class EnergyTerm(ABC):
@@ -75,6 +94,17 @@ class EnergyTerm(ABC):
             stiffness: added to.
         """
         raise NotImplementedError(f"{self.name} couples no vertices")
+
+    def tangents(self, step: TimeStep, contacts: ContactSet, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
+        """Its parts of the model of a Newton step that can be laid anew; asked of a compiled term that has `elements`.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] where the step begins.
+            pattern: of the stiffness.
+        """
+        return []
 
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
         """Positive semi-definite second derivative over pairs of cloth elements that change with `x`; None where zero.

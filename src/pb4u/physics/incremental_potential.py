@@ -21,7 +21,7 @@ from pb4u.physics.contact.planes import (
     nearest_planes,
 )
 from pb4u.physics.contact.self_contact import ClothPairs, CollisionFree, NoSelfContact, SelfContact
-from pb4u.physics.energy_term import EnergyTerm
+from pb4u.physics.energy_term import EnergyTerm, Tangent
 from pb4u.physics.gravity import Gravity
 from pb4u.physics.inertia import Inertia
 from pb4u.physics.pair_stiffness import PairStiffness
@@ -256,6 +256,17 @@ class StepPotential:
                 term.add_stiffness(self.step, contacts, x, pattern.slots[term.name], sums)
         pattern.hold(sums)
         return sums
+
+    def tangents(self, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
+        """Parts of the model of a Newton step that can be laid anew, as in `EnergyTerm.tangents`.
+
+        Args:
+            x: (vertices, 3) [m] where the step begins.
+            pattern: of the `elements`.
+        """
+        contacts = self._contacts_at(x)
+        coupling = [term for term in self.potential.terms if term.name in pattern.slots]
+        return [part for term in coupling for part in term.tangents(self.step, contacts, x, pattern)]
 
     def pair_stiffness(self, x: Tensor) -> list[PairStiffness]:
         """Second derivatives over pairs of cloth elements, as in `EnergyTerm.pair_stiffness`.

@@ -56,6 +56,7 @@ def conjugate_gradient(
     preconditioner: TwoLevelPreconditioner,
     tolerance: float,
     max_iterations: int,
+    start: np.ndarray | None = None,
 ) -> LinearSolution:
     """Solve `matrix` y = `right`; stops at the first direction of negative curvature, with the solution so far.
 
@@ -68,14 +69,17 @@ def conjugate_gradient(
         preconditioner: gives an approximate solution for a residual.
         tolerance: relative, in the norm of the preconditioner.
         max_iterations: products after which it stops.
+        start: (vertices, 3) [m] a solution of a system near this one; 0 by default.
     """
-    solution, direction = np.zeros_like(right), np.empty_like(right)
+    solution = np.zeros_like(right) if start is None else start.copy()
+    direction = np.empty_like(right)
     iterations, negative = _iterate(
         (matrix.starts, matrix.columns, matrix.blocks, pairs.corners, pairs.rows),
         preconditioner.parts,
         right,
         tolerance,
         max_iterations,
+        start is not None,
         solution,
         direction,
     )
@@ -317,12 +321,13 @@ def _iterate(
     right: np.ndarray,
     tolerance: float,
     max_iterations: int,
+    started: bool,
     solution: np.ndarray,
     direction: np.ndarray,
 ) -> tuple[int, bool]:
     """Products made by `conjugate_gradient`, and whether `direction` (vertices, 3) [m] is left as one not positive.
 
-    Fills `solution` (vertices, 3) [m], which begins as 0.
+    Changes `solution` (vertices, 3) [m], which begins as 0 unless it is `started`.
     """
     starts, columns, blocks, corners, rows = system
     fine, coarse, to_patches, to_vertices = preconditioner
@@ -330,7 +335,15 @@ def _iterate(
     _precondition(fine, coarse, to_patches, to_vertices, residual, direction)
     measure = _inner(residual, direction)
     target = tolerance * tolerance * measure
-    if not measure > 0.0:
+    if started:
+        multiply(starts, columns, blocks, solution, product)
+        add_product(corners, rows, solution, product)
+        for row in range(len(right)):
+            for axis in range(3):
+                residual[row, axis] -= product[row, axis]
+        _precondition(fine, coarse, to_patches, to_vertices, residual, direction)
+        measure = _inner(residual, direction)
+    if not measure > target:
         return 0, False
     for iteration in range(1, max_iterations + 1):
         multiply(starts, columns, blocks, direction, product)

@@ -12,16 +12,23 @@ from torch import Tensor
 from pb4u.geometry.proximity.element_distance import compiled
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.contact.self_contact import as_array
-from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, dot, sum_by_garment, vertex_elements
-from pb4u.physics.stiffness_matrix import Stiffness
+from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, Tangent, dot, sum_by_garment, vertex_elements
+from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.scene import UP
+from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
 REFERENCE_AREA = 1.6e-4
 """Mean vertex area [m^2] of the family's T-shirt at 11,000 triangles."""
 
 _EXACT_DEPTH = 5e-4
 """Depth [m] up to which the curvature is exact: a quarter of the default clearance, where resting cloth lies."""
+
+
+_DEEPER = 2.0
+"""Factor by which a tangent may be laid deeper than it was: the force of a depth twice as large is four times that."""
+
+_TWICE = 2.0
+"""Multiple of its own weight that a vertex' first contact is taken to bear, where nothing better is known."""
 
 
 _Planes = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -113,6 +120,15 @@ class CompiledCollision(Collision):
         for planes in self._planes(contacts):
             _add_stiffness(as_array(x), *planes, self._weight, self.clearance, slots, stiffness.positive)
 
+    def tangents(self, step: TimeStep, contacts: ContactSet, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
+        loads = _TWICE * STANDARD_GRAVITY * step.garments.vertex_masses.numpy()
+        bearing = np.sqrt(loads / np.maximum(3.0 * self._weight, 1e-300))
+        slots = pattern.slots[self.name][:, 0]
+        return [
+            _CollisionTangent(as_array(x), planes, self._weight * pattern.free, self.clearance, bearing, slots)
+            for planes in self._planes(contacts)
+        ]
+
     def _planes(self, contacts: ContactSet) -> Iterator[_Planes]:
         """Points, normals and whether the plane counts, of the bodies and of the ground."""
         for planes in (contacts.next, contacts.opposite):
@@ -120,6 +136,37 @@ class CompiledCollision(Collision):
                 yield as_array(planes.points), as_array(planes.normals), planes.touchable.numpy()
         if self._ground is not None:
             yield self._ground
+
+
+class _CollisionTangent(Tangent):
+    """Contact of each vertex with one plane.
+
+    Args:
+        vertices: (vertices, 3) [m] where the step begins.
+        planes: as in `CompiledCollision`.
+        weight: (vertices,) [J/m^3], 0 where a vertex does not move.
+        clearance: distance at which contact begins [m].
+        bearing: (vertices,) [m] depths to which contacts that begin are taken to go at first.
+        slots: (vertices,) block of each vertex in the stiffness.
+    """
+
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        planes: _Planes,
+        weight: np.ndarray,
+        clearance: float,
+        bearing: np.ndarray,
+        slots: np.ndarray,
+    ) -> None:
+        points, normals, counts = planes
+        depths = clearance - np.einsum("vi,vi->v", vertices - points, normals)
+        self._law = np.where(counts, weight, 0.0), normals, depths, bearing, slots
+        self._laid = np.maximum(depths, 0.0)
+        self._stiffness = 3.0 * weight * (self._laid + np.minimum(self._laid, _EXACT_DEPTH))
+
+    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
+        _follow(moves, *self._law, self._laid, self._stiffness, stiffness.positive, gradient, missed)
 
 
 @dataclass(frozen=True)
@@ -199,3 +246,44 @@ def _add_stiffness(
             for i in range(3):
                 for j in range(3):
                     positive[slots[row, 0], i, j] += stiffness * normals[row, i] * normals[row, j]
+
+
+@compiled
+def _follow(
+    moves: np.ndarray,
+    weight: np.ndarray,
+    normals: np.ndarray,
+    depths: np.ndarray,
+    bearing: np.ndarray,
+    slots: np.ndarray,
+    laid: np.ndarray,
+    stiffnesses: np.ndarray,
+    positive: np.ndarray,
+    gradient: np.ndarray,
+    missed: np.ndarray,
+) -> None:
+    """Lay the tangents of all vertices where `moves` lead, as in `Tangent.follow`.
+
+    A vertex that begins at `depths` (vertices,) [m], negative above the clearance, has the tangent of the depth where
+    it is `laid` (vertices,) [m], with these `stiffnesses` (vertices,) [N/m]; both are changed. The rest as above.
+    """
+    for row in range(len(moves)):
+        if weight[row] == 0.0:
+            continue
+        depth = depths[row]
+        for axis in range(3):
+            depth -= moves[row, axis] * normals[row, axis]
+        if depth <= 0.0 and laid[row] == 0.0:
+            continue
+        deep, old, stiff = max(depth, 0.0), laid[row], stiffnesses[row]
+        wrong = 3.0 * weight[row] * (old * old - deep * deep) - stiff * (old - depth)
+        new = min(deep, max(_DEEPER * old, bearing[row]))
+        stiffer = 6.0 * weight[row] * new
+        before = stiff * (old - depths[row]) - 3.0 * weight[row] * old * old
+        after = stiffer * (new - depths[row]) - 3.0 * weight[row] * new * new
+        laid[row], stiffnesses[row] = new, stiffer
+        for i in range(3):
+            missed[row, i] += wrong * normals[row, i]
+            gradient[row, i] += (after - before) * normals[row, i]
+            for j in range(3):
+                positive[slots[row], i, j] += (stiffer - stiff) * normals[row, i] * normals[row, j]

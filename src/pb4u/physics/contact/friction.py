@@ -12,8 +12,8 @@ from pb4u.geometry.proximity.element_distance import compiled
 from pb4u.physics.contact.collision import REFERENCE_AREA, Collision
 from pb4u.physics.contact.planes import ContactSet
 from pb4u.physics.contact.self_contact import as_array
-from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, dot, sum_by_garment, vertex_elements
-from pb4u.physics.stiffness_matrix import Stiffness
+from pb4u.physics.energy_term import EnergyTerm, MeasuredTerm, Tangent, dot, sum_by_garment, vertex_elements
+from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
@@ -22,6 +22,9 @@ _FLOOR = 1e-4
 
 _SOFTENING = 0.8
 """Share of the softening along the slip that the curvature has: with all of it, steps overshoot where slipping ends."""
+
+
+_Law = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,37 @@ class CompiledFriction(Friction):
         self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
     ) -> None:
         _add_stiffness(as_array(x), *self._law, _SOFTENING, slots, stiffness.positive)
+
+    def tangents(self, step: TimeStep, contacts: ContactSet, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
+        limit, *others = self._law
+        return [_FrictionTangent(as_array(x), (limit * pattern.free, *others), pattern.slots[self.name][:, 0])]
+
+
+class _FrictionTangent(Tangent):
+    """Friction of each vertex with the pull of the slip where the step leads, which holds what stops there.
+
+    Args:
+        vertices: (vertices, 3) [m] where the step begins.
+        law: as in `CompiledFriction`, its limits 0 where a vertex does not move.
+        slots: (vertices,) block of each vertex in the stiffness.
+    """
+
+    def __init__(self, vertices: np.ndarray, law: _Law, slots: np.ndarray) -> None:
+        self._vertices, self._law, self._slots = vertices, law, slots
+        self._lengths = np.zeros(len(vertices))
+
+    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
+        _follow(
+            self._vertices,
+            moves,
+            *self._law,
+            _SOFTENING,
+            self._slots,
+            self._lengths,
+            stiffness.positive,
+            gradient,
+            missed,
+        )
 
 
 @dataclass(frozen=True)
@@ -255,3 +289,57 @@ def _add_stiffness(
                 if i == j:
                     stiff += weights[i]
                 positive[slots[row, 0], i, j] += stiff * limit[row] / magnitude
+
+
+@compiled
+def _follow(
+    vertices: np.ndarray,
+    moves: np.ndarray,
+    limit: np.ndarray,
+    anchor: np.ndarray,
+    normal: np.ndarray,
+    weights: np.ndarray,
+    rest: float,
+    softening: float,
+    slots: np.ndarray,
+    lengths: np.ndarray,
+    positive: np.ndarray,
+    gradient: np.ndarray,
+    missed: np.ndarray,
+) -> None:
+    """Lay the tangents of all vertices where `moves` lead, as in `Tangent.follow`.
+
+    The force is taken to be T W s times the limit over a smoothed length (vertices,) [m] of the slip, 0 where it is the
+    tangent of `_add_stiffness` yet: that length is changed to the one where the moves lead. The rest as there.
+    """
+    pull, there = np.empty(3), np.empty(3)
+    reached = vertices + moves
+    for row in range(len(moves)):
+        if not limit[row] > 0.0:
+            continue
+        s0, s1, s2, here = _slip_at(vertices, anchor, normal, weights, rest, row)
+        t0, t1, t2, length = _slip_at(reached, anchor, normal, weights, rest, row)
+        pull[0], pull[1], pull[2] = weights[0] * s0, weights[1] * s1, weights[2] * s2
+        there[0], there[1], there[2] = weights[0] * t0, weights[1] * t1, weights[2] * t2
+        inward, outward, both, along = 0.0, 0.0, 0.0, 0.0
+        for axis in range(3):
+            inward += pull[axis] * normal[row, axis]
+            outward += there[axis] * normal[row, axis]
+            both += weights[axis] * normal[row, axis] * normal[row, axis]
+        for axis in range(3):
+            pull[axis] -= inward * normal[row, axis]
+            there[axis] -= outward * normal[row, axis]
+            along += pull[axis] * moves[row, axis]
+        first, soft = lengths[row] == 0.0, 0.0
+        if first:
+            lengths[row], soft = here, softening * limit[row] / here**3
+        change = limit[row] / length - limit[row] / lengths[row]
+        lengths[row] = length
+        for i in range(3):
+            missed[row, i] += change * there[i] + soft * along * pull[i]
+            gradient[row, i] += change * pull[i]
+            for j in range(3):
+                across = (both - weights[i] - weights[j]) * normal[row, i] * normal[row, j]
+                if i == j:
+                    across += weights[i]
+                positive[slots[row], i, j] += change * across + soft * pull[i] * pull[j]
