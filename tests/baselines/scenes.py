@@ -9,6 +9,14 @@ import torch
 from tests.network_scenes import COTTON, Moment, moment, sheet
 
 from pb4u.garment.garment import Garment
+from pb4u.geometry.proximity.surface_tree import SurfaceTree
+from pb4u.geometry.topology import Topology
+
+
+def tree_of(vertices: np.ndarray, faces: np.ndarray) -> SurfaceTree:
+    """Search tree of one surface."""
+    count = len(vertices)
+    return SurfaceTree(vertices, faces, Topology(faces, count).edges, np.zeros(count, dtype=np.int64), [0])
 
 
 def two_sheets(rows: int = 11, columns: int = 12, gap: float = 0.008, edge: float = 0.015) -> Garment:

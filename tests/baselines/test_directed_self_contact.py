@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.baselines.scenes import dented, two_sheets
+from tests.baselines.scenes import dented, tree_of, two_sheets
 from tests.simulation.golden_scenes import GoldenScene, predicted
 
-from pb4u.baselines.directed_self_contact import ContourSides, DirectedProximityEdges
+from pb4u.baselines.directed_self_contact import DirectedProximityEdges
 from pb4u.baselines.self_contact import ATTRACTION, REPULSION
 from pb4u.garment.garment import Garment
+from pb4u.geometry.proximity.enclosures import by_side
 from pb4u.geometry.proximity.intersection_contours import ContourFinder
 from pb4u.geometry.proximity.self_proximity import facing_pairs
 from pb4u.graph.builder import FoundEdges
@@ -43,7 +44,7 @@ def _counted(edges: FoundEdges) -> Counter:
 def test_every_face_below_a_vertex_gives_one_edge_to_its_nearest_corner() -> None:
     garment = two_sheets()
     edges = found([garment], garment.vertices)
-    vertices, faces, _ = facing_pairs(garment.vertices, garment.faces, 0.03)
+    vertices, faces, _ = facing_pairs(garment.vertices, tree_of(garment.vertices, garment.faces), 0.03)
     expected: Counter = Counter()
     for vertex, face in zip(vertices.tolist(), faces.tolist(), strict=True):
         corners = garment.faces[face]
@@ -78,10 +79,11 @@ def test_pins_are_also_joined_to_where_they_will_be() -> None:
 def test_a_closed_side_encloses_what_has_passed_through_and_both_sides_do() -> None:
     garment = two_sheets()
     vertices = dented(garment)
-    sides = ContourSides.of(ContourFinder(garment.faces, len(vertices)), vertices)
+    finder = ContourFinder(tree_of(garment.vertices, garment.faces))
+    sides = by_side(finder.find(vertices), finder.topology)
     half = len(vertices) // 2
     assert sides.enclosed.shape[1] == 2
-    assert not sides.on_open.any()
+    assert not sides.at_open.any()
     enclosed = sides.enclosed.toarray()
     of_upper = int(enclosed[half:].any(axis=0).argmax())
     np.testing.assert_array_equal(enclosed[half:, of_upper], vertices[half:, 1] < 1.0)
@@ -101,15 +103,16 @@ def test_a_side_that_cuts_nothing_off_attracts_the_ends_of_its_crossing_edges() 
     # A flap at the border of the upper sheet hangs through the lower one: neither is cut apart.
     flap = half + np.flatnonzero(vertices[half:, 0] < 0.03)
     vertices[flap, 1] -= 0.014
-    finder = ContourFinder(garment.faces, len(vertices))
-    sides, contours = ContourSides.of(finder, vertices), finder.find(vertices)
+    finder = ContourFinder(tree_of(garment.vertices, garment.faces))
+    contours = finder.find(vertices)
+    sides = by_side(contours, finder.topology)
     assert contours.count >= 1
-    assert sides.on_open.any()
-    lower_open = sides.on_open[:half]
+    assert sides.at_open.any()
+    lower_open = sides.at_open[:half]
     assert lower_open.any(), "the lower sheet is pierced but not cut through"
-    assert set(np.flatnonzero(sides.on_open)) <= set(np.unique(contours.edges))
+    assert set(np.flatnonzero(sides.at_open)) <= set(np.unique(finder.topology.edges[contours.edges]))
     attracted = {sender for sender, _, _ in found([garment], vertices)[ATTRACTION]}
-    assert set(np.flatnonzero(sides.on_open)) & attracted
+    assert set(np.flatnonzero(sides.at_open)) & attracted
 
 
 @pytest.mark.parametrize(("case", "number"), [(0, 1), (1, 0)])

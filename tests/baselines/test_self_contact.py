@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 import torch
 from tests.baselines import readable_contours as readable
-from tests.baselines.scenes import dented, two_sheets
+from tests.baselines.scenes import dented, tree_of, two_sheets
 from tests.network_scenes import sheet
 
 from pb4u.baselines.self_contact import (
     ATTRACTION,
     REPULSION,
     ContourLength,
-    PackProximity,
     Ramp,
     Repulsion,
     SelfContactLoss,
     SelfProximityEdges,
-    squared_contour_length,
+    own_proximity,
+    squared_segment_lengths,
 )
 from pb4u.garment.garment import Garment
+from pb4u.geometry.proximity.enclosures import by_contour
 from pb4u.geometry.proximity.intersection_contours import ContourFinder
-from pb4u.geometry.proximity.near_pairs import near_pairs
 from pb4u.geometry.proximity.self_proximity import SelfProximity, facing_pairs
 from pb4u.scene.packed import PackedGarments, pack
 
@@ -40,7 +40,7 @@ def dent() -> tuple[np.ndarray, np.ndarray]:
 
 
 def edges_of(packed: PackedGarments) -> SelfProximityEdges:
-    return SelfProximityEdges(PackProximity(packed), 0.03)
+    return SelfProximityEdges(own_proximity(packed), 0.03)
 
 
 SHAPES = {"dent": dent, "shaken": shaken}
@@ -49,46 +49,50 @@ SHAPES = {"dent": dent, "shaken": shaken}
 @pytest.mark.parametrize("shape", SHAPES)
 def test_contours_equal_the_readable_twin(shape):
     vertices, faces = SHAPES[shape]()
-    finder = ContourFinder(faces, len(vertices))
+    finder = ContourFinder(tree_of(vertices, faces))
     contours, edges = finder.find(vertices), finder.topology.edges
     expected = readable.crossings(vertices, faces, edges)
-    edge, face = finder.crossings(vertices)
     assert len(expected) > 10
-    assert list(zip(edge.tolist(), face.tolist(), strict=True)) == expected
+    assert list(zip(contours.edges.tolist(), contours.faces.tolist(), strict=True)) == expected
     segments = readable.segments(expected, faces, edges)
     assert {tuple(sorted(pair)) for pair in contours.segments.tolist()} == segments
     rings = readable.groups(len(expected), segments)
     labels = [frozenset(np.flatnonzero(contours.contour == label).tolist()) for label in range(contours.count)]
     assert set(labels) == set(map(frozenset, rings))
     inside = readable.enclosed(len(vertices), edges, expected, labels)
-    found = [set(contours.enclosed[:, [label]].nonzero()[0].tolist()) for label in range(contours.count)]
+    enclosed = by_contour(contours, finder.topology).enclosed
+    found = [set(enclosed[:, [label]].nonzero()[0].tolist()) for label in range(contours.count)]
     assert found == inside
 
 
 def test_a_dent_makes_one_closed_contour_that_encloses_both_of_its_sides():
     garment = two_sheets()
     vertices = dented(garment)
-    contours = ContourFinder(garment.faces, len(vertices)).find(vertices)
+    finder = ContourFinder(tree_of(vertices, garment.faces))
+    contours = finder.find(vertices)
     assert contours.count == 1
     assert (np.bincount(contours.segments.reshape(-1)) == 2).all()
+    enclosed = by_contour(contours, finder.topology).enclosed
     half = len(vertices) // 2
-    lower, upper = contours.enclosed[:half].getnnz(), contours.enclosed[half:].getnnz()
+    lower, upper = enclosed[:half].getnnz(), enclosed[half:].getnnz()
     assert 0 < lower < half / 2
     through = vertices[half:, 1] < 1.0
-    np.testing.assert_array_equal(contours.enclosed[half:].toarray()[:, 0], through)
+    np.testing.assert_array_equal(enclosed[half:].toarray()[:, 0], through)
     assert upper == through.sum() > 0
 
 
 def test_cloth_that_does_not_touch_itself_has_no_contours():
     garment = two_sheets()
-    contours = ContourFinder(garment.faces, len(garment.vertices)).find(garment.vertices)
-    assert (contours.count, len(contours.segments), contours.enclosed.getnnz()) == (0, 0, 0)
+    finder = ContourFinder(tree_of(garment.vertices, garment.faces))
+    contours = finder.find(garment.vertices)
+    enclosures = by_contour(contours, finder.topology)
+    assert (contours.count, len(contours.segments), enclosures.enclosed.getnnz()) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_vertices_over_faces_equal_the_readable_twin(shape):
     vertices, faces = SHAPES[shape]()
-    vertex, face, height = facing_pairs(vertices, faces, 0.01)
+    vertex, face, height = facing_pairs(vertices, tree_of(vertices, faces), 0.01)
     expected = readable.facing(vertices, faces, 0.01)
     assert len(expected) > 10
     assert set(zip(vertex.tolist(), face.tolist(), strict=True)) == expected
@@ -98,8 +102,7 @@ def test_vertices_over_faces_equal_the_readable_twin(shape):
 def test_who_has_passed_through_is_attracted_and_everyone_else_repelled():
     garment = two_sheets()
     vertices = dented(garment)
-    proximity = SelfProximity(garment.faces, len(vertices))
-    facing = proximity.find(vertices, 0.03)
+    facing = SelfProximity(tree_of(garment.vertices, garment.faces), by_contour).find(vertices, 0.03)
     half, through = len(vertices) // 2, vertices[:, 1] < 1.0
     of_upper = facing.vertices >= half
     np.testing.assert_array_equal(facing.passed[of_upper], through[facing.vertices[of_upper]])
@@ -120,40 +123,43 @@ def test_garments_of_a_pack_are_not_near_each_other():
     np.testing.assert_array_equal(together[REPULSION].numpy(), expected)
 
 
-def test_what_is_not_finite_meets_nothing_and_what_has_collapsed_is_given_up():
+def test_what_is_not_finite_meets_nothing() -> None:
+    """And changes nothing about the rest."""
     vertices, faces = dent()
-    vertices[3] = np.nan
-    vertices[5] = np.inf
+    tree = tree_of(vertices, faces)
+    whole, near = ContourFinder(tree).find(vertices), facing_pairs(vertices, tree, 0.03)[:2]
+    lost = vertices.copy()
+    lost[3], lost[5] = np.nan, np.inf
     with np.errstate(all="raise"):
-        _, face = ContourFinder(faces, len(vertices)).crossings(vertices)
-        vertex, near, _ = facing_pairs(vertices, faces, 0.03)
-    assert len(face) > 0
-    assert not np.isin([3, 5], vertex).any()
-    assert not np.isin(faces[near], [3, 5]).any()
-    heap, radii = np.zeros((7000, 3)), np.full(7000, 1.0)
-    assert list(near_pairs(heap, radii, heap, radii)) == []
+        contours = ContourFinder(tree).find(lost)
+        vertex, face, _ = facing_pairs(lost, tree, 0.03)
+    ends = ContourFinder(tree).topology.edges[whole.edges]
+    apart = ~np.isin(ends, [3, 5]).any(axis=1) & ~np.isin(faces[whole.faces], [3, 5]).any(axis=1)
+    assert apart.sum() > 0
+    np.testing.assert_array_equal(contours.faces, whole.faces[apart])
+    apart = ~np.isin(near[0], [3, 5]) & ~np.isin(faces[near[1]], [3, 5]).any(axis=1)
+    assert 0 < apart.sum() < len(apart)
+    np.testing.assert_array_equal(np.stack([vertex, face]), np.stack(near)[:, apart])
 
 
-def test_near_pairs_are_all_overlapping_balls_however_different_they_are():
-    rng = np.random.default_rng(1)
-    centres, others = rng.uniform(0, 1, (300, 3)), rng.uniform(0, 1, (200, 3))
-    radii, other_radii = 10 ** rng.uniform(-4, -0.5, 300), 10 ** rng.uniform(-4, -0.5, 200)
-    found = {pair for i, j in near_pairs(centres, radii, others, other_radii) for pair in zip(i, j, strict=True)}
-    away = np.linalg.norm(centres[:, None] - others[None], axis=2)
-    expected = set(zip(*np.nonzero(away <= radii[:, None] + other_radii[None]), strict=True))
-    assert found == expected
+def test_cloth_that_has_collapsed_is_given_up() -> None:
+    """All at one point: each of some 18,000 faces is near each, a search that would take all memory."""
+    garment = sheet(96, 97)
+    tree, heap = tree_of(garment.vertices, garment.faces), np.zeros_like(garment.vertices)
+    assert len(facing_pairs(heap, tree, 0.03)[0]) == 0
+    assert ContourFinder(tree).find(heap).count == 0
 
 
 @pytest.mark.parametrize("depth", [0.01, 0.012, 0.014])
 def test_the_contour_loss_falls_as_a_dent_is_pulled_out_and_its_gradient_says_so(depth):
     garment = two_sheets()
-    finder = ContourFinder(garment.faces, len(garment.vertices))
+    finder = ContourFinder(tree_of(garment.vertices, garment.faces))
     by = 1e-5
     here, less = (torch.as_tensor(dented(garment, depth=d)).requires_grad_(True) for d in (depth, depth - by))
-    length = squared_contour_length(finder, here)
+    length = squared_segment_lengths(finder, here)[0].sum()
     (gradient,) = torch.autograd.grad(length, here)
     told = float((gradient * (less - here) / by).sum().detach())
-    measured = float((squared_contour_length(finder, less) - length).detach()) / by
+    measured = float((squared_segment_lengths(finder, less)[0].sum() - length).detach()) / by
     assert told < 0.0
     # The ends of the edges count as fixed, which leaves out how they move up with the dent.
     assert told == pytest.approx(measured, rel=0.1)
@@ -164,7 +170,7 @@ def test_repulsion_counts_what_comes_within_3_mm_of_the_side_it_was_on():
     packed = pack([garment])
     before = torch.as_tensor(garment.vertices)
     half = len(before) // 2
-    loss = SelfContactLoss(Repulsion(weight=Ramp(0.2, 0.6, 8.0)), PackProximity(packed))
+    loss = SelfContactLoss(Repulsion(weight=Ramp(0.2, 0.6, 8.0)), packed, own_proximity(packed))
 
     def at(gap: float, progress: float = 1.0) -> torch.Tensor:
         after = before.clone()
@@ -173,7 +179,7 @@ def test_repulsion_counts_what_comes_within_3_mm_of_the_side_it_was_on():
 
     assert float(at(0.0031).detach()) == 0.0
     # Every vertex of one sheet over a face of the other, once each way, at the same depth.
-    facing = SelfProximity(garment.faces, len(before)).find(garment.vertices, 0.01)
+    facing = own_proximity(packed).find(garment.vertices, 0.01)
     area = packed.vertex_areas[torch.as_tensor(facing.vertices)].sum()
     for gap in (0.002, -0.001):
         torch.testing.assert_close(at(gap), 8.0 * area / 1.6e-4 * (0.003 - gap) ** 3)
@@ -186,8 +192,8 @@ def test_losses_are_given_garment_by_garment():
     after = torch.as_tensor(np.concatenate([still.vertices, dented(through)]))
     before = torch.as_tensor(np.concatenate([still.vertices, through.vertices]))
     packed = pack([still, through])
-    proximity = PackProximity(packed)
-    for loss in (SelfContactLoss(kind, proximity) for kind in (ContourLength(), Repulsion())):
+    proximity = own_proximity(packed)
+    for loss in (SelfContactLoss(kind, packed, proximity) for kind in (ContourLength(), Repulsion())):
         energies = loss.energies(before, after, 1.0)
         assert energies.shape == (2,)
         assert float(energies[0]) == 0.0 < float(energies[1])

@@ -182,3 +182,18 @@ def test_through_a_ring(example: Run, tmp_path: Path) -> None:
     assert trajectory.positions[-1, pinned, 1].max() < 0.6
     below = trajectory.positions[-1, :, 1] < 0.66
     assert pinned.sum() < below.sum()
+
+
+def test_reef_knot(example: Run, tmp_path: Path) -> None:
+    small = ("--triangles", 120, "--width", 0.02, "--frames", 40)
+    trajectory = require_uncrossed(example("13_reef_knot.py", *small), tmp_path / "knot.npz")
+
+    def reach(positions: np.ndarray) -> float:
+        """How far the bight that came from the left goes beyond the one that came from the right [m]."""
+        ribbon = trajectory.header.vertex_garment
+        return float(positions[ribbon == 0, 0].max() - positions[ribbon == 1, 0].min())
+
+    assert reach(trajectory.positions[0]) > 0.25
+    assert 0.0 < reach(trajectory.positions[-1]) < 0.1, "drawn tight, and it holds"
+    example("13_reef_knot.py", *small, "--self-contact", "off", "--out", "undone")
+    assert reach(Trajectory.open(tmp_path / "undone.npz").positions[-1]) < -0.1, "else nothing would hold it"

@@ -32,6 +32,9 @@ def test_crossing_faces_are_those_of_the_exact_search(seed: int) -> None:
     expected = unordered(self_crossings(moved, faces))
     assert bool(expected) == (seed > 0)
     assert unordered(search.pairs(moved)) == expected
+    sharing = unordered(self_crossings(moved, faces, sharing=True))
+    assert (len(sharing) > len(expected)) == (seed > 0)
+    assert unordered(search.pairs(moved, sharing=True)) == sharing
 
 
 def test_faces_that_only_touch_are_left_to_the_exact_predicates() -> None:

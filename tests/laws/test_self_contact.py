@@ -11,6 +11,7 @@ from ball_scene import MATERIAL, Ball
 from tests.geometry.crossing_free_states import Surface, folded, stack
 from tests.physics.shapes import DT, packed, sheet, time_step
 
+from pb4u.errors import InputError
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.garment import Garment
 from pb4u.geometry.proximity.collision_free import SMALLEST_GAP
@@ -361,6 +362,41 @@ def test_no_step_of_any_kind_leaves_cloth_crossing(scene: str, method: str) -> N
     assert seen == frames
     moved = np.abs(state.positions.numpy() - states.before).max()
     assert moved > 5e-3, "a law that holds because nothing moves says nothing"
+
+
+def crossed(surface: Surface) -> Scene:
+    """Two sheets over a ball, the middle of the upper one dented through the lower one."""
+    scene = dropped(surface, 3, 0.0)[0]
+    lower, upper = (worn.garment for worn in scene.garments)
+    starts = [worn.placement.frames for worn in scene.garments if isinstance(worn.placement, PrescribedPlacement)]
+    away = np.linalg.norm(starts[1][0] - starts[1][0].mean(axis=0), axis=1)
+    dented = starts[1] - (away < 0.3 * away.max())[:, None] * np.array([0.0, 0.01, 0.0])
+    worn = DressedGarment(lower, PrescribedPlacement(starts[0])), DressedGarment(upper, PrescribedPlacement(dented))
+    return replace(scene, garments=worn)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_cloth_that_starts_crossing_is_free_from_its_first_frame(method: str) -> None:
+    surface = stack(2, 1e-3, cells=4)
+    scene = crossed(surface)
+    start, network, refinement, contact, first = METHODS[method]
+    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, CollisionFree()))
+    assert surface.crossing(Timeline.of(scene).skinned_state(0).positions.numpy()) > 3
+    states = list(simulator.rollout(scene, RunRecord()))
+    assert [surface.crossing(state.positions.numpy()) for state in states] == [0, 0, 0]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_cloth_that_cannot_be_parted_is_refused_before_anything_moves(method: str) -> None:
+    scene = crossed(stack(2, 1e-3, cells=4))
+    held = [
+        replace(worn, garment=worn.garment.with_pins(np.ones(len(worn.garment.vertices), dtype=bool)))
+        for worn in scene.garments
+    ]
+    start, network, refinement, contact, first = METHODS[method]
+    simulator = OneMethod(first, StepMethod(start, network, refinement, contact, CollisionFree()))
+    with pytest.raises(InputError, match=r"part and part \(2\) cross in \d+ pairs of triangles around \("):
+        next(simulator.rollout(replace(scene, garments=tuple(held)), RunRecord()))
 
 
 def test_the_scene_that_leaps_is_cut_into_parts() -> None:

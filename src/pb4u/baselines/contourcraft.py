@@ -13,15 +13,15 @@ from torch import Tensor, nn
 
 from pb4u.baselines.coarsening import REMEMBERED, coarse_levels
 from pb4u.baselines.directed_self_contact import DirectedSelfEdges
-from pb4u.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require_scipy
+from pb4u.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require
 from pb4u.baselines.self_contact import (
     ATTRACTION,
     REPULSION,
     ContourLength,
-    PackProximity,
     Repulsion,
     SelfContactLoss,
     SymmetricSelfEdges,
+    own_proximity,
 )
 from pb4u.errors import InputError
 from pb4u.graph.builder import NoFoundEdges
@@ -102,7 +102,7 @@ class ContourCraft(EncodeProcessDecode):
     """
 
     def __init__(self, configuration: ContourCraftConfiguration) -> None:
-        require_scipy("ContourCraft")
+        require("ContourCraft", "scipy", "libigl", "numba")
         found = (REPULSION, ATTRACTION) if configuration.radius > 0 else ()
         super().__init__(configuration, ("mesh", COARSE), found, levels=configuration.level + 2)
         self.configuration = configuration
@@ -121,13 +121,13 @@ class ContourCraft(EncodeProcessDecode):
         return self.decode_after(self.blocks, *self.encode(graph), graph)
 
     def derive(self, garments: PackedGarments) -> Derived:
-        c, pack = self.configuration, PackProximity(garments)
+        c, proximity = self.configuration, own_proximity(garments)
         count = garments.garment_count
         levels = [levels_of(garments, garment, c.level + 1, self._levels) for garment in range(count)]
         edges, labels = packed_levels(garments, levels, (COARSE,))
         return Derived(
             edges=edges,
-            finder=c.self_edges.finder(pack, c.radius) if c.radius > 0 else NoFoundEdges(),
+            finder=c.self_edges.finder(garments, proximity, c.radius) if c.radius > 0 else NoFoundEdges(),
             rest={LEVEL: labels},
-            losses=tuple(SelfContactLoss(loss, pack) for loss in c.losses),
+            losses=tuple(SelfContactLoss(loss, garments, proximity) for loss in c.losses),
         )

@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from pb4u.baselines.meshgraphnet import MESH_GRAPH_LAYOUT
-from pb4u.baselines.rest_meshes import MeshMemory, require_scipy
+from pb4u.baselines.rest_meshes import MeshMemory, require
 from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import GARMENT, Graph
@@ -77,7 +77,7 @@ class Eslr(EncodeProcessDecode):
     """
 
     def __init__(self, configuration: EslrConfiguration) -> None:
-        require_scipy("ESLR")
+        require("ESLR", "scipy")
         super().__init__(configuration)
         self.configuration = configuration
         self._landmarks = MeshMemory(geodesic_landmarks, _REMEMBERED)

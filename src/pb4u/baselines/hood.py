@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from pb4u.baselines.coarsening import REMEMBERED, coarse_levels
 from pb4u.baselines.meshgraphnet import MESH_GRAPH_LAYOUT
-from pb4u.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require_scipy
+from pb4u.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require
 from pb4u.errors import InputError
 from pb4u.graph.features import FeatureLayout
 from pb4u.graph.graph import GARMENT, Graph
@@ -130,7 +130,7 @@ class Hood(EncodeProcessDecode):
     """
 
     def __init__(self, configuration: HoodConfiguration) -> None:
-        require_scipy("HOOD")
+        require("HOOD", "scipy")
         super().__init__(configuration, ("mesh", NEAR, FAR), levels=1 + (configuration.labelled or 2))
         self.choice: LevelChoice = configuration.choice
         self.labelled = configuration.labelled

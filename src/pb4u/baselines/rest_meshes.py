@@ -19,6 +19,9 @@ from pb4u.scene.packed import PackedGarments
 
 T = TypeVar("T")
 
+_MODULES = {"libigl": "igl"}
+"""Modules of packages that are installed by another name."""
+
 
 class MeshMemory(Generic[T]):
     """Cache of the latest results of a function of a mesh and a count; meshes are told apart by their content.
@@ -91,7 +94,17 @@ def packed_levels(
     return edges, torch.from_numpy(np.concatenate(labels)).to(garments.device)
 
 
-def require_scipy(method: str) -> None:
-    """Refuse a `method` where scipy, which a machine that only trains may lack, is not installed: raises InputError."""
-    if find_spec("scipy") is None:
-        raise InputError(f"{method} needs scipy, which is not installed here; `pip install scipy` adds it.")
+def require(method: str, *packages: str) -> None:
+    """Refuse a `method` that computes with packages not installed here: a machine that only trains may lack some.
+
+    Args:
+        method: name of the method.
+        packages: names by which they are installed.
+
+    Raises:
+        InputError: one of them is absent.
+    """
+    absent = [package for package in packages if find_spec(_MODULES.get(package, package)) is None]
+    if absent:
+        names = " and ".join(absent)
+        raise InputError(f"{method} needs {names}, not installed here; `pip install {' '.join(absent)}` adds it.")

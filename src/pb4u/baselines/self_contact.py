@@ -5,14 +5,14 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.geometry.proximity.enclosures import by_contour
 from pb4u.geometry.proximity.intersection_contours import ContourFinder
-from pb4u.geometry.proximity.self_proximity import SelfProximity
+from pb4u.geometry.proximity.self_proximity import SelfProximity, nearest_corners
 from pb4u.graph.builder import FoundEdges
 from pb4u.graph.pins import SeenGarments
 from pb4u.scene.packed import PackedGarments
@@ -20,39 +20,21 @@ from pb4u.scene.packed import PackedGarments
 REPULSION, ATTRACTION = "repulsion", "attraction"
 
 
-class PackProximity:
-    """Searches for places where each garment of a pack is close to itself; edges and losses share one.
-
-    Args:
-        garments: the pack.
-
-    Attributes:
-        garments: the pack.
-        spans: rows of the vertices of each garment in the pack.
-        finders: search of each garment, on vertices numbered within it.
-    """
-
-    def __init__(self, garments: PackedGarments) -> None:
-        self.garments = garments
-        self.spans = [slice(start, stop) for start, stop in pairwise(garments.vertex_offsets)]
-        self.finders = [
-            SelfProximity(
-                garments.faces[garments.face_garment == garment].cpu().numpy() - span.start, span.stop - span.start
-            )
-            for garment, span in enumerate(self.spans)
-        ]
+def own_proximity(garments: PackedGarments) -> SelfProximity:
+    """Search for places where each garment of a pack is close to itself; edges and losses share one."""
+    return SelfProximity(garments.surface_tree_of_each, by_contour)
 
 
 class SelfProximityEdges:
-    """Edges from vertices to the nearest corner of the faces that they stand over, garment by garment.
+    """Edges from vertices to the nearest corner of the faces of their own garment that they stand over.
 
     Args:
-        pack: the garments.
+        proximity: search of the pack.
         radius: largest height over a face [m].
     """
 
-    def __init__(self, pack: PackProximity, radius: float) -> None:
-        self._pack, self._radius = pack, radius
+    def __init__(self, proximity: SelfProximity, radius: float) -> None:
+        self._proximity, self._radius = proximity, radius
 
     def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
         """Repulsion and attraction edges, each pair in both directions."""
@@ -65,35 +47,35 @@ class SelfProximityEdges:
         Args:
             positions: (vertices, 3) [m].
         """
-        edges: dict[str, list[np.ndarray]] = {REPULSION: [], ATTRACTION: []}
-        points = positions.detach().to("cpu", torch.float64).numpy()
-        for finder, span in zip(self._pack.finders, self._pack.spans, strict=True):
-            own = points[span]
-            facing = finder.find(own, self._radius)
-            corners = finder.faces[facing.faces]
-            away = np.linalg.norm(own[corners] - own[facing.vertices][:, None], axis=2)
-            nearest = np.take_along_axis(corners, away.argmin(axis=1)[:, None], axis=1)[:, 0]
-            pairs = np.sort(np.column_stack([facing.vertices, nearest]), axis=1)
-            for kind, chosen in ((REPULSION, ~facing.passed), (ATTRACTION, facing.passed)):
-                edges[kind].append(np.unique(pairs[chosen], axis=0) + span.start)
+        points = as_points(positions)
+        facing = self._proximity.find(points, self._radius)
+        nearest = nearest_corners(points, self._proximity.tree.faces, facing.vertices, facing.faces)
+        pairs = np.sort(np.column_stack([facing.vertices, nearest]), axis=1)
         return {
-            kind: torch.from_numpy(np.concatenate(parts).reshape(-1, 2)).to(positions.device)
-            for kind, parts in edges.items()
+            kind: torch.from_numpy(np.unique(pairs[chosen], axis=0)).to(positions.device)
+            for kind, chosen in ((REPULSION, ~facing.passed), (ATTRACTION, facing.passed))
         }
+
+
+def as_points(positions: Tensor) -> np.ndarray:
+    """Positions (vertices, 3) [m] as the searches take them."""
+    points: np.ndarray = positions.detach().to("cpu", torch.float64).numpy()
+    return points
 
 
 @dataclass(frozen=True)
 class SymmetricSelfEdges:
     """Rule for edges of self-contact: each pair in both directions, once a kind."""
 
-    def finder(self, pack: PackProximity, radius: float) -> SelfProximityEdges:
+    def finder(self, garments: PackedGarments, proximity: SelfProximity, radius: float) -> SelfProximityEdges:
         """Finder of the edges of a pack.
 
         Args:
-            pack: the garments.
+            garments: the pack.
+            proximity: search for where each garment is close to itself.
             radius: largest height over a face [m].
         """
-        return SelfProximityEdges(pack, radius)
+        return SelfProximityEdges(proximity, radius)
 
 
 @dataclass(frozen=True)
@@ -137,32 +119,28 @@ class Repulsion:
     reference_area: float = 1.6e-4
     name = "repulsion"
 
-    def energy(self, pack: PackProximity, garment: int, weight: float, before: Tensor, after: Tensor) -> Tensor:
-        """Loss of one garment, a scalar [J], differentiable with respect to `after`.
+    def energies(
+        self, garments: PackedGarments, proximity: SelfProximity, before: Tensor, after: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Energies over w [m^3] and garment (pairs,) int64 of all pairs, differentiable with respect to `after`.
 
         Args:
-            pack: the garments.
-            garment: index of the garment.
-            weight: w at this point of the training [J/m^3].
-            before: (vertices, 3) positions of the pack before the step [m].
-            after: (vertices, 3) positions of the pack after it [m].
+            garments: the pack.
+            proximity: search for where each garment is close to itself.
+            before: (vertices, 3) positions before the step [m].
+            after: (vertices, 3) positions after it [m].
         """
-        proximity, own = pack.finders[garment], pack.spans[garment]
-        facing = proximity.find(before[own].detach().to("cpu", torch.float64).numpy(), self.reach)
+        facing = proximity.find(as_points(before), self.reach)
         kept = ~facing.passed
         vertices, faces, side = (
             torch.from_numpy(values[kept]).to(after.device)
-            for values in (
-                facing.vertices + own.start,
-                proximity.faces[facing.faces] + own.start,
-                np.sign(facing.heights),
-            )
+            for values in (facing.vertices, proximity.tree.faces[facing.faces], np.sign(facing.heights))
         )
         a, b, c = (after[faces[:, corner]] for corner in range(3))
         normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-12)
         height = side.to(after) * ((after[vertices] - a) * normal).sum(dim=1)
-        share = pack.garments.vertex_areas[vertices].to(after) / self.reference_area
-        return (weight * share * (self.clearance - height).clamp_min(0.0) ** 3).sum()
+        share = garments.vertex_areas[vertices].to(after) / self.reference_area
+        return share * (self.clearance - height).clamp_min(0.0) ** 3, garments.vertex_garment[vertices]
 
 
 @dataclass(frozen=True)
@@ -179,17 +157,19 @@ class ContourLength:
     weight: Ramp = field(default_factory=lambda: Ramp(45 / 56, 50 / 56, 1e7))
     name = "contours"
 
-    def energy(self, pack: PackProximity, garment: int, weight: float, before: Tensor, after: Tensor) -> Tensor:
-        """Loss of one garment, a scalar [J], differentiable with respect to `after`.
+    def energies(
+        self, garments: PackedGarments, proximity: SelfProximity, before: Tensor, after: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Energies over w [m^2] and garment (segments,) int64 of all segments, differentiable with respect to `after`.
 
         Args:
-            pack: the garments.
-            garment: index of the garment.
-            weight: w at this point of the training [J/m^2].
-            before: (vertices, 3) positions of the pack before the step [m].
-            after: (vertices, 3) positions of the pack after it [m].
+            garments: the pack.
+            proximity: search for where each garment is close to itself.
+            before: (vertices, 3) positions before the step [m].
+            after: (vertices, 3) positions after it [m].
         """
-        return weight * squared_contour_length(pack.finders[garment].contours, after[pack.spans[garment]])
+        squares, vertices = squared_segment_lengths(proximity.contours, after)
+        return squares, garments.vertex_garment[vertices]
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,39 +177,41 @@ class SelfContactLoss:
     """A loss of self-contact, for the garments of one pack; see `FurtherLoss`.
 
     Args:
-        loss: loss of one garment.
-        pack: the garments.
+        loss: what is summed over each garment.
+        garments: the pack.
+        proximity: search for where each garment is close to itself.
     """
 
     loss: Repulsion | ContourLength
-    pack: PackProximity
+    garments: PackedGarments
+    proximity: SelfProximity
 
     @property
     def name(self) -> str:
         return self.loss.name
 
     def energies(self, before: Tensor, after: Tensor, progress: float) -> Tensor:
-        weight, total = self.loss.weight.at(progress), after.new_zeros(len(self.pack.finders))
+        weight, total = self.loss.weight.at(progress), after.new_zeros(self.garments.garment_count)
         if weight == 0.0:
             return total
-        parts = [self.loss.energy(self.pack, g, weight, before, after) for g in range(len(total))]
-        return total + torch.stack(parts).to(total)
+        parts, garment = self.loss.energies(self.garments, self.proximity, before, after)
+        return total.index_add(0, garment, (weight * parts).to(total))
 
 
-def squared_contour_length(finder: ContourFinder, positions: Tensor) -> Tensor:
-    """Sum of the squared lengths of all intersection segments, a float64 scalar [m^2].
+def squared_segment_lengths(finder: ContourFinder, positions: Tensor) -> tuple[Tensor, Tensor]:
+    """Squared lengths (segments,) float64 [m^2] of all intersection segments, and a vertex (segments,) int64 of each.
 
     Differentiable as `ContourLength` says.
 
     Args:
-        finder: finds the segments of one garment.
-        positions: (vertices, 3) [m] of that garment.
+        finder: finds the segments.
+        positions: (vertices, 3) [m].
     """
     positions = positions.to(torch.float64)
-    contours = finder.find(positions.detach().cpu().numpy())
+    contours, topology = finder.find(as_points(positions)), finder.topology
     edges, faces, segments = (
         torch.from_numpy(values).to(positions.device)
-        for values in (contours.edges, finder.topology.faces[contours.faces], contours.segments)
+        for values in (topology.edges[contours.edges], topology.faces[contours.faces], contours.segments)
     )
     p, q = positions[edges[:, 0]], positions[edges[:, 1]]
     a, b, c = (positions[faces[:, corner]] for corner in range(3))
@@ -237,4 +219,4 @@ def squared_contour_length(finder: ContourFinder, positions: Tensor) -> Tensor:
     above, below = ((p - a) * normal).sum(dim=1), ((q - a) * normal).sum(dim=1)
     points = p.detach() + (above / (above - below))[:, None] * (q - p).detach()
     ends = points[segments]
-    return (ends[:, 1] - ends[:, 0]).square().sum()
+    return (ends[:, 1] - ends[:, 0]).square().sum(dim=1), edges[segments[:, 0], 0]

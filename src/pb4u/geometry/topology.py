@@ -63,6 +63,18 @@ class Topology:
         order, starts, _ = self._half_edges_by_edge
         return np.diff(np.append(starts, len(order)))
 
+    def faces_at(self, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Row of `edges` and face, (pairs,) int64 each, of every face at each of them, row by row.
+
+        Args:
+            edges: (rows,) int64 numbers of edges.
+        """
+        order, starts, _ = self._half_edges_by_edge
+        counts = self.edge_face_counts[edges]
+        row = np.repeat(np.arange(len(edges)), counts)
+        within = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+        return row, order[np.repeat(starts[edges], counts) + within] % max(len(self.faces), 1)
+
     @cached_property
     def _edge_half_edges(self) -> np.ndarray:
         """(edges, 2) int64 the first two half-edges of each edge, the second one -1 on a border."""

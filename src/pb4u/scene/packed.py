@@ -99,10 +99,19 @@ class PackedGarments:
     @cached_property
     def surface_tree(self) -> SurfaceTree:
         """Search for elements of the garments that come near each other."""
+        return self._tree(self.worlds)
+
+    @cached_property
+    def surface_tree_of_each(self) -> SurfaceTree:
+        """The same where a garment comes near itself alone."""
+        alone = tuple(range(self.garment_count))
+        return self.surface_tree if alone == self.worlds else self._tree(alone)
+
+    def _tree(self, worlds: tuple[int, ...]) -> SurfaceTree:
         rest, faces, edges, part = (
             values.cpu().numpy() for values in (self.rest_positions, self.faces, self.edges, self.vertex_garment)
         )
-        return SurfaceTree(rest, faces, edges, part, self.worlds)
+        return SurfaceTree(rest, faces, edges, part, worlds)
 
     def by_world(self, values: Tensor) -> Tensor:
         """Sums (worlds,) of `values` over the garments of each world, in their unit.

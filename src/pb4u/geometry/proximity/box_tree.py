@@ -14,6 +14,12 @@ _LEAF = 2
 _DEEPEST = 1024
 """Entries of the stack of a search: a median split halves, so that 2^60 faces would not fill it."""
 
+EVERY = 2**62
+"""Most pairs of leaves of a search that gives up on no cloth."""
+
+_NOWHERE = np.repeat([1e30, -1e30, 1e30, -1e30], 3)
+"""A box that meets none, and leaves the box of a node that holds it as it is."""
+
 
 @dataclass(frozen=True, eq=False)
 class BoxTree:
@@ -138,6 +144,23 @@ def boxes_of(vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margi
     return boxes
 
 
+def still_boxes(vertices: np.ndarray, faces: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (vertices, 3) float64, where not finite 0, and boxes (faces, 12) of faces at rest there [m].
+
+    Of a face with a corner that is not finite, a box that meets none.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+        margin: what the boxes are wider by on every side [m].
+    """
+    finite = np.isfinite(vertices).all(axis=1)
+    points = np.ascontiguousarray(np.where(finite[:, None], vertices, 0.0), dtype=np.float64)
+    boxes = boxes_of(points, np.zeros_like(points), faces, margin)
+    boxes[~finite[faces].all(axis=1)] = _NOWHERE
+    return points, boxes
+
+
 @compiled
 def _fit(face_boxes: np.ndarray, order: np.ndarray, children: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """Boxes (nodes, 12) of the nodes from those of the faces."""
@@ -186,11 +209,11 @@ def boxes_meet(one: np.ndarray, other: np.ndarray) -> bool:
 
 @compiled
 def meeting_leaves(
-    node_boxes: np.ndarray, children: np.ndarray, ranges: np.ndarray, asked: np.ndarray, parts: np.ndarray
+    node_boxes: np.ndarray, children: np.ndarray, ranges: np.ndarray, asked: np.ndarray, parts: np.ndarray, most: int
 ) -> np.ndarray:
     """Pairs (pairs, 2) of leaves whose boxes (nodes, 12) meet, of which one is `asked` (nodes,) for; each once.
 
-    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2).
+    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2). None where there are over `most`.
     """
     found, count = np.empty((1024, 2), dtype=np.int64), 0
     stack = np.empty((_DEEPEST, 2), dtype=np.int64)
@@ -222,6 +245,8 @@ def meeting_leaves(
                     stack[depth + 1, 0], stack[depth + 1, 1] = a, children[b, 1]
                 depth += 2
                 continue
+            if count == most:
+                return found[:0]
             found = with_room(found, count)
             found[count, 0], found[count, 1] = a, b
             count += 1

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pb4u.geometry.proximity.box_tree import boxes_meet, boxes_of, meeting_leaves, with_room
+from pb4u.geometry.proximity.box_tree import EVERY, boxes_meet, meeting_leaves, still_boxes, with_room
 from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.geometry.proximity.element_distance import compiled
 from pb4u.geometry.proximity.surface_tree import SurfaceTree
@@ -22,47 +22,63 @@ class CrossingSearch:
 
     Args:
         tree: of the surface.
+        most: pairs of leaves of the tree whose boxes meet, beyond which nothing is found: such cloth has collapsed.
     """
 
-    def __init__(self, tree: SurfaceTree) -> None:
-        self._tree = tree
+    def __init__(self, tree: SurfaceTree, most: int = EVERY) -> None:
+        self._tree, self._most = tree, most
 
-    def pairs(self, vertices: np.ndarray) -> np.ndarray:
-        """Pairs (pairs, 2) int64 of faces that cross and share no vertex: those of `self_crossings`.
+    def pairs(self, vertices: np.ndarray, *, sharing: bool = False) -> np.ndarray:
+        """Pairs (pairs, 2) int64 of faces that cross: those of `self_crossings`; what is not finite crosses nothing.
 
         Args:
-            vertices: (vertices, 3) [m], finite.
+            vertices: (vertices, 3) [m].
+            sharing: whether pairs that share a vertex, and pass through each other elsewhere, are found as well.
         """
-        tree, points = self._tree, np.ascontiguousarray(vertices, dtype=np.float64)
-        face_boxes = boxes_of(points, np.zeros_like(points), tree.faces, 0.5 * _TOUCHING)
-        node_boxes, shape = tree.boxes.fitted(face_boxes), tree.boxes.arrays
-        touching = np.unique(_touching_faces(points, tree.faces, node_boxes, face_boxes, shape))
+        faces = self._tree.faces
+        points, face_boxes = still_boxes(vertices, faces, 0.5 * _TOUCHING)
+        node_boxes, shape = self._tree.boxes.fitted(face_boxes), self._tree.boxes.arrays
+        touching = np.unique(_touching_faces(points, faces, node_boxes, face_boxes, shape, sharing, self._most))
         if not len(touching):
             return np.zeros((0, 2), dtype=np.int64)
-        return touching[self_crossings(points, tree.faces[touching])]
+        return touching[self_crossings(points, faces[touching], sharing=sharing)]
 
 
 @compiled
 def _touching_faces(
-    vertices: np.ndarray, faces: np.ndarray, node_boxes: np.ndarray, face_boxes: np.ndarray, tree: tuple
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    node_boxes: np.ndarray,
+    face_boxes: np.ndarray,
+    tree: tuple,
+    sharing: bool,
+    most: int,
 ) -> np.ndarray:
-    """Faces (2, pairs) of every pair that shares no vertex and is not certainly apart."""
+    """Faces (pairs, 2) of every pair that shares no vertex, or one where `sharing`, and is not certainly apart."""
     order, children, ranges, roots = tree
     found = np.empty((256, 2), dtype=np.int64)
     count = 0
     # Taken once: an array made for every pair would cost more than its numbers.
-    work = np.empty((9, 3))
+    work, side, other_side = np.empty((9, 3)), np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
     asked = np.ones(len(children), dtype=np.bool_)
-    leaves = meeting_leaves(node_boxes, children, ranges, asked, np.column_stack((roots, roots)))
+    leaves = meeting_leaves(node_boxes, children, ranges, asked, np.column_stack((roots, roots)), most)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):
             f = order[i]
             for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                 g = order[j]
-                if not boxes_meet(face_boxes[f], face_boxes[g]) or _share(faces[f], faces[g]):
+                if not boxes_meet(face_boxes[f], face_boxes[g]):
                     continue
-                if not _apart(vertices, faces[f], faces[g], work):
+                shared = _shared(faces[f], faces[g], side, other_side)
+                if shared == 0:
+                    apart = _apart(vertices, faces[f], faces[g], work)
+                elif shared == 1 and sharing:
+                    # They meet at the vertex in any case; elsewhere, what is across from it has to reach the other.
+                    apart = _apart(vertices, faces[g], side, work) and _apart(vertices, faces[f], other_side, work)
+                else:
+                    continue
+                if not apart:
                     found = with_room(found, count)
                     found[count, 0], found[count, 1] = f, g
                     count += 1
@@ -70,13 +86,17 @@ def _touching_faces(
 
 
 @compiled
-def _share(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two faces (3,) share a vertex."""
+def _shared(one: np.ndarray, other: np.ndarray, side: np.ndarray, other_side: np.ndarray) -> int:
+    """How many vertices two faces (3,) share; of one, fills the sides across from it, as faces (3,) without area."""
+    count = 0
     for k in range(3):
         for m in range(3):
             if one[k] == other[m]:
-                return True
-    return False
+                count += 1
+                side[0], side[1], side[2] = one[(k + 1) % 3], one[(k + 2) % 3], one[(k + 2) % 3]
+                other_side[0], other_side[1] = other[(m + 1) % 3], other[(m + 2) % 3]
+                other_side[2] = other_side[1]
+    return count
 
 
 @compiled

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pb4u.geometry.proximity.box_tree import BoxTree, boxes_meet, boxes_of, copy_row, meeting_leaves, with_room
+from pb4u.geometry.proximity.box_tree import EVERY, BoxTree, boxes_meet, boxes_of, copy_row, meeting_leaves, with_room
 from pb4u.geometry.proximity.element_distance import compiled, fastest_approach, gather, nearest
 from pb4u.threads import of_parts
 
@@ -258,7 +258,7 @@ def _search(
     among, asked_nodes, asked_faces, asked_edges = asked
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
-    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts)
+    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):
