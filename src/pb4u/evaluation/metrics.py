@@ -17,7 +17,8 @@ from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.proximity.crossings import crossings, self_crossings
 from pb4u.geometry.topology import Topology
-from pb4u.geometry.triangle_mesh import area_weighted_normals, face_cross_products, vertex_areas
+from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
+from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.progress import Progress, unheard
@@ -37,9 +38,6 @@ GEOMETRY = (
 
 PENETRATION_TOLERANCE = 1e-3
 """Depth [m] beyond which a vertex counts as inside the body: less is within the accuracy of a body's triangles."""
-
-SKIN_OVER_CLOTH = 0.02
-"""Height [m] of skin over cloth up to which it has come through: what lies higher wears other cloth, or none."""
 
 SKIN_UNDER_CLOTH = 0.05
 """Distance [m] of cloth from skin up to which it covers it; a hem that flares covers more, which is left out."""
@@ -296,16 +294,10 @@ def visible_skin(
     shown, covered = np.zeros(len(body), dtype=bool), np.zeros(len(body), dtype=bool)
     asked = np.unique(body_faces)
     normals = area_weighted_normals(body, body_faces)[asked]
-    near = TriangleSurface(cloth_faces, len(cloth)).at(cloth).nearest(body[asked])
-    offset = near.positions.numpy() - body[asked]
-    height, distance = np.einsum("ij,ij->i", offset, normals), np.linalg.norm(offset, axis=1)
-    facing = face_cross_products(cloth, cloth_faces)[near.triangle.numpy()]
-    same_way = np.einsum("ij,ij->i", facing, normals) > 0.0
-    # Half: as steep as 60 degrees, which the hollow of a back can make it.
-    here = same_way & ~near.beyond_border.numpy() & (np.abs(height) >= 0.5 * distance)
-    shown[asked] = here & (height < 0.0) & (distance < SKIN_OVER_CLOTH)
-    covered[asked] = here & (height >= 0.0) & (distance < SKIN_UNDER_CLOTH)
-    return shown, covered, near.triangle.numpy()[shown[asked]]
+    cover = SkinCover.at(body[asked], normals, TriangleSurface(cloth_faces, len(cloth)).at(cloth))
+    shown[asked] = cover.shown
+    covered[asked] = cover.belongs & (cover.heights >= 0.0) & (cover.distances < SKIN_UNDER_CLOTH)
+    return shown, covered, cover.faces[cover.shown]
 
 
 class FrameMetrics(NamedTuple):
