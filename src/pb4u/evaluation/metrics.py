@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
+from pb4u.evaluation.limbs import Bones, limbs_through_cloth
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.geometry.nearest_surface import TriangleSurface
@@ -63,7 +64,12 @@ _SKINNED_AT_ONCE = 64
 """Frames of a garment that are skinned in one call; bounds the memory of long clips."""
 
 
-def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress: Progress = unheard) -> dict[str, Any]:
+def measure(
+    trajectory: Trajectory,
+    skinned: np.ndarray | None = None,
+    progress: Progress = unheard,
+    bones: Bones | None = None,
+) -> dict[str, Any]:
     """Metrics of a trajectory, as the command line reports them.
 
     Args:
@@ -71,12 +77,14 @@ def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress:
             has none and is judged standing still: its inertia and friction are 0.
         skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
         progress: called with (frames done, frames in all).
+        bones: of the bodies; without them limbs that have gone through cloth are not looked for.
 
     Returns:
         `metrics` and `metrics_paper`, the energies by the released convention: name -> {per_frame, mean, max};
         energies of several garments are summed, strains are taken over all faces. `diverged` and the frame
         `diverged_at` (or None) of the garment that diverges first. `garments`, one entry a garment in the order of
-        the file: its `name`, `metrics` (energies and strains), `diverged` and `diverged_at`.
+        the file: its `name`, `metrics` (energies and strains), `diverged` and `diverged_at`. With bones also
+        `limbs_through_cloth`, those that cross cloth; a metric of that name counts them in each frame.
 
     Raises:
         InputError: the metadata do not say what the garments are made of.
@@ -93,12 +101,21 @@ def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress:
         measured = _series(rows, (*ENERGIES, *STRAINS))
         garments.append({"name": garment.name, "metrics": measured, "diverged": at is not None, "diverged_at": at})
     first = _earliest(diverged_at)
+    crossed = None if bones is None or not bones.names else bones.through_cloth(trajectory)
+    if crossed is not None:
+        for frame, count in zip(frames, crossed.sum(axis=1), strict=True):
+            frame.metrics["limbs_through_cloth"] = float(count)
     return {
-        "metrics": _series([frame.metrics for frame in frames], (*ENERGIES, *GEOMETRY)),
+        "metrics": _series([frame.metrics for frame in frames], (*ENERGIES, *GEOMETRY, "limbs_through_cloth")),
         "metrics_paper": _series([frame.paper for frame in frames], ENERGIES),
         "diverged": first is not None,
         "diverged_at": first,
         "garments": garments,
+        **(
+            {}
+            if bones is None or crossed is None
+            else {"limbs_through_cloth": limbs_through_cloth(bones.names, crossed)}
+        ),
     }
 
 
