@@ -12,6 +12,7 @@ import pytest
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
+from pb4u.evaluation.limbs import Bones
 from pb4u.evaluation.metrics import ENERGIES, GEOMETRY, first_diverged, measure, skinned_centres
 from pb4u.export.live_caches import PROGRESS
 from pb4u.export.selection import on_source
@@ -48,7 +49,7 @@ def test_writes_trajectory_objs_and_report_by_the_contract(pb4u: Callable, tmp_p
     assert abs(report["triangles"] - 1000) <= 50
     names = {"stretch", "bending", "collision", "gravity", "friction", "inertia", "total"}
     assert names <= set(report["metrics_paper"]) == set(ENERGIES)
-    assert set(report["metrics"]) == {*ENERGIES, *GEOMETRY}
+    assert set(report["metrics"]) == {*ENERGIES, *GEOMETRY, "limbs_through_cloth"}
     assert set(GEOMETRY) == {
         "strain_p95", "strain_max", "penetration_percent", "penetration_depth_max", "visible_skin_percent",
         "self_intersections", "body_intersections",
@@ -60,6 +61,18 @@ def test_writes_trajectory_objs_and_report_by_the_contract(pb4u: Callable, tmp_p
 def test_json_alone_goes_to_standard_output(pb4u: Callable, tmp_path: Path) -> None:
     ended = pb4u("simulate", *SMALL, "--frames", 1, "--out", tmp_path / "a.npz", "--json", "-")
     assert json.loads(ended.out)["frames"] == 1
+
+
+def test_a_limb_through_the_cloth_is_warned_of_with_and_without_a_report(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flags = ("simulate", *SMALL, "--frames", 2, "--out", tmp_path / "a.npz")
+    assert "gone through" not in pb4u(*flags).err
+    monkeypatch.setattr(Bones, "through_cloth", lambda bones, _: np.ones(bones.ends.shape[:2], dtype=bool))
+    for report in ((), ("--json", tmp_path / "r.json")):
+        ended = pb4u(*flags, *report)
+        assert "Limbs have gone through the cloth from frame 0 on" in ended.err
+    assert "Limbs have gone through the cloth" in json.loads((tmp_path / "r.json").read_text())["notes"][-1]
 
 
 def test_tells_the_files_that_it_wrote_when_they_are_there(

@@ -8,8 +8,11 @@ import numpy as np
 import torch
 from ball_scene import ball_scene
 
+from pb4u.geometry.nearest_surface import TriangleSurface
+from pb4u.geometry.triangle_mesh import area_weighted_normals
 from pb4u.physics.contact.face_clearance import FaceClearance
 from pb4u.physics.contact.planes import clearances
+from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.state import State
 from pb4u.simulation.timeline import Timeline
 
@@ -41,6 +44,38 @@ def test_faces_that_cut_into_the_body_are_lifted_out_of_it() -> None:
     moved = (lifted.positions - state.positions).norm(dim=1)
     assert float(moved.max()) < 4 * 5e-3
     torch.testing.assert_close(lifted.velocities, state.velocities)
+
+
+def skin_that_shows(timeline: Timeline, state: State, body: np.ndarray) -> int:
+    surface = TriangleSurface(timeline.garments.faces.numpy(), timeline.garments.vertex_count).at(state.positions)
+    return int(SkinCover.at(body, area_weighted_normals(body, timeline.colliders.faces.numpy()), surface).shown.sum())
+
+
+def test_skin_between_the_middles_of_faces_is_covered() -> None:
+    timeline, state = sheet_wrapped_round_the_ball()
+    clear = FaceClearance(passes=4).lift(timeline.garments, state, timeline.pose(0))
+    centre = np.array([0.0, 0.5, 0.0])
+    body = timeline.body(0).numpy().copy()
+    # Pimples of 8 mm, which the middles of the cloth's elements know nothing of.
+    near = np.flatnonzero(body[:, 1] > 0.65)[::5]
+    body[near] += 0.008 * (body[near] - centre) / 0.2
+    pose = timeline.colliders.pose(torch.from_numpy(body))
+    assert skin_that_shows(timeline, clear, body) > 3
+    lifted = FaceClearance().lift(timeline.garments, clear, pose)
+    assert skin_that_shows(timeline, lifted, body) == 0
+    assert float((lifted.positions - clear.positions).norm(dim=1).max()) < 0.02
+
+
+def test_a_vertex_inside_is_lifted_out_though_the_middles_around_it_are_clear() -> None:
+    timeline, state = sheet_wrapped_round_the_ball()
+    centre = torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64)
+    x = centre + 1.1 * (state.positions - centre)
+    inside = int((x - centre)[:, 1].argmax())
+    x[inside] = centre + 0.199 * (state.positions[inside] - centre) / 0.2005
+    within = replace(state, positions=x)
+    assert deepest_middle(timeline, within) > 5e-3
+    lifted = FaceClearance().lift(timeline.garments, within, timeline.pose(0))
+    assert float((lifted.positions[inside] - centre).norm()) > 0.1999
 
 
 def test_cloth_that_is_clear_stays_where_it_is() -> None:

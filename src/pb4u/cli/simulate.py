@@ -381,18 +381,21 @@ def _simulate(
     _export(trajectory, left, next((target for target in targets if target not in left), None))
     if json != "-":
         print(wrote(targets, trajectory.frame_count))
-    diverged = None
+    diverged, through = None, None
     if json:
         from pb4u.evaluation.run_report import run_report
 
         with progress_bar("measuring") as progress:
             report = run_report(trajectory, simulator, scene, record, progress)
         write_json(report, json)
-        diverged = report["diverged_at"]
+        diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
+        from pb4u.evaluation.limbs import Bones, limbs_through_cloth
         from pb4u.evaluation.metrics import first_diverged, skinned_centres
 
         diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
+        bones = Bones.of(scene, trajectory)
+        through = limbs_through_cloth(bones.names, bones.through_cloth(trajectory))
     if record.failed_at is not None:
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
@@ -409,6 +412,10 @@ def _simulate(
             f"The run diverged at frame {diverged}: the cloth is stretched by more than 60 %, or over 0.5 m from where "
             f"the body carries it; {_advice(simulator.name)}."
         )
+    if through:
+        from pb4u.evaluation.limbs import limbs_sentence
+
+        _warn(f"{limbs_sentence(through, trajectory.frame_count)}")
 
 
 def _advice(model: str) -> str:

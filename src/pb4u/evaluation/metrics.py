@@ -11,13 +11,15 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
+from pb4u.evaluation.limbs import Bones, limbs_through_cloth
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.proximity.crossings import crossings, self_crossings
 from pb4u.geometry.topology import Topology
-from pb4u.geometry.triangle_mesh import area_weighted_normals, face_cross_products, vertex_areas
+from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
+from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.progress import Progress, unheard
@@ -37,9 +39,6 @@ GEOMETRY = (
 
 PENETRATION_TOLERANCE = 1e-3
 """Depth [m] beyond which a vertex counts as inside the body: less is within the accuracy of a body's triangles."""
-
-SKIN_OVER_CLOTH = 0.02
-"""Height [m] of skin over cloth up to which it has come through: what lies higher wears other cloth, or none."""
 
 SKIN_UNDER_CLOTH = 0.05
 """Distance [m] of cloth from skin up to which it covers it; a hem that flares covers more, which is left out."""
@@ -65,7 +64,12 @@ _SKINNED_AT_ONCE = 64
 """Frames of a garment that are skinned in one call; bounds the memory of long clips."""
 
 
-def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress: Progress = unheard) -> dict[str, Any]:
+def measure(
+    trajectory: Trajectory,
+    skinned: np.ndarray | None = None,
+    progress: Progress = unheard,
+    bones: Bones | None = None,
+) -> dict[str, Any]:
     """Metrics of a trajectory, as the command line reports them.
 
     Args:
@@ -73,12 +77,14 @@ def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress:
             has none and is judged standing still: its inertia and friction are 0.
         skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
         progress: called with (frames done, frames in all).
+        bones: of the bodies; without them limbs that have gone through cloth are not looked for.
 
     Returns:
         `metrics` and `metrics_paper`, the energies by the released convention: name -> {per_frame, mean, max};
         energies of several garments are summed, strains are taken over all faces. `diverged` and the frame
         `diverged_at` (or None) of the garment that diverges first. `garments`, one entry a garment in the order of
-        the file: its `name`, `metrics` (energies and strains), `diverged` and `diverged_at`.
+        the file: its `name`, `metrics` (energies and strains), `diverged` and `diverged_at`. With bones also
+        `limbs_through_cloth`, those that cross cloth; a metric of that name counts them in each frame.
 
     Raises:
         InputError: the metadata do not say what the garments are made of.
@@ -95,12 +101,21 @@ def measure(trajectory: Trajectory, skinned: np.ndarray | None = None, progress:
         measured = _series(rows, (*ENERGIES, *STRAINS))
         garments.append({"name": garment.name, "metrics": measured, "diverged": at is not None, "diverged_at": at})
     first = _earliest(diverged_at)
+    crossed = None if bones is None or not bones.names else bones.through_cloth(trajectory)
+    if crossed is not None:
+        for frame, count in zip(frames, crossed.sum(axis=1), strict=True):
+            frame.metrics["limbs_through_cloth"] = float(count)
     return {
-        "metrics": _series([frame.metrics for frame in frames], (*ENERGIES, *GEOMETRY)),
+        "metrics": _series([frame.metrics for frame in frames], (*ENERGIES, *GEOMETRY, "limbs_through_cloth")),
         "metrics_paper": _series([frame.paper for frame in frames], ENERGIES),
         "diverged": first is not None,
         "diverged_at": first,
         "garments": garments,
+        **(
+            {}
+            if bones is None or crossed is None
+            else {"limbs_through_cloth": limbs_through_cloth(bones.names, crossed)}
+        ),
     }
 
 
@@ -296,16 +311,10 @@ def visible_skin(
     shown, covered = np.zeros(len(body), dtype=bool), np.zeros(len(body), dtype=bool)
     asked = np.unique(body_faces)
     normals = area_weighted_normals(body, body_faces)[asked]
-    near = TriangleSurface(cloth_faces, len(cloth)).at(cloth).nearest(body[asked])
-    offset = near.positions.numpy() - body[asked]
-    height, distance = np.einsum("ij,ij->i", offset, normals), np.linalg.norm(offset, axis=1)
-    facing = face_cross_products(cloth, cloth_faces)[near.triangle.numpy()]
-    same_way = np.einsum("ij,ij->i", facing, normals) > 0.0
-    # Half: as steep as 60 degrees, which the hollow of a back can make it.
-    here = same_way & ~near.beyond_border.numpy() & (np.abs(height) >= 0.5 * distance)
-    shown[asked] = here & (height < 0.0) & (distance < SKIN_OVER_CLOTH)
-    covered[asked] = here & (height >= 0.0) & (distance < SKIN_UNDER_CLOTH)
-    return shown, covered, near.triangle.numpy()[shown[asked]]
+    cover = SkinCover.at(body[asked], normals, TriangleSurface(cloth_faces, len(cloth)).at(cloth))
+    shown[asked] = cover.shown
+    covered[asked] = cover.belongs & (cover.heights >= 0.0) & (cover.distances < SKIN_UNDER_CLOTH)
+    return shown, covered, cover.faces[cover.shown]
 
 
 class FrameMetrics(NamedTuple):

@@ -179,6 +179,7 @@ def run(job: RolloutJob) -> Rollout:
     Raises:
         InputError: something of it cannot be used, or changed since it was planned.
     """
+    from pb4u.evaluation.limbs import Bones
     from pb4u.evaluation.metrics import hold_shifts, measure, skinned_centres, slid_from
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.models import load_simulator
@@ -217,7 +218,7 @@ def run(job: RolloutJob) -> Rollout:
     still = None
     if frames:
         trajectory = Trajectory.collect(header, frames)
-        result |= measure(trajectory, skinned_centres(scene, trajectory))
+        result |= measure(trajectory, skinned_centres(scene, trajectory), bones=Bones.of(scene, trajectory))
         if record.failed_at is not None and not result["diverged"]:
             result |= {"diverged": True, "diverged_at": len(frames)}
         shifts = hold_shifts(scene, trajectory)

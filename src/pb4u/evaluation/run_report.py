@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from pb4u.evaluation.limbs import Bones, limbs_sentence
 from pb4u.evaluation.metrics import measure, skinned_centres
 from pb4u.progress import Progress, unheard
 from pb4u.scene.scene import Scene
@@ -26,7 +27,9 @@ def run_report(
     Raises:
         InputError: the trajectory does not say what its garments are made of.
     """
-    measured = measure(trajectory, skinned=skinned_centres(scene, trajectory), progress=progress)
+    bones = Bones.of(scene, trajectory)
+    measured = measure(trajectory, skinned_centres(scene, trajectory), progress, bones)
+    said = limbs_sentence(measured.get("limbs_through_cloth", ()), trajectory.frame_count)
     noted = ("garment", "body", "motion", "model")
     return {
         **{name: trajectory.metadata[name] for name in noted},
@@ -41,6 +44,6 @@ def run_report(
         "solver_iterations": record.solver_iterations,
         "unsolved_steps": record.unsolved,
         "steps_made_anew": record.made_anew,
-        "notes": list(scene.notes),
+        "notes": [*scene.notes, *([said] if said else [])],
         **measured,
     }

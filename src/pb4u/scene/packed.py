@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -112,6 +113,13 @@ class PackedGarments:
             values.cpu().numpy() for values in (self.rest_positions, self.faces, self.edges, self.vertex_garment)
         )
         return SurfaceTree(rest, faces, edges, part, worlds)
+
+    @cached_property
+    def surfaces(self) -> tuple[TriangleSurface, ...]:
+        """The searchable surface of each world's garments; its vertices are counted from the first of the world."""
+        faces, world = self.faces.cpu().numpy(), self.garment_world[self.face_garment].cpu().numpy()
+        spans = pairwise(self.world_offsets)
+        return tuple(TriangleSurface(faces[world == k] - a, b - a) for k, (a, b) in enumerate(spans))
 
     def by_world(self, values: Tensor) -> Tensor:
         """Sums (worlds,) of `values` over the garments of each world, in their unit.

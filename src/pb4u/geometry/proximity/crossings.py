@@ -53,6 +53,37 @@ def crossings(
     return np.column_stack([pairs[:, 0], near[pairs[:, 1]]])
 
 
+def segments_through_faces(starts: np.ndarray, ends: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Pairs (pairs, 2) int64 of a segment and a face that it passes through.
+
+    Args:
+        starts: (segments, 3) [m].
+        ends: (segments, 3) [m].
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64.
+    """
+    corners = vertices[faces]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    meet = np.ones((len(starts), len(faces)), dtype=bool)
+    for axis in range(3):
+        first, last = np.minimum(starts[:, axis], ends[:, axis]), np.maximum(starts[:, axis], ends[:, axis])
+        meet &= (low[:, axis] <= last[:, None]) & (high[:, axis] >= first[:, None])
+    segment, face = np.nonzero(meet)
+    start, way = starts[segment], (ends - starts)[segment]
+    a, b, c = corners[face].transpose(1, 0, 2)
+    cross = np.cross(b - a, c - a)
+    along = np.einsum("ij,ij->i", way, cross)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.einsum("ij,ij->i", a - start, cross) / along
+    place = start + share[:, None] * way
+    # On the inner side of all three sides of the face.
+    inside = np.stack(
+        [np.einsum("ij,ij->i", np.cross(q - p, place - p), cross) >= 0.0 for p, q in ((a, b), (b, c), (c, a))]
+    ).all(axis=0)
+    through = (along != 0.0) & (share >= 0.0) & (share <= 1.0) & inside
+    return np.column_stack([segment[through], face[through]])
+
+
 @dataclass(frozen=True, eq=False)
 class Piercings:
     """Edges of a surface that pass through faces of it which they share no vertex with.
