@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -257,7 +258,10 @@ def write_still(
 
     moments = np.unique(np.linspace(0, trajectory.frame_count - 1, frames).round().astype(int)).tolist()
     strip = np.concatenate(list(_counted(render(trajectory, moments, view), len(moments), progress)), axis=1)
-    Image.fromarray(strip).save(path)
+    # Through memory: Pillow writes a JPEG past a full disk without a word.
+    encoded = io.BytesIO()
+    Image.fromarray(strip).save(encoded, Image.registered_extensions()[path.suffix.lower()])
+    path.write_bytes(encoded.getvalue())
 
 
 def write_gif(

@@ -14,6 +14,7 @@ from types import ModuleType
 
 import numpy as np
 
+from pb4u.atomic_file import incomplete
 from pb4u.errors import MissingExtraError, Pb4uError
 
 _H264_ENCODERS = ("libx264", "h264_videotoolbox", "h264_mf", "libopenh264")
@@ -94,6 +95,9 @@ class OpenCvWriter(VideoWriter):
 
     def __exit__(self, *error: object) -> None:
         self._writer.release()
+        # OpenCV tells of no failure; a video's table of contents is written last.
+        if error[0] is None and not _is_whole(self._path):
+            raise incomplete(self._path)
 
 
 class FfmpegWriter(VideoWriter):
@@ -132,6 +136,22 @@ class FfmpegWriter(VideoWriter):
     def _failure(self) -> Pb4uError:
         told = self._process.stderr.read().decode(errors="replace").strip().splitlines() if self._process.stderr else []
         return Pb4uError(f"ffmpeg could not write the video: {told[-1] if told else 'it ended early'}.")
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether the boxes of an MP4 end where the file does, one of them its table of contents."""
+    size, at, kinds = path.stat().st_size, 0, set()
+    with path.open("rb") as file:
+        while at < size:
+            file.seek(at)
+            length, kind = int.from_bytes(file.read(4), "big"), file.read(4)
+            # A length of 1 is followed by a longer one.
+            length = int.from_bytes(file.read(8), "big") if length == 1 else length
+            if length < 8:
+                return False
+            kinds.add(kind)
+            at += length
+    return at == size and b"moov" in kinds
 
 
 def _encoding(ffmpeg: str, encoder: str, fps: float, size: tuple[int, int]) -> list[str]:
