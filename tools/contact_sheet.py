@@ -13,7 +13,7 @@ import numpy as np
 from picture_table import captioned, colour_of, last_frame, table
 
 from pb4u import load_simulator, make_scene
-from pb4u.export.picture import View
+from pb4u.export.view import View
 from pb4u.garment.library import garment_names
 
 MOMENTS = (("walk", 4), ("arms", 12), ("squat", 14))
@@ -27,7 +27,7 @@ def draw_row(garment: str, model: str, triangles: int, size: int) -> list[np.nda
         for motion, moment in MOMENTS:
             scene = make_scene(garment, body, motion, triangles=triangles, frames=moment + 1, lead_in=12)
             trajectory = load_simulator(model).simulate(scene)
-            view = View(width=size * 3 // 4, height=size, cloth=colour_of(garment), azimuth=0.0)
+            view = View(width=size * 3 // 4, height=size, cloths=(colour_of(garment),), azimuth=0.0)
             pictures += [last_frame(trajectory, replace(view, azimuth=azimuth)) for azimuth in (0.0, 90.0)]
     return pictures
 

@@ -19,7 +19,7 @@ from picture_table import captioned, colour_of, last_frame, table
 from PIL import Image
 
 from pb4u import Pb4uError, load_simulator, make_scene
-from pb4u.export.picture import View
+from pb4u.export.view import View
 from pb4u.garment.library import garment_names
 from pb4u.simulation.checkpoint import weights_file
 
@@ -47,7 +47,7 @@ def cell(garment: str, triangles: int, model: str, size: int, folder: Path) -> n
     if kept.is_file():
         return np.asarray(Image.open(kept).convert("RGB"))
     began = time.perf_counter()
-    picture = draw(garment, triangles, model, View(size * 3 // 4, size, azimuth, cloth=colour_of(garment)))
+    picture = draw(garment, triangles, model, View(size * 3 // 4, size, azimuth, cloths=(colour_of(garment),)))
     Image.fromarray(picture).save(kept)
     print(f"{kept.name}: {time.perf_counter() - began:.0f} s", flush=True)
     return picture

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
-from pb4u.export.picture import View, render
+from pb4u.export.picture import render
 from pb4u.export.selection import select_frames
+from pb4u.export.view import View
 from pb4u.garment.library import garment_names
 from pb4u.scene.trajectory import Trajectory
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
@@ -24,6 +25,22 @@ from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 
 SMALL = ("--triangles", 1000, "--lead-in", 0, "--model", "skinning")
+
+
+def test_pictures_take_their_look_from_flags_and_other_files_do_not_mind(pb4u: Callable, tmp_path: Path) -> None:
+    flags = ("simulate", *SMALL, "--frames", 2, "--garment", "tshirt", "--garment", "skirt", "--size", "60x90")
+    look = ("--view", "back", "--elevation", 20, "--colour", "crimson", "--colour", "lime", "--background", "#204060")
+    ended = pb4u(*flags, *look, "--out", tmp_path / "a.npz", "--out", tmp_path / "a.png")
+    assert ended.code == 0, ended.err
+    strip = np.asarray(Image.open(tmp_path / "a.png").convert("RGB")).astype(int)
+    assert strip.shape == (90, 2 * 60, 3)
+    assert np.abs(strip[0, 0] - [0x20, 0x40, 0x60]).max() <= 2
+    red, green = (strip[..., k] > 2 * strip[..., 1 - k] for k in (0, 1))
+    assert min(red.sum(), green.sum()) > 100
+    refused = pb4u(*flags, "--out", tmp_path / "b.npz")
+    assert refused.code == 1
+    assert ".npz holds no picture" in refused.err
+    assert not (tmp_path / "b.npz").exists()
 
 
 def test_writes_trajectory_objs_and_report_by_the_contract(pb4u: Callable, tmp_path: Path) -> None:
@@ -140,7 +157,7 @@ def test_bad_values_are_refused_in_one_sentence(
 @pytest.mark.parametrize(
     "flags",
     [
-        ("--frames", "many"), ("--colour", "red"), ("--contact", "perhaps"), ("--crop", "abc"), ("--crop", "9:3"),
+        ("--frames", "many"), ("--flavour", "red"), ("--contact", "perhaps"), ("--crop", "abc"), ("--crop", "9:3"),
         ("--body-shape", "height"), ("--body-shape", "height=tall"),
     ],
 )  # fmt: skip

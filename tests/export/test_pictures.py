@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,29 +12,39 @@ import pytest
 from PIL import Image
 
 from pb4u.errors import Pb4uError
-from pb4u.export.picture import SIDES, View, render, write_mp4
+from pb4u.export.picture import render, write_mp4
+from pb4u.export.registry import export
+from pb4u.export.view import SIDES, View
 from pb4u.scene.trajectory import Trajectory
 
 Convert = Callable[..., tuple[int, str]]
 
 FAKE = """#!{python}
 import sys
-from collections.abc import Callable
 from pathlib import Path
 if "-encoders" in sys.argv:
-    print(" V....D {encoder}              an encoder")
+    for encoder in {encoders}:
+        print(f" V....D {{encoder}}              an encoder")
 else:
     pictures = sys.stdin.buffer.read()
+    if "null" in sys.argv:
+        sys.exit(not any(encoder in sys.argv for encoder in {working}))
     if {fails}:
         sys.exit("no space left on device")
     Path(sys.argv[-1]).write_bytes(pictures)
 """
 
 
-def give_ffmpeg(folder: Path, monkeypatch: pytest.MonkeyPatch, encoder: str = "libx264", fails: bool = False) -> None:
+def give_ffmpeg(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    listed: Sequence[str] = ("libx264",),
+    working: Sequence[str] = ("libx264",),
+    fails: bool = False,
+) -> None:
     """An ffmpeg on the path that keeps the pictures it is given as they are."""
     program = folder / "ffmpeg"
-    program.write_text(FAKE.format(python=sys.executable, encoder=encoder, fails=fails))
+    program.write_text(FAKE.format(python=sys.executable, encoders=[*listed], working=[*working], fails=fails))
     program.chmod(0o755)
     monkeypatch.setenv("PATH", str(folder))
 
@@ -56,8 +67,11 @@ def test_size_background_and_colour_are_those_of_the_flags(
     [
         (("--view", "above"), "one of front, left, back, right or an angle"),
         (("--view", "inf"), "an angle in degrees"),
+        (("--elevation", "95"), "0 to 90 degrees above the ground"),
+        (("--elevation", "nan"), "0 to 90 degrees above the ground"),
+        (("--turntable", "inf"), "are finite"),
         (("--size", "0x10"), "16 to 8192"),
-        (("--size", "big"), "16 to 8192"),
+        (("--size", "big"), "WIDTHxHEIGHT"),
         (("--colour", "bluish"), "no colour"),
     ],
 )
@@ -76,27 +90,101 @@ def test_a_view_of_a_file_without_pictures_is_refused(convert: Convert, trajecto
     assert "holds no picture" in error
 
 
+@pytest.mark.parametrize("elevation", [0.0, 8.0, 50.0, 90.0])
 @pytest.mark.parametrize("side", SIDES)
-def test_the_whole_figure_is_in_the_picture_from_every_side(trajectory: Trajectory, side: str) -> None:
-    view = View(width=90, height=160, azimuth=SIDES[side], background=(0.0, 0.0, 0.0))
-    for picture in render(trajectory, [0, trajectory.frame_count - 1], view):
+@pytest.mark.parametrize(("width", "height"), [(90, 160), (60, 200), (200, 60)])
+def test_the_whole_figure_is_in_the_picture_from_every_side(
+    long_figure: Trajectory, side: str, elevation: float, width: int, height: int
+) -> None:
+    view = View(width, height, SIDES[side], elevation, background=(0.0, 0.0, 0.0))
+    for picture in render(long_figure, [0, long_figure.frame_count - 1], view):
         bright = picture.max(axis=2) > 40
         assert bright.any()
         assert not bright[:, [0, -1]].any()
+        assert not bright[[0, -1]].any()
+        # It fills the picture as well, one way or the other.
+        assert (
+            max(np.ptp(np.flatnonzero(bright.any(axis=1))) / height, np.ptp(np.flatnonzero(bright.any(axis=0))) / width)
+            > 0.4
+        )
 
 
-def test_a_video_is_h264_where_there_is_an_encoder(
+@pytest.fixture
+def long_figure(trajectory: Trajectory) -> Trajectory:
+    """The same with cloth and body drawn out to 2.4 m along z, as of one who lies or lunges."""
+    stretch = np.array([1.0, 1.0, 6.0], dtype=np.float32)
+    return replace(
+        trajectory, positions=trajectory.positions * stretch, body_positions=trajectory.body_positions * stretch
+    )
+
+
+def test_cloth_without_a_body_is_drawn(trajectory: Trajectory, tmp_path: Path) -> None:
+    header = replace(
+        trajectory.header, body_faces=np.zeros((0, 3), dtype=np.int64), body_contact=np.zeros(0, dtype=bool)
+    )
+    bare = replace(trajectory, header=header, body_positions=np.zeros((trajectory.frame_count, 0, 3), np.float32))
+    out = export(bare, tmp_path / "t.png", view=View(60, 90))
+    strip = np.asarray(Image.open(out).convert("RGB")).astype(int)
+    blue = strip[..., 2] - strip[..., 0] > 40
+    assert all(panel.sum() > 100 for panel in np.split(blue, 5, axis=1))
+
+
+def test_each_garment_takes_the_colour_given_for_it(trajectory: Trajectory) -> None:
+    lower = trajectory.positions[0][:, 1] < 0.9
+    two = replace(trajectory, header=replace(trajectory.header, vertex_garment=lower.astype(np.int32)))
+    view = View(80, 120, cloths=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), show_body=False)
+    picture = next(iter(render(two, [0], view))).astype(int)
+    red, green = (picture[..., k] > 2 * picture[..., 1 - k] for k in (0, 1))
+    assert min(red.sum(), green.sum()) > 100
+    assert np.flatnonzero(red.any(axis=1)).mean() < np.flatnonzero(green.any(axis=1)).mean()
+
+
+def drawn(trajectory: Trajectory, view: View) -> np.ndarray:
+    return np.stack(list(render(trajectory, range(trajectory.frame_count), view)))
+
+
+def test_a_video_is_h264_where_an_encoder_for_it_works(
     trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    view, out = View(width=64, height=96), tmp_path / "t.mp4"
-    give_ffmpeg(tmp_path, monkeypatch)
-    write_mp4(trajectory, out, view=view)
-    drawn = np.stack(list(render(trajectory, range(trajectory.frame_count), view)))
-    assert np.array_equal(np.frombuffer(out.read_bytes(), np.uint8).reshape(drawn.shape), drawn)
+    view, out, told = View(width=64, height=96), tmp_path / "t.mp4", list[str]()
+    give_ffmpeg(tmp_path, monkeypatch, listed=("libx264", "libopenh264"), working=("libopenh264",))
+    export(trajectory, out, view=view, say=told.append)
+    pictures = drawn(trajectory, view)
+    assert np.array_equal(np.frombuffer(out.read_bytes(), np.uint8).reshape(pictures.shape), pictures)
+    assert told == ["t.mp4 is in H.264, by ffmpeg's libopenh264."]
+
+
+@pytest.mark.parametrize(("listed", "working"), [(("mpeg4",), ("mpeg4",)), (("libx264",), ())])
+def test_a_video_is_vp9_and_says_so_where_none_works(
+    trajectory: Trajectory,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    listed: Sequence[str],
+    working: Sequence[str],
+) -> None:
     pytest.importorskip("cv2", reason='the "render" extra is not installed')
-    give_ffmpeg(tmp_path, monkeypatch, encoder="mpeg4")
-    write_mp4(trajectory, out, view=view)
-    assert out.read_bytes()[4:8] == b"ftyp"
+    out, told = tmp_path / "t.mp4", list[str]()
+    give_ffmpeg(tmp_path, monkeypatch, listed, working)
+    export(trajectory, out, view=View(width=64, height=96), say=told.append)
+    content = out.read_bytes()
+    # Where OpenCV reaches an encoder of the system, that makes it.
+    codec, code = ("H.264", b"avc1") if b"avc1" in content else ("VP9", b"vp09")
+    assert code in content
+    assert codec in told[0]
+    if codec == "VP9":
+        assert "not H.264: " in told[0]
+        assert "has no encoder for it that works" in told[0]
+    assert capfd.readouterr().err == ""
+
+
+def test_sides_that_a_video_cannot_have_are_refused_before_anything_is_drawn(
+    convert: Convert, trajectory: Trajectory, tmp_path: Path
+) -> None:
+    code, error = convert(trajectory.save(tmp_path / "t.npz"), tmp_path / "t.mp4", "--size", "65x97")
+    assert code == 1
+    assert "multiples of 2 pixels" in error
+    assert "66x98" in error
 
 
 def test_an_ffmpeg_that_fails_is_told(trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

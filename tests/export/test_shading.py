@@ -14,4 +14,4 @@ def test_each_of_five_garments_has_a_colour_of_its_own_and_the_first_keeps_the_u
     np.testing.assert_array_equal(colours[0], CLOTH)
     assert len(np.unique(colours[:5], axis=0)) == 5
     np.testing.assert_array_equal(colours[5:], colours[1:3])
-    np.testing.assert_array_equal(face_colours(faces, vertex_garment, (0.1, 0.2, 0.3))[:2, 0], [0.1, colours[1, 0]])
+    np.testing.assert_array_equal(face_colours(faces, vertex_garment, [(0.1, 0.2, 0.3)])[:2, 0], [0.1, colours[1, 0]])

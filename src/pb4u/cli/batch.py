@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, progress_bar, write_json
+from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, progress_bar, say, write_json
 from pb4u.errors import InputError, Pb4uError
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def batch(
     made = make_dataset(
         runs, out, pool, WebDataset(clips_per_shard) if format == "webdataset" else FolderOfTrajectories(), half=half,
         jobs_file=jobs.name, workers=workers if ray in (None, "local") else None, retry=retry, plan_only=plan,
-        say=lambda line: print(f"pb4u: {line}", file=sys.stderr), progress=progress_bar,
+        say=say, progress=progress_bar,
     )  # fmt: skip
     if json:
         write_json(made, json)

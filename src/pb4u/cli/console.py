@@ -43,6 +43,11 @@ def progress_bar(label: str) -> Iterator[Progress]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+def say(sentence: str) -> None:
+    """Tell what a user may want to know besides the result, on standard error."""
+    print(f"pb4u: {sentence}", file=sys.stderr)
+
+
 def write_json(payload: Mapping[str, Any], target: str) -> None:
     """Write JSON to a file, or to standard output; numbers that are not finite become null.
 

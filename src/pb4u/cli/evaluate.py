@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import Switch, check_json_target, keep_inputs, progress_bar, write_json
+from pb4u.cli.console import Switch, check_json_target, keep_inputs, progress_bar, say, write_json
 from pb4u.errors import InputError, Pb4uError
 
 if TYPE_CHECKING:
@@ -107,9 +106,7 @@ def evaluate(
         return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
 
     folder = out or Path(f"evaluate_{protocol}")
-    results = run(
-        request, folder, pool, retry, say=lambda line: print(f"pb4u: {line}", file=sys.stderr), progress=progress_bar
-    )
+    results = run(request, folder, pool, retry, say=say, progress=progress_bar)
     if plots is not None:
         plots.mkdir(parents=True, exist_ok=True)
         for picture in (folder / PLOTS).iterdir():

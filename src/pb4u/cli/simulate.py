@@ -21,14 +21,26 @@ from pb4u.cli.console import (
     check_writable,
     keep_inputs,
     progress_bar,
+    say,
     write_json,
     wrote,
 )
+from pb4u.cli.picture_flags import (
+    BackgroundFlag,
+    ColourFlag,
+    ElevationFlag,
+    SideFlag,
+    SizeFlag,
+    TurntableFlag,
+    view_of,
+)
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError, unknown_name
+from pb4u.export.registry import check_target, export, is_drawn
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 from pb4u.simulation.run_specification import Device, FirstFrameChoice, Precision, RunSpecification
 
 if TYPE_CHECKING:
+    from pb4u.export.view import View
     from pb4u.scene.scene import Scene
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.simulator import RunRecord, Simulator
@@ -247,6 +259,12 @@ def simulate(
             help=f"File to write, repeatable: {FORMATS} Default: GARMENT_MOTION with .npz, .glb, .png and .mp4.",
         ),
     ] = None,
+    view: SideFlag = None,
+    elevation: ElevationFlag = None,
+    turntable: TurntableFlag = None,
+    size: SizeFlag = None,
+    colour: ColourFlag = None,
+    background: BackgroundFlag = None,
     json: Annotated[
         str | None,
         typer.Option(metavar="FILE|-", help="Write counts, timing and metrics as JSON; '-' is standard output."),
@@ -282,7 +300,11 @@ def simulate(
     )  # fmt: skip
     _refuse_useless(str(run.model), propagation_steps=propagation_steps, passes=passes, refine=refine, contact=contact)
     keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])
-    _simulate(run, list(out) if out else _default_targets(run.scene), save_scene, live, json)
+    targets = list(out) if out else _default_targets(run.scene)
+    for target in targets:
+        check_target(target)
+    seen = view_of(targets, view, elevation, turntable, size, colour, background)
+    _simulate(run, targets, seen, save_scene, live, json)
 
 
 def _refuse_useless(model: str, **flags: Any) -> None:
@@ -355,14 +377,16 @@ def _default_targets(scene: SceneSpecification) -> list[Path]:
 
 
 def _simulate(
-    run: RunSpecification, targets: list[Path], save_scene: Path | None, live: Path | None, json: str | None
+    run: RunSpecification,
+    targets: list[Path],
+    view: View | None,
+    save_scene: Path | None,
+    live: Path | None,
+    json: str | None,
 ) -> None:
     from pb4u.export.live_caches import check_live_folder
-    from pb4u.export.registry import check_target
     from pb4u.simulation.simulator import RunRecord
 
-    for target in targets:
-        check_target(target)
     check_json_target(json)
     if save_scene is not None:
         check_writable(save_scene, "--save-scene")
@@ -378,7 +402,7 @@ def _simulate(
     record = RunRecord()
     left = list(targets)
     trajectory = _trajectory(run, simulator, scene, left, live, record)
-    _export(trajectory, left, next((target for target in targets if target not in left), None))
+    _export(trajectory, left, next((target for target in targets if target not in left), None), view)
     if json != "-":
         print(wrote(targets, trajectory.frame_count))
     diverged, through = None, None
@@ -460,15 +484,14 @@ def _trajectory(
         return run.roll_out(simulator, scene, file, record, stepped, kept, caches.append)
 
 
-def _export(trajectory: Trajectory, targets: list[Path], saved: Path | None) -> None:
-    """Write the files asked for; `saved` is the trajectory's, where it has one already."""
-    from pb4u.export.registry import export
+def _export(trajectory: Trajectory, targets: list[Path], saved: Path | None, view: View | None) -> None:
+    """Write the files asked for; `saved` is the trajectory's, where it has one already; `view` is for pictures."""
     from pb4u.scene.trajectory import interrupted_path
 
     try:
         for target in targets:
             with progress_bar(f"writing {target.name}") as progress:
-                export(trajectory, target, progress)
+                export(trajectory, target, progress, view if is_drawn(target) else None, say)
     except KeyboardInterrupt as error:
         kept = saved or trajectory.save(interrupted_path(targets[0]))
         raise Interrupted(f"all {trajectory.frame_count} frames are in {kept}", getattr(error, "signal", 2)) from error

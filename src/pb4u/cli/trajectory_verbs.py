@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import webbrowser
 from pathlib import Path
 from time import sleep as wait
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -17,13 +16,19 @@ from pb4u.cli.console import (
     check_json_target,
     keep_inputs,
     progress_bar,
+    say,
     write_json,
     wrote,
 )
-from pb4u.errors import InputError
-
-if TYPE_CHECKING:
-    from pb4u.export.picture import View
+from pb4u.cli.picture_flags import (
+    BackgroundFlag,
+    ColourFlag,
+    ElevationFlag,
+    SideFlag,
+    SizeFlag,
+    TurntableFlag,
+    view_of,
+)
 
 
 def convert(
@@ -48,26 +53,12 @@ def convert(
         Literal["simulated", "source"],
         typer.Option(help="The simulated mesh, or the author's own with its vertex order, polygons and UVs."),
     ] = "simulated",
-    view: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SIDE|DEGREES",
-            help="Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.",
-        ),
-    ] = None,
-    turntable: Annotated[
-        float | None,
-        typer.Option(metavar="DEGREES", help="Turn of the camera over the whole clip, as 360. Default: 0."),
-    ] = None,
-    size: Annotated[
-        str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Size of a picture in pixels. Default: 560x800.")
-    ] = None,
-    colour: Annotated[
-        str | None, typer.Option(help="Colour of the first garment in pictures, as a name or #RRGGBB. Default: blue.")
-    ] = None,
-    background: Annotated[
-        str | None, typer.Option(help="Colour behind it, as a name or #RRGGBB. Default: light grey.")
-    ] = None,
+    view: SideFlag = None,
+    elevation: ElevationFlag = None,
+    turntable: TurntableFlag = None,
+    size: SizeFlag = None,
+    colour: ColourFlag = None,
+    background: BackgroundFlag = None,
     json: JsonFlag = None,
 ) -> None:
     """Write a trajectory in another format."""
@@ -78,62 +69,18 @@ def convert(
     check_target(out)
     check_json_target(json)
     keep_inputs([trajectory], [("--json", json)], [out])
-    seen = _view(view, turntable, size, colour, background)
+    seen = view_of([out], view, elevation, turntable, size, colour, background)
     opened = open_trajectory(trajectory)
     chosen = select_frames(opened, range_, every)
     if on == "source":
         chosen = on_source(chosen)
     with progress_bar(f"writing {out.name}") as report:
-        export(chosen, out, report, seen)
+        export(chosen, out, report, seen, say)
     summary = {"out": str(out), "frames": chosen.frame_count, "vertices": chosen.positions.shape[1], "fps": chosen.fps}
     if json:
         write_json(summary, json)
     if json != "-":
         print(wrote([out], chosen.frame_count))
-
-
-def _view(
-    side: str | None, turntable: float | None, size: str | None, colour: str | None, background: str | None
-) -> View | None:
-    """The view that the flags ask for; None where none is given. Raises InputError for what is none."""
-    from pb4u.export.picture import SIDES, View
-
-    asked: dict[str, Any] = {}
-    if side is not None:
-        asked["azimuth"] = SIDES[side] if side in SIDES else _number(side)
-    if turntable is not None:
-        asked["turntable"] = turntable
-    if size is not None:
-        width, _, height = size.lower().partition("x")
-        if not (width.isdecimal() and height.isdecimal() and all(16 <= int(n) <= 8192 for n in (width, height))):
-            raise InputError(f"--size is WIDTHxHEIGHT in pixels, 16 to 8192 each, such as 1080x1920; not {size!r}.")
-        asked["width"], asked["height"] = int(width), int(height)
-    for name, given in (("cloth", colour), ("background", background)):
-        if given is not None:
-            asked[name] = _rgb(given)
-    return View(**asked) if asked else None
-
-
-def _number(side: str) -> float:
-    from pb4u.export.picture import SIDES
-
-    try:
-        angle = float(side)
-    except ValueError:
-        angle = math.nan
-    if not math.isfinite(angle):
-        raise InputError(f"--view is one of {', '.join(SIDES)} or an angle in degrees, not {side!r}.")
-    return angle
-
-
-def _rgb(colour: str) -> tuple[float, float, float]:
-    from PIL import ImageColor
-
-    try:
-        r, g, b = ImageColor.getrgb(colour)[:3]
-    except ValueError as error:
-        raise InputError(f"{colour!r} is no colour; give a name such as crimson, or #RRGGBB.") from error
-    return r / 255, g / 255, b / 255
 
 
 def view(

@@ -14,7 +14,8 @@ from pb4u.evaluation.page import Block, Plot, Remark
 from pb4u.evaluation.planning import Case
 from pb4u.evaluation.rollout import RolloutJob
 from pb4u.evaluation.summary import Row, Summary
-from pb4u.export.picture import View, render
+from pb4u.export.picture import render
+from pb4u.export.view import View
 from pb4u.scene.trajectory import Trajectory
 
 _VIEW = View(width=300, height=430)

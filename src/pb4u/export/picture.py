@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,8 +13,9 @@ import torch
 
 from pb4u.errors import Pb4uError
 from pb4u.export.finite_frames import held_frames
-from pb4u.export.shading import CLOTH, SKIN, face_colours
-from pb4u.export.video_writer import H264Writer, VideoWriter, Vp9Writer
+from pb4u.export.shading import SKIN, face_colours
+from pb4u.export.video_writer import open_video
+from pb4u.export.view import View
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.progress import Progress, unheard
 from pb4u.scene.trajectory import Trajectory
@@ -23,38 +24,20 @@ if TYPE_CHECKING:
     import pyvista
 
 
-@dataclass(frozen=True)
-class View:
-    """Camera, size and colours of pictures.
+_MARGIN = 1.06
+"""Of the distance at which the figure touches the picture's edge."""
 
-    Args:
-        width: of a picture [pixels].
-        height: of a picture [pixels].
-        azimuth: angle around the vertical [deg]; 0 is in front of the body, positive towards its left.
-        elevation: angle above the horizontal [deg].
-        turntable: turn of the camera about the vertical over the whole clip [deg].
-        show_body: whether the body is drawn.
-        cloth: colour of the first garment, RGB in [0, 1].
-        background: colour behind and below it all, RGB in [0, 1].
-    """
+_REACH, _TOP = 3.0, 6.0
+"""What lies farther aside, or higher [m], may be cut off: a garment that flew away would make the figure a dot."""
 
-    width: int = 560
-    height: int = 800
-    azimuth: float = 25.0
-    elevation: float = 8.0
-    turntable: float = 0.0
-    show_body: bool = True
-    cloth: tuple[float, float, float] = CLOTH
-    background: tuple[float, float, float] = (0.93, 0.935, 0.94)
-
-
-SIDES = {"front": 0.0, "left": 90.0, "back": 180.0, "right": -90.0}
-"""Azimuths [deg] by name; left and right are the body's own."""
-
-_MARGIN = 1.2
-"""Share of the figure that the picture is higher: a foot half a metre nearer to the camera looks a tenth larger."""
+_FOOT_HEIGHT = 0.12
+"""Of an adult's foot, ankle included [m]: what lies that low shades the ground."""
 
 _FIELD_OF_VIEW = 24.0
+"""Of the picture's height [deg]: a long lens, which draws near limbs little larger."""
+
+_NEAREST = 0.5
+"""Distance of the camera [m] from a figure of no size."""
 
 
 class StillRenderer:
@@ -63,24 +46,26 @@ class StillRenderer:
     Args:
         trajectory: what is drawn.
         view: camera, size and colours.
+        frames: numbers of the frames that will be drawn; the camera stands so that the figure is whole in each.
     """
 
-    def __init__(self, trajectory: Trajectory, view: View) -> None:
+    def __init__(self, trajectory: Trajectory, view: View, frames: Sequence[int]) -> None:
         import pyvista
 
         self._trajectory = trajectory
         self._view = view
         self._plotter = pyvista.Plotter(off_screen=True, window_size=[view.width, view.height], lighting="none")
-        cloth = face_colours(trajectory.faces, trajectory.header.vertex_garment, view.cloth)
+        cloth = face_colours(trajectory.faces, trajectory.header.vertex_garment, view.cloths)
         self._cloth = self._add(trajectory.positions[0], trajectory.faces, cloth, specular=0.06)
         self._held = frozenset(held_frames(trajectory))
         self._body = None
-        if view.show_body:
-            faces = trajectory.header.body_faces
+        faces = trajectory.header.body_faces
+        if view.show_body and len(faces):
             self._body = self._add(trajectory.body_positions[0], faces, np.tile(SKIN, (len(faces), 1)), specular=0.12)
         self._light()
         self._add_ground()
-        self._frame_size = self._extent()
+        self._middle = self._middle_height(frames)
+        self._distance = max((self._needed_distance(t) for t in frames), default=0.0) * _MARGIN
 
     def _add(self, points: np.ndarray, faces: np.ndarray, colours: np.ndarray, specular: float) -> pyvista.PolyData:
         """A surface in the picture; `colours` are (faces, 3) sRGB [0 to 1]."""
@@ -108,7 +93,7 @@ class StillRenderer:
                 position=position, focal_point=(0, 1, 0), intensity=intensity, light_type="scene light"
             )
             self._plotter.add_light(light)
-        self._plotter.renderer.set_background(self._view.background, top=_lighter(self._view.background))
+        self._plotter.renderer.set_background(self._view.background)
 
     def _add_ground(self) -> None:
         import pyvista
@@ -122,24 +107,48 @@ class StillRenderer:
         colours = (255 * shade[:, None] * np.array(self._view.background)).astype(np.uint8)
         self._plotter.add_mesh(self._shadow, scalars=colours, rgb=True, lighting=False)
 
-    def _extent(self) -> float:
-        """Height of the picture [m] that holds body and garment in every frame, seen from any side."""
-        sample = np.linspace(0, self._trajectory.frame_count - 1, min(32, self._trajectory.frame_count)).astype(int)
-        size = 0.0
-        for t in sample:
-            points = self._visible(int(t))
-            points = points[np.isfinite(points).all(axis=1)]
-            if len(points):
-                aside = np.linalg.norm(points[:, [0, 2]] - self._centre(int(t)), axis=1).max()
-                size = max(size, float(points[:, 1].max()), 2.0 * aside * self._view.height / self._view.width)
-        return min(size, 6.0) * _MARGIN
-
-    def _centre(self, t: int) -> np.ndarray:
-        """Where the camera looks on the ground, (2,) x and z [m]."""
-        return np.asarray(np.median(self._trajectory.body_positions[t][:, [0, 2]], axis=0))
-
     def _visible(self, t: int) -> np.ndarray:
-        return np.concatenate([self._trajectory.positions[t], self._trajectory.body_positions[t]])
+        """Points (vertices, 3) [m] that the picture of frame t should hold, as seen from its `_foot`."""
+        points = np.concatenate([self._trajectory.positions[t], self._trajectory.body_positions[t]])
+        points = points[np.isfinite(points).all(axis=1)] - self._foot(t)
+        near = (np.linalg.norm(points[:, [0, 2]], axis=1) < _REACH) & (points[:, 1] < _TOP)
+        return np.asarray(points[near])
+
+    def _wearer(self, t: int) -> np.ndarray:
+        """Points (vertices, 3) [m] of the body, or of the cloth where there is none."""
+        body = self._trajectory.body_positions[t]
+        points = body if len(body) else self._trajectory.positions[t]
+        points = points[np.isfinite(points).all(axis=1)]
+        return np.asarray(points) if len(points) else np.zeros((1, 3))
+
+    def _foot(self, t: int) -> np.ndarray:
+        """(3,) point of the ground [m] below the middle of the figure."""
+        x, _, z = np.median(self._wearer(t), axis=0)
+        return np.array([x, 0.0, z])
+
+    def _middle_height(self, frames: Sequence[int]) -> float:
+        """Height [m] at which the camera looks: halfway from the ground to the highest point of all frames."""
+        return 0.5 * max((float(self._visible(t)[:, 1].max(initial=0.0)) for t in frames), default=0.0)
+
+    def _needed_distance(self, t: int) -> float:
+        """Distance of the camera [m] from which all of frame t lies within the picture."""
+        points = self._visible(t) - np.array([0.0, self._middle, 0.0])
+        aside, upward, towards = (points @ axis for axis in self._axes(t))
+        spread = np.maximum(np.abs(upward), np.abs(aside) * self._view.height / self._view.width)
+        return float((towards + spread / np.tan(np.deg2rad(_FIELD_OF_VIEW / 2))).max(initial=_NEAREST))
+
+    def _axes(self, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Unit vectors (3,) of the picture of frame t: to its right, to its top, and towards the camera."""
+        turn = self._view.turntable * t / max(self._trajectory.frame_count - 1, 1)
+        azimuth = self._heading() + np.deg2rad(self._view.azimuth + turn)
+        elevation = np.deg2rad(self._view.elevation)
+        level = np.array([np.sin(azimuth), 0.0, np.cos(azimuth)])
+        up = np.array([0.0, 1.0, 0.0])
+        return (
+            np.array([np.cos(azimuth), 0.0, -np.sin(azimuth)]),
+            np.cos(elevation) * up - np.sin(elevation) * level,
+            np.cos(elevation) * level + np.sin(elevation) * up,
+        )
 
     def _heading(self) -> float:
         """Angle about the vertical [rad] of the direction the body faces at the start; 0 is +Z."""
@@ -172,39 +181,26 @@ class StillRenderer:
 
     def _cast_shadow(self, t: int) -> None:
         """A soft patch under the body, without which feet seem to float."""
-        body = self._trajectory.body_positions[t]
-        low = body[body[:, 1] < body[:, 1].min() + 0.12]
+        points = self._wearer(t)
+        low = points[points[:, 1] < points[:, 1].min() + _FOOT_HEIGHT]
         size = np.maximum(np.ptp(low[:, [0, 2]], axis=0), 0.25) * 0.9
         centre = (low.max(axis=0) + low.min(axis=0)) / 2
         scaled = self._shadow_shape * np.array([size[0], 0.0, size[1]])
         self._shadow.points = scaled + np.array([centre[0], 0.0, centre[2]])
 
     def _aim(self, t: int) -> None:
-        x, z = self._centre(t)
-        target = np.array([x, self._frame_size / (2 * _MARGIN), z])
-        turn = self._view.turntable * t / max(self._trajectory.frame_count - 1, 1)
-        azimuth = self._heading() + np.deg2rad(self._view.azimuth + turn)
-        elevation = np.deg2rad(self._view.elevation)
-        direction = np.array(
-            [np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)]
-        )
-        distance = self._frame_size / (2 * np.tan(np.deg2rad(_FIELD_OF_VIEW / 2)))
+        target = self._foot(t) + np.array([0.0, self._middle, 0.0])
+        _, upward, towards = self._axes(t)
         camera = self._plotter.camera
         camera.focal_point = target
-        camera.position = target + distance * direction
-        camera.up = (0, 1, 0)
+        camera.position = target + self._distance * towards
+        camera.up = upward
         camera.view_angle = _FIELD_OF_VIEW
         self._plotter.renderer.ResetCameraClippingRange()
 
     def close(self) -> None:
         """Free the window."""
         self._plotter.close()
-
-
-def _lighter(colour: tuple[float, float, float]) -> tuple[float, float, float]:
-    """The colour that the background turns to at the top."""
-    r, g, b = (0.15 * part + 0.85 * min(1.0, part + 0.08) for part in colour)
-    return r, g, b
 
 
 def _move(mesh: pyvista.PolyData, points: np.ndarray, faces: np.ndarray) -> None:
@@ -224,7 +220,7 @@ def render(trajectory: Trajectory, frames: Sequence[int], view: View | None = No
     Raises:
         Pb4uError: this machine has no off-screen OpenGL.
     """
-    renderer = _open_renderer(trajectory, view or View())
+    renderer = _open_renderer(trajectory, view or View(), frames)
     try:
         for t in frames:
             yield renderer.draw(t)
@@ -232,13 +228,13 @@ def render(trajectory: Trajectory, frames: Sequence[int], view: View | None = No
         renderer.close()
 
 
-def _open_renderer(trajectory: Trajectory, view: View) -> StillRenderer:
+def _open_renderer(trajectory: Trajectory, view: View, frames: Sequence[int]) -> StillRenderer:
     try:
         from vtkmodules.vtkCommonCore import vtkLogger
 
         # Without a display VTK tries X first and logs its failure before it falls back to off-screen drawing.
         vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-        return StillRenderer(trajectory, view)
+        return StillRenderer(trajectory, view, frames)
     except (ImportError, RuntimeError, OSError) as error:
         raise Pb4uError(
             f"Pictures need off-screen OpenGL, which this machine lacks ({error}); on Debian or Ubuntu install libegl1 "
@@ -262,7 +258,10 @@ def write_still(
 
     moments = np.unique(np.linspace(0, trajectory.frame_count - 1, frames).round().astype(int)).tolist()
     strip = np.concatenate(list(_counted(render(trajectory, moments, view), len(moments), progress)), axis=1)
-    Image.fromarray(strip).save(path)
+    # Through memory: Pillow writes a JPEG past a full disk without a word.
+    encoded = io.BytesIO()
+    Image.fromarray(strip).save(encoded, Image.registered_extensions()[path.suffix.lower()])
+    path.write_bytes(encoded.getvalue())
 
 
 def write_gif(
@@ -307,8 +306,8 @@ def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float, highest_fps
     kept[0].save(path, save_all=True, append_images=kept[1:], duration=duration, loop=0)
 
 
-def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None) -> None:
-    """Write an MP4 at the trajectory's own frame rate: H.264 where an ffmpeg with an encoder for it is found, or VP9.
+def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None) -> str:
+    """Write an MP4 at the trajectory's own frame rate: H.264 where an encoder of this machine makes it, or VP9.
 
     Args:
         trajectory: what is drawn.
@@ -316,33 +315,39 @@ def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, 
         progress: told of the frames drawn.
         view: camera, size and colours.
 
+    Returns:
+        The codec, as a predicate without its subject.
+
     Raises:
         MissingExtraError: there is neither such an encoder nor the "render" extra.
         Pb4uError: the encoder cannot write the file.
     """
     view = view or View()
     frames = trajectory.frame_count
-    save_mp4(_counted(render(trajectory, range(frames), view), frames, progress), path, trajectory.fps, view)
+    pictures = _counted(render(trajectory, range(frames), view), frames, progress)
+    return save_mp4(pictures, path, trajectory.fps, (view.width, view.height))
 
 
-def save_mp4(pictures: Iterable[np.ndarray], path: Path, fps: float, view: View) -> None:
-    """Write pictures as an MP4: H.264 by an ffmpeg that the user has, else VP9.
+def save_mp4(pictures: Iterable[np.ndarray], path: Path, fps: float, size: tuple[int, int]) -> str:
+    """Write pictures as an MP4: H.264 where an encoder of this machine makes it, or VP9.
 
     Args:
         pictures: (height, width, 3) uint8 sRGB each.
         path: file to write.
         fps: of the pictures [1/s].
-        view: their size.
+        size: width and height of the pictures [pixels], both even.
+
+    Returns:
+        The codec, as a predicate without its subject.
 
     Raises:
         MissingExtraError: there is neither such an encoder nor the "render" extra.
         Pb4uError: the encoder cannot write the file.
     """
-    size = view.width, view.height
-    writer: VideoWriter = H264Writer.opened(path, fps, size) or Vp9Writer(path, fps, size)
-    with writer:
+    with open_video(path, fps, size) as writer:
         for picture in pictures:
             writer.write(picture)
+    return f"is in {writer.codec}."
 
 
 def _counted(pictures: Iterator[np.ndarray], total: int, progress: Progress) -> Iterator[np.ndarray]:

@@ -15,7 +15,7 @@ from pb4u.errors import InputError
 from pb4u.progress import Progress, unheard
 
 if TYPE_CHECKING:
-    from pb4u.export.picture import View
+    from pb4u.export.view import View
     from pb4u.scene.trajectory import Trajectory
 
 
@@ -27,12 +27,13 @@ class Format:
         suffixes: of the file names, in lower case.
         description: one sentence for the command line, without its full stop.
         writer: called with the trajectory, the path and what is told of the progress; it may write more than
-            one file, all of them in the folder of the path.
+            one file, all of them in the folder of the path, and may return what a user should know of them.
         check: called with the path before any work is done; raises where the format cannot be written there.
         files: called with the path and the number of frames; the files written, where that is more than the path.
         stale: called with the path and the number of frames; files of a longer one before it, deleted once it is there.
         finite: whether frames that are not finite are held first (`finite_frames`).
         drawn: whether it shows pictures; the writer takes a `view` then.
+        side_multiple: what the sides of its pictures are a multiple of [pixels].
     """
 
     suffixes: tuple[str, ...]
@@ -43,6 +44,7 @@ class Format:
     stale: str = ""
     finite: bool = True
     drawn: bool = False
+    side_multiple: int = 1
 
 
 FORMATS = (
@@ -81,9 +83,10 @@ FORMATS = (
     Format((".gif",), "GIF leaves frames out, down to about 15 a second", "pb4u.export.picture:write_gif", drawn=True),
     Format(
         (".mp4",),
-        "MP4 shows every frame, in H.264 where an ffmpeg with such an encoder is installed, else in VP9",
+        "MP4 shows every frame, in H.264 where an encoder for it works here (such as an ffmpeg's), else in VP9",
         "pb4u.export.picture:write_mp4",
         drawn=True,
+        side_multiple=2,  # colours are stored at half the resolution
     ),
 )
 
@@ -157,8 +160,39 @@ def is_same_file(one: Path, other: Path) -> bool:
     return one.samefile(other) if one.exists() and other.exists() else one.resolve() == other.resolve()
 
 
+def is_drawn(path: Path) -> bool:
+    """Whether a file shows pictures; its suffix is one of `WRITERS`."""
+    return WRITERS[path.suffix.lower()].drawn
+
+
+def check_view(path: Path, view: View) -> None:
+    """Refuse a view that pictures in a file cannot have.
+
+    Args:
+        path: file to write, of a suffix in `WRITERS`.
+        view: camera, size and colours.
+
+    Raises:
+        InputError: nothing is drawn there, or its pictures cannot have that size.
+    """
+    form = WRITERS[path.suffix.lower()]
+    if not form.drawn:
+        drawn = ", ".join(suffix for suffix, other in WRITERS.items() if other.drawn)
+        raise InputError(f"{path.suffix} holds no picture; a view is for {drawn}.")
+    n = form.side_multiple
+    if view.width % n or view.height % n:
+        raise InputError(
+            f"The sides of {path.suffix} are multiples of {n} pixels, and {view.width}x{view.height} are not; take "
+            f"{view.width + view.width % n}x{view.height + view.height % n}."
+        )
+
+
 def export(
-    trajectory: Trajectory, path: str | Path, progress: Progress | None = None, view: View | None = None
+    trajectory: Trajectory,
+    path: str | Path,
+    progress: Progress | None = None,
+    view: View | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Path:
     """Write a trajectory in the format its suffix names; files appear when they are complete, or not at all.
 
@@ -168,33 +202,32 @@ def export(
         path: file to write.
         progress: told of what is done.
         view: camera, size and colours of pictures.
+        say: called with a sentence where there is more to know of what was written, as a video's codec.
 
     Raises:
-        InputError: the target cannot be written, or a view is given where none is drawn.
+        InputError: the target cannot be written, or not with this view.
         MissingExtraError: the format needs an extra.
     """
     path = Path(path)
     check_target(path)
     form = WRITERS[path.suffix.lower()]
+    if view is not None:
+        check_view(path, view)
     shown = _function("pb4u.export.finite_frames:hold_finite")(trajectory) if form.finite else trajectory
-    if view is not None and not form.drawn:
-        raise InputError(f"{path.suffix} holds no picture; a view is for {', '.join(_drawn())}.")
     writer = _function(form.writer)
     seen = {"view": view} if form.drawn else {}
     try:
         with working_folder(path) as folder:
-            writer(shown, folder / path.name, progress or unheard, **seen)
+            told = writer(shown, folder / path.name, progress or unheard, **seen)
             for written in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
                 move_into_place(written, path.with_name(written.name))
         for stale in _function(form.stale)(path, shown.frame_count) if form.stale else ():
             stale.unlink()
     except OSError as error:
         raise InputError(f"Cannot write {path}: {error.strerror or error}.") from error
+    if told and say is not None:
+        say(f"{path.name} {told}")
     return path
-
-
-def _drawn() -> list[str]:
-    return [suffix for suffix, form in WRITERS.items() if form.drawn]
 
 
 def write_npz(trajectory: Trajectory, path: Path, progress: Progress) -> None:

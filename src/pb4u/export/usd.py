@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pb4u.errors import InputError, MissingExtraError
+from pb4u.atomic_file import incomplete
+from pb4u.errors import MissingExtraError
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.shading import CLOTH, SKIN, unit_normals
 from pb4u.progress import Progress, unheard
@@ -67,7 +68,8 @@ def write_usd(trajectory: Trajectory, path: Path, progress: Progress = unheard) 
             elif suffix == ".usdz":
                 _package(binary, path)
     except Tf.ErrorException as error:
-        raise InputError(f"Cannot write {path.name}: {_reason(error)}.") from error
+        # Its own words name places in its source; what fails here is the disk.
+        raise incomplete(path) from error
 
 
 def _write_binary(trajectory: Trajectory, path: Path, progress: Progress) -> None:
@@ -147,21 +149,17 @@ def _to_text(binary: Path, path: Path) -> None:
     from pxr import Sdf
 
     if not Sdf.Layer.FindOrOpen(str(binary)).Export(str(path)):
-        raise InputError(f"Cannot write {path.name}: USD gave no reason.")
+        raise incomplete(path)
 
 
 def _package(binary: Path, path: Path) -> None:
     from pxr import UsdUtils
 
     if not UsdUtils.CreateNewUsdzPackage(str(binary), str(path)):
-        raise InputError(f"Cannot write {path.name}: USD gave no reason.")
+        raise incomplete(path)
 
 
 def _ints(values: Any) -> Any:
     from pxr import Vt
 
     return Vt.IntArray.FromNumpy(np.array(np.ravel(values), dtype=np.int32))
-
-
-def _reason(error: Exception) -> str:
-    return str(error).strip().splitlines()[-1].strip(" '\t.")

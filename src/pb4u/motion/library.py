@@ -6,6 +6,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 
 from pb4u.errors import InputError, unknown_name
+from pb4u.motion.ground import on_level_ground
 from pb4u.motion.motion import Motion
 from pb4u.motion.procedural import CLIPS, ProceduralMotion
 from pb4u.motion.recording import Recording
@@ -56,7 +57,7 @@ def load_motion(
     recording = read_recording(path)
     # The crop comes first: bad frames are often what it is there to leave out.
     recording = without_false_start(recording) if crop is None else recording.cropped(*crop)
-    return RecordedMotion(told_of_leaps(without_flips(recording)), arms_away_degrees)
+    return RecordedMotion(on_level_ground(told_of_leaps(without_flips(recording))), arms_away_degrees)
 
 
 def read_recording(path: Path) -> Recording:

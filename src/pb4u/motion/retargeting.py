@@ -11,6 +11,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
 from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms
 from pb4u.geometry.rotation import about_axis, conjugate, multiply, rotate
+from pb4u.motion.ground import stances
 from pb4u.motion.humanoid import humanoid_of
 from pb4u.motion.motion import Motion
 from pb4u.motion.recording import Recording
@@ -19,6 +20,9 @@ from pb4u.motion.reference_pose import ReferencePose
 # The floor is where the lowest point of the body is in all but the lowest frames, told from at most so many of them.
 _FLOOR_PERCENTILE = 5.0
 _FLOOR_SAMPLES = 240
+# Where feet stand, that is the lowest of the levels they stand on: no more than this [m] above the lowest frames, which
+# holds the toes that dip as a foot rolls off, and no stair.
+_LEVEL = 0.06
 
 
 class Retargeting:
@@ -43,9 +47,7 @@ class Retargeting:
         first = self.poses(np.zeros(1))
         self.turn = conjugate(heading(first.rotations[0, 0]))
         self.origin = rotate(self.turn, first.root_positions[0]) * np.array([1.0, 0.0, 1.0])
-        samples = min(len(recording.poses), _FLOOR_SAMPLES)
-        lowest = lowest_heights(body, self.poses(np.linspace(0.0, recording.duration, samples)))
-        self.origin[1] = np.percentile(lowest, _FLOOR_PERCENTILE)
+        self.origin[1] = self._floor()
 
     def poses(self, times: np.ndarray) -> PoseSequence:
         """Poses of the body at `times` (frames,) [s] of the recording."""
@@ -58,6 +60,18 @@ class Retargeting:
         rotations = multiply(self.turn, self.humanoid.bone_rotations(roles))
         hips = rotate(self.turn, self.scale * self.recording.hip_midpoints(recorded)) - self.origin
         return PoseSequence(rotations, self.humanoid.root_positions(rotations, hips), recorded.fps)
+
+    def _floor(self) -> float:
+        """Height [m] of the floor under the body: under the feet that stand, or under its lowest moments."""
+        recording = self.recording
+        standing = np.zeros(len(recording.poses), dtype=bool)
+        for stance in stances(recording):
+            standing[stance.first : stance.stop] = True
+        known = np.flatnonzero(standing) if standing.any() else np.arange(len(standing))
+        chosen = known[np.linspace(0, len(known) - 1, min(len(known), _FLOOR_SAMPLES)).round().astype(int)]
+        lowest = lowest_heights(self.humanoid.body, self.poses(chosen / recording.poses.fps))
+        low = np.percentile(lowest, _FLOOR_PERCENTILE)
+        return float(np.median(lowest[lowest < low + _LEVEL]) if standing.any() else low)
 
     def _own_bones(self, recorded: PoseSequence) -> np.ndarray:
         """World rotations (frames, bones, 4) by bone name; bones that were not recorded go with their parents."""

@@ -155,10 +155,11 @@ class BrowserWindow(Requests):
             clips = self.state.clips
         if not clips:
             raise InputError("There is nothing to export yet; simulate something first.")
-        name, content, kept = deliver(clips[min(which, len(clips) - 1)], suffix, self._out)
+        remarks: list[str] = []
+        name, content, kept = deliver(clips[min(which, len(clips) - 1)], suffix, self._out, remarks.append)
         self._client.send_file_download(name, content, save_immediately=True)
         where = f" It is also kept as {kept}." if kept else ""
-        return f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser.{where}"
+        return " ".join([f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser.{where}", *remarks])
 
     # What the simulation tells, from its own thread.
 
@@ -275,9 +276,11 @@ class BrowserWindow(Requests):
                 state.clock.pause_at(frame)
                 self.display.settle(state, lambda: self.closed)
                 film.pictures.append(take_picture(self._client))
-            name, content = film.developed()
+            name, content, remark = film.developed()
             self._client.send_file_download(name, content, save_immediately=True)
-            told = f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser."
+            told = f"{name}, {len(content) / 1e6:.1f} MB, was handed to the browser." + (
+                f" It {remark}" if remark else ""
+            )
         finally:
             # Before it is told, so that whoever reads that may begin another.
             with self._lock:

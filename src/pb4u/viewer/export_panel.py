@@ -7,6 +7,7 @@ import re
 import tempfile
 import threading
 import zipfile
+from collections.abc import Callable
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
@@ -118,13 +119,16 @@ def _free_names(folder: Path, stem: str, names: list[str]) -> list[str]:
     return given
 
 
-def deliver(clip: Clip, suffix: str, folder: Path | None = None) -> tuple[str, bytes, Path | None]:
+def deliver(
+    clip: Clip, suffix: str, folder: Path | None = None, say: Callable[[str], None] | None = None
+) -> tuple[str, bytes, Path | None]:
     """Write `clip` in the format of `suffix`.
 
     Args:
         clip: what to write.
         suffix: one of `pb4u.export.registry.WRITERS`.
         folder: where to keep the files as well; None keeps none.
+        say: called with a sentence where there is more to know of what was written.
 
     Returns:
         Name and content of one file for the browser (a ZIP where the format is several files), and where it was kept.
@@ -140,7 +144,7 @@ def deliver(clip: Clip, suffix: str, folder: Path | None = None) -> tuple[str, b
     stem = re.sub(r"[^A-Za-z0-9]+", "_", clip.label).strip("_") or "garment"
     with _ONE_AT_A_TIME, tempfile.TemporaryDirectory(prefix="pb4u-") as scratch:
         target = Path(scratch) / f"{stem}{suffix}"
-        export(clip.trajectory(), target)
+        export(clip.trajectory(), target, say=say)
         files = sorted(Path(scratch).iterdir())
         if not files:
             raise InputError(f"The exporter wrote no file for {suffix}.")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pb4u.errors import InputError, MissingExtraError, Pb4uError, unknown_name
-from pb4u.export.picture import View, save_gif, save_mp4
+from pb4u.export.picture import save_gif, save_mp4
 from pb4u.viewer.clip import Clip
 
 if TYPE_CHECKING:
@@ -58,25 +58,25 @@ class Film:
         self.pictures: list[np.ndarray] = []
         self.stopped = False
 
-    def developed(self) -> tuple[str, bytes]:
-        """Name and content of the file."""
+    def developed(self) -> tuple[str, bytes, str]:
+        """Name and content of the file, and what else to know of it as a predicate, or nothing."""
         from PIL import Image
 
         stem = re.sub(r"[^A-Za-z0-9]+", "_", self.clip.label).strip("_") or "garment"
         if self.suffix == ".png":
             written = io.BytesIO()
             Image.fromarray(self.pictures[0]).save(written, "PNG")
-            return f"{stem}_{self.frames[0]:04d}.png", written.getvalue()
+            return f"{stem}_{self.frames[0]:04d}.png", written.getvalue(), ""
         # A window that was resized meanwhile gives pictures of several sizes; a codec wants even ones.
         height, width = (min(picture.shape[k] for picture in self.pictures) // 2 * 2 for k in (0, 1))
         opaque = [_on_ground(picture[:height, :width]) for picture in self.pictures]
         with tempfile.TemporaryDirectory(prefix="pb4u-") as scratch:
-            path = Path(scratch) / f"{stem}{self.suffix}"
+            path, told = Path(scratch) / f"{stem}{self.suffix}", ""
             if self.suffix == ".gif":
                 save_gif(opaque, path, self.clip.header.fps)
             else:
-                save_mp4(opaque, path, self.clip.header.fps, View(width, height))
-            return path.name, path.read_bytes()
+                told = save_mp4(opaque, path, self.clip.header.fps, (width, height))
+            return path.name, path.read_bytes(), told
 
 
 def _on_ground(picture: np.ndarray) -> np.ndarray:

@@ -1,0 +1,134 @@
+"""Flags on the look of pictures, which every verb that draws shares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+import typer
+
+from pb4u.errors import InputError
+from pb4u.export.registry import check_view, is_drawn
+
+if TYPE_CHECKING:
+    from pb4u.export.shading import Colour
+    from pb4u.export.view import View
+
+_PANEL = "Pictures and videos"
+
+SideFlag: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--view",
+        metavar="SIDE|DEGREES",
+        help="Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.",
+        rich_help_panel=_PANEL,
+    ),
+]
+ElevationFlag: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEGREES", help="Angle of the camera above the ground, 0 to 90. Default: 8.", rich_help_panel=_PANEL
+    ),
+]
+TurntableFlag: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEGREES",
+        help="Turn of the camera over the whole clip, as 360. Default: 0.",
+        rich_help_panel=_PANEL,
+    ),
+]
+SizeFlag: TypeAlias = Annotated[
+    str | None,
+    typer.Option(metavar="WIDTHxHEIGHT", help="Size of a picture in pixels. Default: 560x800.", rich_help_panel=_PANEL),
+]
+ColourFlag: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Colour of the first garment in pictures, as a name or #RRGGBB; given again, of the next. Default: blue.",
+        rich_help_panel=_PANEL,
+    ),
+]
+BackgroundFlag: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Colour behind and below them, as a name or #RRGGBB. Default: light grey.", rich_help_panel=_PANEL
+    ),
+]
+
+
+def view_of(
+    targets: Sequence[Path],
+    side: str | None,
+    elevation: float | None,
+    turntable: float | None,
+    size: str | None,
+    colours: list[str] | None,
+    background: str | None,
+) -> View | None:
+    """The view that the flags ask for; None where none of them is given.
+
+    Args:
+        targets: files to write, of suffixes that are known; one of them at least has pictures where a flag is given.
+        side: of `--view`.
+        elevation: of `--elevation`.
+        turntable: of `--turntable`.
+        size: of `--size`.
+        colours: of `--colour`.
+        background: of `--background`.
+
+    Raises:
+        InputError: a flag has no such value, or the files have no pictures of that kind.
+    """
+    from pb4u.export.view import View
+
+    asked: dict[str, Any] = {}
+    if side is not None:
+        asked["azimuth"] = _azimuth(side)
+    if elevation is not None:
+        asked["elevation"] = elevation
+    if turntable is not None:
+        asked["turntable"] = turntable
+    if size is not None:
+        width, _, height = size.lower().partition("x")
+        if not (width.isdecimal() and height.isdecimal()):
+            raise InputError(f"--size is WIDTHxHEIGHT in pixels, such as 1080x1920; not {size!r}.")
+        asked["width"], asked["height"] = int(width), int(height)
+    if colours:
+        asked["cloths"] = tuple(_rgb(colour) for colour in colours)
+    if background is not None:
+        asked["background"] = _rgb(background)
+    if not asked:
+        return None
+    view = View(**asked)
+    # Where none is drawn, the first is told of.
+    for target in [target for target in targets if is_drawn(target)] or targets[:1]:
+        check_view(target, view)
+    return view
+
+
+def _azimuth(side: str) -> float:
+    from pb4u.export.view import SIDES
+
+    if side in SIDES:
+        return SIDES[side]
+    try:
+        angle = float(side)
+    except ValueError:
+        angle = math.nan
+    if not math.isfinite(angle):
+        raise InputError(f"--view is one of {', '.join(SIDES)} or an angle in degrees, not {side!r}.")
+    return angle
+
+
+def _rgb(colour: str) -> Colour:
+    from PIL import ImageColor
+
+    try:
+        r, g, b = ImageColor.getrgb(colour)[:3]
+    except ValueError as error:
+        raise InputError(f"{colour!r} is no colour; give a name such as crimson, or #RRGGBB.") from error
+    return r / 255, g / 255, b / 255
