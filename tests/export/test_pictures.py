@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from pb4u.errors import Pb4uError
+from pb4u.errors import InputError, Pb4uError
 from pb4u.export.picture import SIDES, View, render, write_mp4
+from pb4u.export.registry import export
 from pb4u.scene.trajectory import Trajectory
 
 Convert = Callable[..., tuple[int, str]]
@@ -97,6 +99,17 @@ def test_a_video_is_h264_where_there_is_an_encoder(
     give_ffmpeg(tmp_path, monkeypatch, encoder="mpeg4")
     write_mp4(trajectory, out, view=view)
     assert out.read_bytes()[4:8] == b"ftyp"
+
+
+@pytest.mark.parametrize("name", ["slow.gif", "slow.mp4"])
+def test_a_film_slower_than_encoders_hold_is_refused_before_it_is_drawn(
+    trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr("pb4u.export.picture.StillRenderer", None)
+    slow = replace(trajectory, header=replace(trajectory.header, fps=0.001))
+    with pytest.raises(InputError, match=r"0\.002 frames per second or more, not 0\.001"):
+        export(slow, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_ffmpeg_that_fails_is_told(trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

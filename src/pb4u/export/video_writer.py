@@ -47,7 +47,7 @@ class Vp9Writer(VideoWriter):
             raise MissingExtraError("render", "Writing MP4") from error
         self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"vp09"), fps, size)
         if not self._writer.isOpened():
-            raise Pb4uError(f"The video encoder could not open {path}; write a .gif instead.")
+            raise Pb4uError(f"The video encoder could not open {path.name}; write a .gif instead.")
 
     def write(self, picture: np.ndarray) -> None:
         self._writer.write(np.ascontiguousarray(picture[..., ::-1]))
