@@ -205,6 +205,27 @@ def test_arrays_made_again_and_again_of_one_text_are_refused(tmp_path: Path) -> 
     assert "may take" in refused(path, lambda: load_motion(path))
 
 
+@pytest.mark.parametrize(("protocol", "fits", "large"), [(2, 2**15, 2**17), (4, 2**16, 2**18)])
+def test_a_pickle_in_large_pieces_is_refused_before_they_are_read(
+    protocol: int, fits: int, large: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pb4u.reading_limits.HEADROOM", 2**20)
+    path = tmp_path / "large.pkl"
+    content = {"poses": np.zeros(fits), "trans": 1}
+    path.write_bytes(pickle.dumps(content, protocol=protocol))
+    with pytest.raises(InputError) as refusal:
+        load_motion(path)
+    assert "in one piece" not in str(refusal.value)
+    content["poses"] = np.zeros(large)
+    path.write_bytes(pickle.dumps(content, protocol=protocol))
+    tracemalloc.start()
+    with pytest.raises(InputError, match="in one piece"):
+        load_motion(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2**19
+
+
 class Again:
     """Pickles as an array of its own with the content of another."""
 

@@ -37,6 +37,7 @@ def test_plain_data_survives(tmp_path: Path, protocol: int) -> None:
         "big_endian": np.arange(4, dtype=">f4"),
         "text": np.array(["a", "bcd"]),
         "objects": np.array([np.zeros(2), "x", None], dtype=object),
+        "empty": np.zeros((0, 3)),
         "scalar": np.float32(1.5),
         "nested": [1, (2.0, {3}), collections.OrderedDict(a=b"\x00\xff")],
         "sparse": scipy.sparse.csc_matrix(np.eye(3)),
@@ -46,7 +47,7 @@ def test_plain_data_survives(tmp_path: Path, protocol: int) -> None:
     path = tmp_path / "data.pkl"
     path.write_bytes(pickle.dumps(data, protocol=protocol))
     read = load_pickle(path)
-    for key in ("poses", "again", "fortran", "transposed", "big_endian", "text"):
+    for key in ("poses", "again", "fortran", "transposed", "big_endian", "text", "empty"):
         np.testing.assert_array_equal(read[key], data[key])
         assert read[key].dtype == data[key].dtype
     assert read["poses"] is read["again"]

@@ -46,6 +46,14 @@ MOST_OPCODES = 1_000_000
 MOST_UNFOLDED = 4_000_000
 """Entries of nested collections in a pickle where what is shared is counted each time it is used, as numpy would."""
 
+_MOST_TOLD = 200
+"""Characters of what a library says of a file that are passed on."""
+
+_LENGTHS = {
+    pickletools.TAKEN_FROM_ARGUMENT1: 1, pickletools.TAKEN_FROM_ARGUMENT4: 4,
+    pickletools.TAKEN_FROM_ARGUMENT4U: 4, pickletools.TAKEN_FROM_ARGUMENT8U: 8,
+}  # fmt: skip
+"""Bytes that hold the length of an argument, by the kind of argument."""
 _ARRAY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _DIRECTORY_END = b"PK\x05\x06"
 _DIRECTORY_END_64 = b"PK\x06\x06"
@@ -332,6 +340,12 @@ def told_names(names: Iterable[object]) -> str:
     return ", ".join(ordered[:10]) + (f" and {len(ordered) - 10} more" if len(ordered) > 10 else "") or "(none)"
 
 
+def told_error(error: BaseException) -> str:
+    """What a library says of a file, cut to a sentence's length: some repeat the file."""
+    text = str(error) or type(error).__name__
+    return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]} .."
+
+
 def read_arrays(path: Path, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
     """Arrays (...) of an .npz by name, in any unit; nothing is unpickled.
 
@@ -392,10 +406,18 @@ def require_plain_pickle(stream: BinaryIO, path: Path) -> None:
     """
     memo: dict[int, int] = {}
     stack: list[int | None] = []
-    for count, (opcode, argument, _) in enumerate(pickletools.genops(stream)):
+    texts = 0
+    for count, (opcode, argument, size) in enumerate(_instructions(stream)):
         if count > MOST_OPCODES:
             raise InputError(f"{path}: a pickle of more than {MOST_OPCODES:,} instructions; store arrays, not lists.")
         name = opcode.name
+        # A text is turned into bytes, and those into an array, before it is let go; bytes only into an array.
+        texts += size if "UNICODE" in name else 0
+        if texts > HEADROOM // 2 or size > HEADROOM:
+            raise InputError(
+                f"{path}: a pickle with {_megabytes(max(texts, size))} in one piece, which takes over "
+                f"{_megabytes(HEADROOM)} more than the file to be read; save it with numpy.savez."
+            )
         if "PUT" in name or name == "MEMOIZE":
             place = len(memo) if argument is None else int(str(argument))
             if place > MOST_OPCODES:
@@ -412,6 +434,32 @@ def require_plain_pickle(stream: BinaryIO, path: Path) -> None:
                 "file of plain arrays has."
             )
         stack += [None if kind is pickletools.markobject else 1 + entries for kind in opcode.stack_after]
+
+
+def _instructions(stream: BinaryIO) -> Iterator[tuple[pickletools.OpcodeInfo, object, int]]:
+    """Each instruction with its argument and the bytes of that; texts and bytes with their length are passed over."""
+    begin = stream.tell()
+    stream.seek(0, 2)
+    end = stream.tell()
+    stream.seek(begin)
+    while code := stream.read(1):
+        opcode = pickletools.code2op.get(code.decode("latin-1"))
+        if opcode is None:
+            raise ValueError(f"no pickle has an instruction {code!r}")
+        if opcode.arg is None or opcode.arg.n not in _LENGTHS:
+            start = stream.tell()
+            argument = None if opcode.arg is None else opcode.arg.reader(stream)
+            yield opcode, argument, stream.tell() - start
+        else:
+            length = int.from_bytes(stream.read(_LENGTHS[opcode.arg.n]), "little")
+            here = stream.tell()
+            if here + length > end:
+                raise ValueError("it is cut short")
+            stream.seek(here + length)
+            yield opcode, None, length
+        if opcode.name == "STOP":
+            return
+    raise ValueError("it has no end mark")
 
 
 def _taken(opcode: pickletools.OpcodeInfo, stack: list[int | None]) -> Iterator[int]:

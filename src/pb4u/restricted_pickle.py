@@ -15,7 +15,14 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.reading_limits import MOST_UNFOLDED, Allowance, DamagedArchiveError, open_archive, require_plain_pickle
+from pb4u.reading_limits import (
+    MOST_UNFOLDED,
+    Allowance,
+    DamagedArchiveError,
+    open_archive,
+    require_plain_pickle,
+    told_error,
+)
 
 _SPARSE_FORMATS = ("csr", "csc", "coo")
 
@@ -83,7 +90,9 @@ def load_pickle(path: str | Path) -> Any:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except Exception as error:
         # A damaged pickle can raise nearly anything; what it raises says little to a user.
-        raise InputError(f"{path}: not a complete pickle of plain arrays ({type(error).__name__}: {error}).") from error
+        raise InputError(
+            f"{path}: not a complete pickle of plain arrays ({type(error).__name__}: {told_error(error)})."
+        ) from error
 
 
 def load_torch_archive(path: str | Path) -> Any:
@@ -114,7 +123,7 @@ def load_torch_archive(path: str | Path) -> Any:
     except Exception as error:
         # A damaged archive can raise nearly anything; what it raises says little to a user.
         raise InputError(
-            f"{path}: not a complete archive of plain tensors ({type(error).__name__}: {error})."
+            f"{path}: not a complete archive of plain tensors ({type(error).__name__}: {told_error(error)})."
         ) from error
 
 
@@ -247,6 +256,10 @@ def _constructors(allowance: Allowance) -> dict[tuple[str, str], Any]:
         allowance.take(len(text), "a text turned into bytes")
         return text.encode("latin1")
 
+    def no_bytes() -> bytes:
+        # What the older protocols have for the content of an empty array.
+        return b""
+
     def new_object(cls: object, base: object = None, state: object = None) -> Any:
         if not (isinstance(cls, type) and issubclass(cls, _Shell)):
             raise _Refused("it builds an object of an unknown class")
@@ -275,6 +288,7 @@ def _constructors(allowance: Allowance) -> dict[tuple[str, str], Any]:
     for builtins in ("builtins", "__builtin__"):
         named |= {(builtins, kind.__name__): counted(kind) for kind in (set, frozenset, list, dict, tuple)}
         named[builtins, "complex"] = complex
+        named[builtins, "bytes"] = no_bytes
         named[builtins, "object"] = _Shell
     for registry in ("copyreg", "copy_reg"):
         named[registry, "_reconstructor"] = new_object
@@ -363,9 +377,9 @@ def _array(kind: Any, shape: Any, content: Any, fortran: bool, allowance: Allowa
         objects = np.empty(len(content), dtype=object)
         objects[:] = content
         return objects.reshape(shape, order=order)
-    if isinstance(content, str):
-        content = content.encode("latin1")
-    return np.frombuffer(content, dtype=kind.dtype).reshape(shape, order=order).copy()
+    # A copy of either, so that it can be written to.
+    owned = bytearray(content, "latin1") if isinstance(content, str) else bytearray(content)
+    return np.frombuffer(owned, dtype=kind.dtype).reshape(shape, order=order)
 
 
 def _sparse_matrix(sparse_format: str, state: Mapping[str, Any], allowance: Allowance) -> Any:

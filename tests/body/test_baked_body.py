@@ -144,3 +144,22 @@ def test_files_that_are_no_baked_bodies_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "newer.npz", **{**members, "format_version": np.int64(99)})
     with pytest.raises(InputError, match="format 99"):
         BakedBody(tmp_path / "newer.npz")
+    for name, value, told in (
+        ("weights", members["weights"][:, 0], "weights has the shape"),
+        ("weights", 0 * members["weights"], "weights has negative or empty rows"),
+        ("parameter_ranges", members["parameter_ranges"][0], "parameter_ranges has the shape"),
+        ("parameter_ranges", members["parameter_ranges"][:, ::-1], "its parameters have no range"),
+        ("parameter_names", np.array(["height"] * 3), "or no names of their own"),
+        ("term_basis", members["term_basis"] + np.uint8(3), "other than 0, 1 and 2"),
+        ("term_joints", np.nan * members["term_joints"], "term_joints is not finite"),
+        ("faces", np.full((3, 3), 13348), "faces points outside of its 13348 vertices"),
+        ("weight_bones", members["weight_bones"] + np.uint8(100), "weight_bones points outside of its 104 bones"),
+        ("bone_parents", members["bone_parents"][::-1], "a bone comes before its parent"),
+        ("term_vertices", members["term_vertices"].astype(complex), "term_vertices holds complex128"),
+    ):
+        np.savez(tmp_path / "odd.npz", **{**members, name: value})
+        with pytest.raises(InputError, match=told):
+            BakedBody(tmp_path / "odd.npz")
+    np.savez(tmp_path / "far.npz", **{**members, "term_joints": 1e300 * members["term_joints"]})
+    with pytest.raises(InputError, match="over 10000 m away"):
+        BakedBody(tmp_path / "far.npz").shaped()

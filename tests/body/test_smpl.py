@@ -148,6 +148,16 @@ def test_bad_members_are_refused(key: str, value: Any, message: str, tmp_path: P
         SmplBody(path)
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".pkl"])
+def test_a_body_without_skin_is_refused(suffix: str, tmp_path: Path) -> None:
+    members = synthetic("smpl")
+    empty = {"v_template": (0, 3), "shapedirs": (0, 3, 10), "posedirs": (0, 3, 207), "J_regressor": (24, 0)}
+    empty |= {"weights": (0, 24), "f": (0, 3)}
+    path = save(tmp_path / f"model{suffix}", {**members, **{key: np.zeros(shape) for key, shape in empty.items()}})
+    with pytest.raises(InputError, match="has no vertices"):
+        load_body(path)
+
+
 def test_a_malicious_model_file_is_refused_and_did_not_run(tmp_path: Path) -> None:
     class Attack:
         def __reduce__(self) -> tuple[Any, tuple[str]]:

@@ -118,6 +118,16 @@ def test_a_cut_point_cache_is_refused(kind: str, kept: int, tmp_path: Path, box:
         load_vertex_sequence(cache)
 
 
+def test_a_point_cache_whose_times_are_cut_is_refused(tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
+    write_obj(tmp_path / "box.obj", box[0][0], box[1].tolist())
+    write_mdd(tmp_path / "box.mdd", box[0], 25.0)
+    content = (tmp_path / "box.mdd").read_bytes()
+    # Of more frames than there are bytes, in the middle of a time.
+    (tmp_path / "box.mdd").write_bytes(struct.pack(">ii", 5000, 8) + content[8:-1])
+    with pytest.raises(InputError, match="cut short"):
+        load_vertex_sequence(tmp_path / "box.mdd")
+
+
 def test_a_point_cache_of_another_mesh_or_without_one_is_refused(
     tmp_path: Path, box: tuple[np.ndarray, np.ndarray]
 ) -> None:

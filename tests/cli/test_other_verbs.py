@@ -72,6 +72,7 @@ def test_convert_warns_of_a_range_beyond_the_end(pb4u: Callable, walk: Path, tmp
         (("walk.npz", "absent/b.obj"), "does not exist"),
         (("walk.npz", "b.obj", "--range", "9:12"), "frames 0 to 5"),
         (("walk.npz", "b.obj", "--every", "-1"), "must be 1 or more, not -1"),
+        (("walk.npz", "b.obj", "--every", "999999"), "Every 999999th of 6 frames is one frame"),
         (("walk.npz", "b.obj", "--json", "absent/r.json"), "absent for --json does not exist"),
     ],
 )
@@ -164,6 +165,20 @@ def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_pat
     assert [f["code"] for f in garment["remaining"]["findings"] if f["severity"] == "refused"] == ["non-manifold"]
     assert "duplicate" not in {f["code"] for f in garment["remaining"]["findings"]}
     assert not (tmp_path / "m.obj").exists()
+
+
+@pytest.mark.parametrize("flags", [(), ("--fix", "m.obj")], ids=["looked at", "mended"])
+def test_a_garment_without_area_is_refused(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("point.obj").write_text("v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\nf 1 1 1\n")
+    ended = pb4u("check", "point.obj", *flags)
+    assert ended.code == 1
+    assert "None of its 2 faces has an area" in ended.out
+    assert "would" in ended.err
+    assert "be refused" in ended.err
+    assert [p.name for p in tmp_path.iterdir()] == ["point.obj"]
 
 
 def test_a_mend_that_leaves_nothing_ends_with_0(pb4u: Callable, tmp_path: Path) -> None:

@@ -132,6 +132,8 @@ def test_same_seed_same_bytes(pb4u: Callable, tmp_path: Path) -> None:
         (("--motion", "absent.bvh"), "absent.bvh"),
         (("--body-shape", "hight=0.5"), "height"),
         (("--fps", 0), "between 1 and 1000"),
+        (("--fps", "1e-9"), "between 1 and 1000"),
+        (("--fps", "1e9"), "between 1 and 1000"),
         (("--lead-in", -1), "0 frames or more"),
         (("--pins", "sleeve"), "loop"),
         (("--refine", -1, "--model", "solver"), "0 or more"),
@@ -310,6 +312,7 @@ def test_a_flag_that_would_do_nothing_is_refused(pb4u: Callable, tmp_path: Path,
         (("--propagation-steps", -1), "propagation steps must be 0 or more"),
         (("--refine", 99999999999), "10000 at most"),
         (("--passes", 0), "at least 1 pass"),
+        (("--passes", 1000000), "1000 at most"),
     ],
 )
 def test_a_number_out_of_range_is_refused_whatever_the_model(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pb4u.errors import Pb4uError
+from pb4u.errors import InputError, Pb4uError
 from pb4u.export.picture import render, write_mp4
 from pb4u.export.registry import export
 from pb4u.export.view import SIDES, View
@@ -185,6 +185,17 @@ def test_sides_that_a_video_cannot_have_are_refused_before_anything_is_drawn(
     assert code == 1
     assert "multiples of 2 pixels" in error
     assert "66x98" in error
+
+
+@pytest.mark.parametrize("name", ["slow.gif", "slow.mp4"])
+def test_a_film_slower_than_encoders_hold_is_refused_before_it_is_drawn(
+    trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr("pb4u.export.picture.StillRenderer", None)
+    slow = replace(trajectory, header=replace(trajectory.header, fps=0.001))
+    with pytest.raises(InputError, match=r"0\.002 frames per second or more, not 0\.001"):
+        export(slow, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_ffmpeg_that_fails_is_told(trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -42,6 +42,13 @@ def test_bad_files_of_indices(tmp_path, text):
         resolve_pins(tmp_path / "pins.txt", tube_garment())
 
 
+@pytest.mark.parametrize("text", ["", "\n", "[]"])
+def test_a_file_without_indices_is_refused(tmp_path, text):
+    (tmp_path / "pins.txt").write_text(text)
+    with pytest.raises(InputError, match='names no vertex; give "none"'):
+        resolve_pins(tmp_path / "pins.txt", tube_garment())
+
+
 @pytest.mark.parametrize("triangles", [600, 2500])
 def test_pins_of_the_author_hold_the_whole_border_at_any_count(tmp_path, triangles):
     mesh = triangle_tube()

@@ -63,6 +63,9 @@ def test_hands_lie_flat_and_arms_are_held_away_about_z(tmp_path: Path) -> None:
         ({"transl": np.full((4, 3), np.nan)}, "not finite"),
         ({"betas": np.full(10, 99.0)}, "outside"),
         ({"betas": "wide"}, "no array|not an array"),
+        ({"transl": [[10**400, 0, 0]] * 4}, "not an array"),
+        ({"transl": np.full((4, 3), 1j)}, "not an array"),
+        ({"transl": [[1.0], [1.0, 2.0]]}, "not an array"),
     ],
 )
 def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, changes: dict[str, Any], told: str) -> None:

@@ -130,3 +130,25 @@ def test_other_text_is_refused(tmp_path):
     path.write_text("not a recording")
     with pytest.raises(InputError, match="no HIERARCHY"):
         load_motion(path)
+
+
+def test_channels_that_are_given_twice_are_refused(bvh):
+    path = bvh()
+    text = path.read_text()
+    line = next(line for line in text.splitlines() if "CHANNELS 3" in line)
+    path.write_text(text.replace(line, f"{line}\n{line}", 1))
+    with pytest.raises(InputError, match="has its CHANNELS twice"):
+        load_motion(path)
+
+
+def test_an_offset_may_follow_the_channels(bvh):
+    path = bvh()
+    whole = read_bvh(path)
+    lines = path.read_text().splitlines()
+    for number, line in enumerate(lines):
+        if "CHANNELS" in line:
+            lines[number - 1], lines[number] = line, lines[number - 1]
+    path.write_text("\n".join(lines))
+    turned = read_bvh(path)
+    np.testing.assert_array_equal(turned.poses.rotations, whole.poses.rotations)
+    np.testing.assert_array_equal(turned.skeleton.joints, whole.skeleton.joints)

@@ -164,6 +164,14 @@ def test_amass_without_a_key_is_refused(tmp_path, key):
         load_motion(write_amass(tmp_path / "a.npz", **{key: None}))
 
 
+@pytest.mark.parametrize("value", [[[10**400, 0, 0]] * 3, [[1.0], [1.0, 2.0]], 1j, "far"])
+def test_vto_of_no_numbers_is_refused(tmp_path, value):
+    path = tmp_path / "clip.pkl"
+    path.write_bytes(pickle.dumps({"poses": np.zeros((3, 72)), "trans": value}))
+    with pytest.raises(InputError, match='"trans" is not an array of numbers'):
+        load_motion(path)
+
+
 @pytest.mark.parametrize("key", ["poses", "trans"])
 def test_vto_without_a_key_is_refused(tmp_path, key):
     with pytest.raises(InputError, match=f"has no {key}"):

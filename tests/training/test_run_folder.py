@@ -56,8 +56,8 @@ def test_metrics_forget_steps_that_will_be_taken_again(tmp_path: Path) -> None:
     folder = RunFolder.create(tmp_path / "run", {})
     for step in (5, 10, 15):
         folder.append_metrics({"step": step})
-    with open(folder.path / "metrics.jsonl", "a") as out:
-        out.write('{"step": 2')
+    with open(folder.path / "metrics.jsonl", "ab") as out:
+        out.write(b'[1]\n\xff\xfe\n{"step": 2')
     assert [line["step"] for line in folder.metrics()] == [5, 10, 15]
     folder.forget_metrics_after(10)
     assert (folder.path / "metrics.jsonl").read_text() == '{"step": 5}\n{"step": 10}\n'

@@ -13,13 +13,26 @@ from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.reading_limits import read_arrays
+from pb4u.stored_numbers import Layout, require_layout, require_places
 
 FORMAT_VERSION = 1
 BUILT_IN = ("woman", "man")
-_MEMBERS = (
-    "parameter_names", "parameter_ranges", "term_basis", "term_vertices", "term_vertex_steps", "term_joints",
-    "faces", "bone_names", "bone_parents", "weight_bones", "weights", "contact",
-)  # fmt: skip
+_LAYOUT: Layout = {
+    "format_version": ("iu", ()),
+    "parameter_names": ("U", ("parameters",)),
+    "parameter_ranges": ("f", ("parameters", 3)),
+    "term_basis": ("iu", ("terms", "parameters")),
+    "term_vertices": ("iu", ("terms", "vertices", 3)),
+    "term_vertex_steps": ("f", ("terms",)),
+    "term_joints": ("f", ("terms", "bones", 3)),
+    "faces": ("iu", ("faces", 3)),
+    "bone_names": ("U", ("bones",)),
+    "bone_parents": ("i", ("bones",)),
+    "weight_bones": ("iu", ("vertices", "influences")),
+    "weights": ("fiu", ("vertices", "influences")),
+    "contact": ("b", ("vertices",)),
+}
+_POINTS_AT = {"faces": "vertices", "weight_bones": "bones"}
 
 
 def shape_basis(offsets: np.ndarray, term_basis: np.ndarray) -> np.ndarray:
@@ -39,6 +52,36 @@ def shape_basis(offsets: np.ndarray, term_basis: np.ndarray) -> np.ndarray:
     return np.prod(factors[term_basis, np.arange(len(offsets))], axis=1)
 
 
+def _require_consistent(members: Mapping[str, np.ndarray], path: Path) -> None:
+    """Refuse a file whose members are missing, or do not fit together."""
+
+    def refuse(what: str) -> InputError:
+        return InputError(f"{path}: not a baked body, {what}; bake it again.")
+
+    missing = [name for name in _LAYOUT if name not in members]
+    if missing:
+        raise refuse(f"its member {missing[0]} is missing")
+    counts = require_layout(members, _LAYOUT, refuse)
+    require_places(members, _POINTS_AT, counts, refuse)
+    if members["format_version"] != FORMAT_VERSION:
+        raise refuse(f"it is of format {int(members['format_version'])} and not {FORMAT_VERSION}")
+    for count in ("vertices", "faces", "bones", "influences"):
+        if not counts[count]:
+            raise refuse(f"it has no {count}")
+    for name in ("parameter_ranges", "term_vertex_steps", "term_joints", "weights"):
+        if not np.isfinite(members[name]).all():
+            raise refuse(f"{name} is not finite")
+    basis, ranges, parents = members["term_basis"], members["parameter_ranges"], members["bone_parents"]
+    if basis.size and not 0 <= basis.min() <= basis.max() <= 2:
+        raise refuse("term_basis holds something other than 0, 1 and 2")
+    if not (np.diff(ranges, axis=1) >= 0).all() or len(set(members["parameter_names"].tolist())) < len(ranges):
+        raise refuse("its parameters have no range, or no names of their own")
+    if parents[0] != -1 or (parents[1:] < 0).any() or (parents[1:] >= np.arange(1, len(parents))).any():
+        raise refuse("a bone comes before its parent")
+    if (members["weights"] < 0).any() or not (members["weights"].sum(axis=1) > 0).all():
+        raise refuse("weights has negative or empty rows")
+
+
 class BakedBody(BodyModel):
     """A body with a few shape parameters, read from a file that `baking.bake` wrote.
 
@@ -54,18 +97,8 @@ class BakedBody(BodyModel):
     def __init__(self, path: str | Path) -> None:
         path = Path(path)
         self.name = path.stem
-        try:
-            members = read_arrays(path, ("format_version", *_MEMBERS))
-            version = int(members["format_version"])
-            members = {key: members[key] for key in _MEMBERS}
-        except InputError:
-            raise
-        except KeyError as error:
-            raise InputError(f"{path}: not a baked body, its member {error} is missing.") from error
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{path}: not a readable baked body ({error}).") from error
-        if version != FORMAT_VERSION:
-            raise InputError(f"{path}: a baked body of format {version}, not {FORMAT_VERSION}; bake it again.")
+        members = read_arrays(path, _LAYOUT)
+        _require_consistent(members, path)
         self._names = tuple(members["parameter_names"].tolist())
         self._ranges = members["parameter_ranges"]
         self._term_basis = members["term_basis"].astype(np.int64)

@@ -41,6 +41,10 @@ def complete_parameters(
     return {key: float(given.get(key, default)) for key, (_, default, _) in ranges.items()}
 
 
+_FARTHEST = 1e4
+"""Distance [m] from the origin in which a body at rest lies; one beyond comes of damaged numbers."""
+
+
 class BodyModel(ABC):
     """A family of bodies; `shaped` picks one member.
 
@@ -91,6 +95,8 @@ class BodyModel(ABC):
         """
         complete = complete_parameters(self.name, self.shape_parameters, parameters)
         vertices, joints = self.rest(complete)
+        if not all((np.abs(places) <= _FARTHEST).all() for places in (vertices, joints)):
+            raise InputError(f"{self.name}: the body has vertices or joints over {_FARTHEST:g} m away; load it anew.")
         lift = np.array([0.0, -vertices[:, 1].min(), 0.0])
         return ShapedBody(
             name=self.name,

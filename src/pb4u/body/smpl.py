@@ -13,6 +13,7 @@ from pb4u.body.skinning import strongest_influences
 from pb4u.errors import InputError
 from pb4u.reading_limits import read_arrays, read_text
 from pb4u.restricted_pickle import load_pickle
+from pb4u.stored_numbers import stored_numbers
 
 BETA_RANGE = (-10.0, 0.0, 10.0)
 """Lowest, default and highest shape coefficient, in standard deviations; others are refused."""
@@ -58,12 +59,16 @@ class SmplBody(BodyModel):
     def __init__(self, path: str | Path) -> None:
         path = Path(path)
         raw = _load(path)
-        arrays = {key: raw[key] if hasattr(raw[key], "tocsr") else np.asarray(raw[key]) for key in _MEMBERS}
+        arrays = {
+            key: raw[key] if hasattr(raw[key], "tocsr") else stored_numbers(raw[key], path, key) for key in _MEMBERS
+        }
         vertices, joints = (arrays["v_template"].shape or (0,))[0], (arrays["kintree_table"].shape or (0,))[-1]
         families = [family for family, names in JOINT_NAMES.items() if len(names) == joints]
         if not families:
             raise InputError(f"{path} has {joints} joints; SMPL has 24, SMPL-H 52 and SMPL-X 55.")
         _require_shapes(path, arrays, vertices, joints)
+        if not vertices:
+            raise InputError(f"{path} has no vertices; download the model again.")
         self.name, self.family = path.stem, families[0]
         self.bone_names, self.bone_parents = JOINT_NAMES[self.family], _parents(path, arrays["kintree_table"][0])
         self._template = _finite(path, "v_template", arrays["v_template"])
@@ -127,10 +132,7 @@ def _require_shapes(path: Path, arrays: Mapping[str, Any], vertices: int, joints
 
 
 def _finite(path: Path, key: str, values: np.ndarray) -> np.ndarray:
-    try:
-        numbers = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f'{path}: "{key}" does not hold plain numbers.') from None
+    numbers = stored_numbers(values, path, key).astype(np.float64, copy=False)
     if not np.isfinite(numbers).all():
         raise InputError(f'{path}: "{key}" holds numbers that are not finite; download the model again.')
     return numbers
@@ -165,14 +167,15 @@ def read_contact(path: Path, vertices: int) -> np.ndarray:
             )
         except InputError:
             raise
-        except (OSError, ValueError):
+        except (OSError, ValueError, OverflowError):
             raise InputError(f"{path} is no list of vertex numbers; write one a line.") from None
         if len(omitted) and not 0 <= omitted.min() <= omitted.max() < vertices:
             raise InputError(f"{path} names vertices that the body does not have; it has {vertices:,}.")
         contact[omitted] = False
         return contact
     content = load_pickle(path)
-    types = np.asarray(content.get("vertex_type") if isinstance(content, Mapping) else None)
+    held = content.get("vertex_type", ()) if isinstance(content, Mapping) else ()
+    types = stored_numbers(held, path, "vertex_type")
     if types.dtype.kind not in "iu" or types.size != vertices:
         raise InputError(
             f'{path} should hold "vertex_type", a number for each of the {vertices:,} vertices of the body.'

@@ -22,6 +22,7 @@ from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
 from pb4u.reading_limits import member_names, read_arrays, told_names
 from pb4u.restricted_pickle import load_pickle
+from pb4u.stored_numbers import stored_numbers
 
 DEFAULT_FPS = 30.0
 MOST_TRIANGLES = 1_000_000
@@ -200,7 +201,7 @@ def _read_pickle(path: Path) -> tuple[np.ndarray, np.ndarray]:
     content = load_pickle(path)
     if not isinstance(content, Mapping) or not {"verts", "faces"} <= set(content):
         raise InputError(f'{path}: a moving body in a pickle has "verts" and "faces".')
-    vertices, faces = np.asarray(content["verts"]), np.asarray(content["faces"])
+    vertices, faces = (stored_numbers(content[name], path, name) for name in ("verts", "faces"))
     if vertices.ndim != 3 or vertices.shape[2] != 3 or vertices.dtype.kind != "f" or not len(vertices):
         raise InputError(f'{path}: "verts" has the shape {vertices.shape}, where (frames, vertices, 3) belongs.')
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
@@ -308,8 +309,8 @@ def _read_mdd(path: Path) -> tuple[np.ndarray, float | None]:
         if len(header) < _MDD_HEADER.size:
             raise InputError(f"{path}: not an MDD point cache, it ends in its header; export it again.")
         frames, points = _MDD_HEADER.unpack(header)
-        times = np.frombuffer(file.read(4 * frames), dtype=">f4") if 0 < frames < 10**7 else np.zeros(0, dtype=">f4")
     positions = _map_points(path, _MDD_HEADER.size + 4 * max(frames, 0), frames, points, ">f4")
+    times = np.memmap(path, dtype=">f4", mode="r", offset=_MDD_HEADER.size, shape=(frames,))
     duration = float(times[-1] - times[0])
     return positions, (frames - 1) / duration if duration > 0 else None
 

@@ -15,6 +15,9 @@ from pb4u import __version__
 from pb4u.cli import assets, batch, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
 from pb4u.errors import InputWarning, Interrupted, Pb4uError, interrupt_behind
 
+_LONGEST = 1500
+"""Characters that a refusal has at most: a screen of a terminal."""
+
 app = typer.Typer(
     name="pb4u",
     help="Garment simulation on moving bodies: any body, any garment, any triangle count.",
@@ -113,5 +116,7 @@ def _tell(interrupt: KeyboardInterrupt) -> int:
 def _fail(sentence: str, debug: bool) -> None:
     if debug:
         traceback.print_exc()
-    print(f"pb4u: {' '.join(sentence.split())}", file=sys.stderr)
+    sentence = " ".join(sentence.split())
+    # What is refused may be quoted, and be a file's whole content.
+    print(f"pb4u: {sentence[:_LONGEST]}{' ..' if len(sentence) > _LONGEST else ''}", file=sys.stderr)
     sys.exit(1)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from pb4u.errors import Pb4uError
+from pb4u.errors import InputError, Pb4uError
 from pb4u.export.finite_frames import held_frames
 from pb4u.export.shading import SKIN, face_colours
 from pb4u.export.video_writer import open_video
@@ -38,6 +38,9 @@ _FIELD_OF_VIEW = 24.0
 
 _NEAREST = 0.5
 """Distance of the camera [m] from a figure of no size."""
+
+_SLOWEST = 0.002
+"""Frames per second of a film at least: a GIF shows one for 655 s at most, and VP9 for 1000."""
 
 
 class StillRenderer:
@@ -280,10 +283,17 @@ def write_gif(
         view: camera, size and colours.
         highest_fps: frames are dropped so that it plays in real time at no more than this; more make files large.
     """
+    _require_playable(trajectory.fps)
     stride = max(1, round(trajectory.fps / highest_fps))
     moments = range(0, trajectory.frame_count, stride)
     pictures = _counted(render(trajectory, moments, view), len(moments), progress)
     save_gif(pictures, path, trajectory.fps / stride, highest_fps)
+
+
+def _require_playable(fps: float) -> None:
+    """Refuse a film of a rate that encoders do not hold, before it is drawn."""
+    if fps < _SLOWEST:
+        raise InputError(f"A film has {_SLOWEST:g} frames per second or more, not {fps:g}; write an .npz.")
 
 
 def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float, highest_fps: float = 15.0) -> None:
@@ -322,6 +332,7 @@ def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, 
         MissingExtraError: there is neither such an encoder nor the "render" extra.
         Pb4uError: the encoder cannot write the file.
     """
+    _require_playable(trajectory.fps)
     view = view or View()
     frames = trajectory.frame_count
     pictures = _counted(render(trajectory, range(frames), view), frames, progress)

@@ -13,6 +13,7 @@ from pb4u.errors import InputError
 from pb4u.progress import Progress
 from pb4u.restricted_pickle import load_pickle
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
+from pb4u.stored_numbers import stored_numbers
 
 FPS = 30.0
 """Frames per second of all results of the released code, whose files do not tell it [1/s]."""
@@ -84,14 +85,14 @@ def read_result(path: Path) -> Trajectory:
 
 
 def _frames(path: Path, content: Mapping[str, Any], name: str) -> np.ndarray:
-    values = np.asarray(content[name])
+    values = stored_numbers(content[name], path, name)
     if values.dtype.kind != "f" or values.ndim != 3 or values.shape[2] != 3 or not values.size:
         raise InputError(f'{path}: "{name}" has the shape {values.shape}, where (frames, vertices, 3) belongs.')
     return values.astype(np.float32)
 
 
 def _faces(path: Path, content: Mapping[str, Any], name: str, positions: np.ndarray) -> np.ndarray:
-    faces = np.asarray(content[name])
+    faces = stored_numbers(content[name], path, name)
     if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
         raise InputError(f'{path}: "{name}" has the shape {faces.shape}, where (faces, 3) whole numbers belong.')
     if len(faces) and not 0 <= faces.min() <= faces.max() < positions.shape[1]:

@@ -88,7 +88,7 @@ class OpenCvWriter(VideoWriter):
         self._path = path
         self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*code), fps, size)
         if not self._writer.isOpened():
-            raise Pb4uError(f"The video encoder could not open {path}; write a .gif instead.")
+            raise Pb4uError(f"The video encoder could not open {path.name}; write a .gif instead.")
 
     def write(self, picture: np.ndarray) -> None:
         self._writer.write(np.ascontiguousarray(picture[..., ::-1]))

@@ -195,6 +195,9 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
         findings.append(Finding(code, severity, sentence, fix, mendable, first, _indices(concerned)))
 
     topology, warning = surface.topology, Severity.WARNING
+    if not len(surface.faces):
+        sentence = f"None of its {len(surface.all_faces)} faces has an area."
+        add("no-area", Severity.REFUSED, sentence, "export the garment again")
     if len(surface.faces) > MOST_SIMULATED:
         sentence = f"The garment has {len(surface.faces):,} triangles, {MOST_SIMULATED:,} can be simulated."
         add("too-many", Severity.REFUSED, sentence, "simulate it with `--triangles N`")

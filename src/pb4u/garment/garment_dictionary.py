@@ -17,6 +17,7 @@ from pb4u.garment.garment import Garment, GarmentSkinning
 from pb4u.garment.material import Material
 from pb4u.geometry.topology import Topology
 from pb4u.restricted_pickle import load_pickle
+from pb4u.stored_numbers import stored_numbers
 
 PINNED = 3
 """Type of a pinned vertex in the released code."""
@@ -86,7 +87,7 @@ class _Fields:
     def _array(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
         if name not in self.content:
             raise InputError(f'{self.where} lacks "{name}"; it holds {", ".join(sorted(map(str, self.content))[:10])}.')
-        values = np.asarray(self.content[name])
+        values = stored_numbers(self.content[name], self.where, name)
         fits = values.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, values.shape, strict=True))
         if not fits:
             told = ", ".join("any" if n is None else str(n) for n in shape)

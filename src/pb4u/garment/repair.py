@@ -35,6 +35,8 @@ def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -
         The garment mended, and a plain sentence for each change.
     """
     said: list[str] = []
+    if not len(SourceSurface.of(source).faces):
+        return source, ()
     rest = None if body is None else RestBody.of(body)
     if rest is not None:
         source = _moved(source, rest, said)

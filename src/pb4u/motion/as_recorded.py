@@ -17,6 +17,7 @@ from pb4u.motion.motion import Motion
 from pb4u.motion.recording import finite_frames
 from pb4u.reading_limits import member_names, read_arrays, told_names
 from pb4u.restricted_pickle import load_pickle
+from pb4u.stored_numbers import stored_numbers
 
 FPS = 30.0
 """Frames per second at which all recordings of the released code are played [1/s]."""
@@ -186,14 +187,8 @@ def _turned_upright(joints: np.ndarray) -> np.ndarray:
 
 def _numbers(path: Path, content: Mapping, key: str) -> np.ndarray:
     if key not in content:
-        raise InputError(f"{path} has no {key}; it holds {', '.join(sorted(map(str, content))[:10])}.")
-    try:
-        values = np.asarray(content[key])
-        if values.dtype.kind == "c":
-            raise TypeError
-        return values.astype(np.float64, copy=False)
-    except (TypeError, ValueError):
-        raise InputError(f'{path}: "{key}" is not an array of numbers.') from None
+        raise InputError(f"{path} has no {key}; it holds {told_names(content)}.")
+    return stored_numbers(content[key], path, key).astype(np.float64, copy=False)
 
 
 def _of_another_skeleton(path: Path, poses: np.ndarray) -> InputError:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -111,15 +111,16 @@ def _hierarchy(path: Path, text: str) -> list[_Joint]:
         elif keyword == "OFFSET":
             offset = np.array([_number(path, following("OFFSET"), f'OFFSET of "{name}"') for _ in range(3)])
             if not end_site and joints:
-                joints[-1] = _Joint(joints[-1].name, joints[-1].parent, offset, (), count)
+                joints[-1] = replace(joints[-1], offset=offset)
         elif keyword == "CHANNELS":
             number = int(_number(path, following("CHANNELS"), f'CHANNELS of "{name}"'))
             channels = tuple(following("CHANNELS") for _ in range(number))
             unknown = [c for c in channels if c not in _CHANNELS]
             if unknown or not joints:
                 raise InputError(f'{path}: joint "{name}" has an unknown channel "{(unknown or channels)[0]}".')
-            last = joints[-1]
-            joints[-1] = _Joint(last.name, last.parent, last.offset, channels, count)
+            if joints[-1].channels:
+                raise InputError(f'{path}: joint "{joints[-1].name}" has its CHANNELS twice.')
+            joints[-1] = replace(joints[-1], channels=channels, first_channel=count)
             count += number
         else:
             raise InputError(f'{path}: "{word}" after joint "{name}" is not part of a BVH hierarchy.')

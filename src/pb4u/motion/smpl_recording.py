@@ -16,6 +16,7 @@ from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames, require_rate
 from pb4u.reading_limits import Allowance, member_names, read_arrays, told_names
 from pb4u.restricted_pickle import load_pickle
+from pb4u.stored_numbers import stored_numbers
 
 _FAMILY_OF_WIDTH = {3 * len(names): family for family, names in JOINT_NAMES.items()}
 _Z_UP_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
@@ -115,20 +116,13 @@ def read_vto(path: Path) -> Recording:
     if pose_key is None or translation_key is None:
         wanted = "poses" if pose_key is None else "trans"
         raise InputError(f"{path} has no {wanted}; it holds {told_names(content)}.")
-    poses, translations = _numbers(path, content[pose_key], pose_key), _numbers(path, content[translation_key], "trans")
+    poses, translations = (stored_numbers(content[key], path, key) for key in (pose_key, translation_key))
     if poses.ndim == 2 and poses.shape[1] == 69 and "global_orient" in content:
-        root = _numbers(path, content["global_orient"], "global_orient")
+        root = stored_numbers(content["global_orient"], path, "global_orient")
         if root.shape != (len(poses), 3):
             raise InputError(f"{path}: global_orient has the shape {root.shape}, not ({len(poses)}, 3).")
         poses = np.concatenate([root, poses], axis=1)
     return _recording(path, poses, translations, _VTO_RATE, z_up=False)
-
-
-def _numbers(path: Path, value: object, key: str) -> np.ndarray:
-    try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f'{path}: "{key}" is not an array of numbers.') from None
 
 
 def _recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps: float, z_up: bool) -> Recording:

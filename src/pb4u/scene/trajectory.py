@@ -18,7 +18,7 @@ import numpy as np
 
 from pb4u.atomic_file import move_into_place, working_folder
 from pb4u.errors import InputError, Interrupted
-from pb4u.reading_limits import Allowance, DamagedArchiveError
+from pb4u.reading_limits import Allowance, DamagedArchiveError, told_error
 from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_indices, joined_uvs, offsets
 from pb4u.scene.mapped_archive import map_archive
 from pb4u.scene.scene import Scene
@@ -286,7 +286,7 @@ class Trajectory:
             raise
         except Exception as error:  # zipfile and numpy let through whatever their parsers trip over
             raise InputError(
-                f"{path} cannot be read as a trajectory (cut short or another format): {error}."
+                f"{path} cannot be read as a trajectory (cut short or another format): {told_error(error)}."
             ) from error
         version = members.get("format_version", np.array(FORMAT_VERSION))
         if version.shape != () or version.dtype.kind not in "iu":

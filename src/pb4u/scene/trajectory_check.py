@@ -10,8 +10,9 @@ import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.reading_limits import parse_json
+from pb4u.stored_numbers import Layout, require_layout, require_places
 
-_LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
+_LAYOUT: Layout = {
     "positions": ("f", ("frames", "vertices", 3)),
     "velocities": ("f", ("frames", "vertices", 3)),
     "body_positions": ("f", ("frames", "body vertices", 3)),
@@ -39,8 +40,6 @@ _LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "source_polygon_corners": ("iu", ("source corners",)),
     "source_polygon_uv_corners": ("iu", ("source corners",)),
 }
-"""Member -> kinds of number, shape. Counts of one name agree over all members."""
-
 _POINTS_AT = {
     "faces": "vertices", "body_faces": "body vertices", "uv_faces": "uv points", "polygon_corners": "vertices",
     "polygon_uv_corners": "uv points", "source_triangle": "faces", "source_faces": "source vertices",
@@ -53,8 +52,6 @@ _TOGETHER = (
     ("uvs", "uv_faces"), ("source_uvs", "source_uv_faces"), ("source_triangle", "source_barycentric", "source_faces"),
     ("polygon_sizes", "polygon_corners"), ("source_polygon_sizes", "source_polygon_corners"),
 )  # fmt: skip
-
-_KINDS = {"f": "decimal numbers", "b": "yes or no", "iu": "whole numbers", "U": "text"}
 
 
 def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, Any]:
@@ -70,30 +67,14 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
     def refuse(what: str) -> InputError:
         return InputError(f"{path} is inconsistent: {what}; simulate it again.")
 
-    counts: dict[str, int] = {}
-    for name, (kinds, shape) in _LAYOUT.items():
-        values = members.get(name)
-        if values is None:
-            continue
-        if values.dtype.kind not in kinds:
-            raise refuse(f"{name} holds {values.dtype}, not {_KINDS[kinds]}")
-        fits = len(values.shape) == len(shape) and all(
-            length == (counts.setdefault(count, length) if isinstance(count, str) else count)
-            for length, count in zip(values.shape, shape, strict=True)
-        )
-        if not fits:
-            expected = ", ".join(f"{count} = {counts[count]}" if count in counts else str(count) for count in shape)
-            raise refuse(f"{name} has the shape {values.shape}, not ({expected})")
+    counts = require_layout(members, _LAYOUT, refuse)
     for count in ("frames", "vertices", "faces"):
         if not counts[count]:
             raise refuse(f"it has no {count}")
     for together in _TOGETHER:
         if 0 < sum(name in members for name in together) < len(together):
             raise refuse(f"of {', '.join(together)} it has only a part")
-    for name, count in _POINTS_AT.items():
-        values = members.get(name)
-        if values is not None and values.size and (values.min() < 0 or values.max() >= counts.get(count, 0)):
-            raise refuse(f"{name} points outside of its {counts.get(count, 0)} {count}")
+    require_places(members, _POINTS_AT, counts, refuse)
     for prefix in ("", "source_"):
         sizes = members.get(f"{prefix}polygon_sizes")
         if sizes is not None and (

@@ -20,7 +20,7 @@ from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
 from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
-from pb4u.reading_limits import parse_json, require_small_header
+from pb4u.reading_limits import MOST_DIGITS, parse_json, require_small_header, told_error
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
@@ -199,11 +199,11 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
         raise
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
-            f"{path} is no whole safetensors file ({error}); fetch or train it again. "
+            f"{path} is no whole safetensors file ({told_error(error)}); fetch or train it again. "
             "Of checkpoints in pickle formats (.pt, .pth, .ckpt) only .pth of the released research code are read."
         ) from error
     version = metadata.get("pb4u_format_version")
-    if version is None or not version.isdigit():
+    if version is None or not version.isdecimal() or len(version) > MOST_DIGITS:
         raise InputError(f"{path} holds weights, but not those of a pb4u network: its header names no pb4u format.")
     if int(version) > FORMAT_VERSION:
         raise InputError(
@@ -214,7 +214,7 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
         record = training_record_from_json(parse_json(metadata["training_record"], "the training record"))
         _described(configuration)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
-        raise InputError(f"{path} has a header that this pb4u cannot read: {error}") from error
+        raise InputError(f"{path} has a header that this pb4u cannot read: {told_error(error)}") from error
     licence = metadata.get("licence", "unknown")
     return built_checkpoint(name or path.stem, configuration, tensors, record, licence, dtype, path)
 

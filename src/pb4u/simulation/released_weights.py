@@ -28,6 +28,7 @@ from pb4u.graph.graph import NodeType
 from pb4u.nn.acceleration_model import NetworkConfiguration
 from pb4u.nn.encode_process_decode import LEVEL_WIDTH, TYPE_WIDTH, EncodeProcessDecode
 from pb4u.presets.networks import network_preset
+from pb4u.reading_limits import require_small_header, told_error
 from pb4u.restricted_pickle import load_torch_archive
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, built_checkpoint, save_tensors
 
@@ -236,9 +237,12 @@ def _content(path: Path) -> Any:
     if path.suffix.lower() != ".safetensors":
         return load_torch_archive(path)
     try:
+        require_small_header(path)
         return load_file(path)
+    except InputError:
+        raise
     except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(f"{path} is no whole safetensors file ({error}); fetch it again.") from None
+        raise InputError(f"{path} is no whole safetensors file ({told_error(error)}); fetch it again.") from None
 
 
 def _method(file: _File, name: str | None) -> _Method:

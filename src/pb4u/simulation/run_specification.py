@@ -42,6 +42,9 @@ FORMAT_VERSION = 1
 MOST_REFINING = 10_000
 """Limit against mistyped numbers: from some hundred on the solver ends by itself."""
 
+MOST_PASSES = 1000
+"""Limit against mistyped numbers: networks are trained with 1 to 4."""
+
 _HEADING = """\
 # A scene of pb4u: run it with `pb4u simulate` and the name of this file.
 # Garments stand inner first. A value with a dot or a slash is a file, relative to this one; any other is a name.
@@ -105,8 +108,8 @@ class RunSpecification:
             )
         if self.propagation_steps is not None and self.propagation_steps < 0:
             raise InputError(f"The number of propagation steps must be 0 or more, not {self.propagation_steps}.")
-        if self.passes is not None and self.passes < 1:
-            raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+        if self.passes is not None and not 1 <= self.passes <= MOST_PASSES:
+            raise InputError(f"A network takes at least 1 pass a step, and {MOST_PASSES} at most, not {self.passes}.")
         if self.device not in get_args(Device):
             raise unknown_name("device", str(self.device), get_args(Device))
         if self.first_frame not in get_args(FirstFrameChoice):

@@ -18,7 +18,7 @@ from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.reading_limits import DamagedArchiveError, parse_json, read_arrays
+from pb4u.reading_limits import DamagedArchiveError, parse_json, read_arrays, told_error
 
 FORMAT_VERSION = 1
 _STEPS = 32767.0
@@ -206,7 +206,7 @@ def load_training_data(path: Path | str) -> TrainingData:
         raise
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, OSError, IndexError) as error:
         raise InputError(
-            f"{path} is no whole training pack ({error}); write it again with `pb4u assets pack`."
+            f"{path} is no whole training pack ({told_error(error)}); write it again with `pb4u assets pack`."
         ) from error
 
 

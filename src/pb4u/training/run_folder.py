@@ -25,7 +25,7 @@ from torch import Tensor
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
-from pb4u.reading_limits import parse_json, read_json, require_small_header
+from pb4u.reading_limits import parse_json, read_json, require_small_header, told_error
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
@@ -118,7 +118,7 @@ class RunFolder:
             record = read_json(path)
             version = int(record["format_version"])
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path} is not the configuration of a training: {error}.") from error
+            raise InputError(f"{path} is not the configuration of a training: {told_error(error)}.") from error
         if version > FORMAT_VERSION:
             raise InputError(f"{path} is of a newer format; upgrade pb4u.")
         return dict(record)
@@ -165,7 +165,7 @@ class RunFolder:
                 counters = parse_json(metadata["counters"], path)
                 return {key: file.get_tensor(key) for key in file.keys()}, counters  # noqa: SIM118
         except (SafetensorError, OSError, KeyError, ValueError) as error:
-            raise InputError(f"{path} is no checkpoint of a training ({error}).") from error
+            raise InputError(f"{path} is no checkpoint of a training ({told_error(error)}).") from error
 
     def append_metrics(self, record: dict[str, Any]) -> None:
         """Add a line to the metrics. Raises NotSavedError where it cannot be written."""
@@ -178,10 +178,13 @@ class RunFolder:
     def metrics(self) -> list[dict[str, Any]]:
         """Lines of the metrics, those cut short left out."""
         lines = []
-        with contextlib.suppress(FileNotFoundError):
-            for line in (self.path / METRICS).read_text(encoding="utf-8").splitlines():
+        with contextlib.suppress(FileNotFoundError), (self.path / METRICS).open("rb") as stream:
+            for line in stream:
+                # One that a kill cut in two is no JSON, or no text.
                 with contextlib.suppress(ValueError):
-                    lines.append(json.loads(line))
+                    record = parse_json(line, self.path / METRICS)
+                    if isinstance(record, dict):
+                        lines.append(record)
         return lines
 
     def forget_metrics_after(self, step: int) -> None:

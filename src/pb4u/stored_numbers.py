@@ -1,0 +1,104 @@
+"""Arrays of numbers as files hold them: told from what is none, and checked against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.errors import InputError
+
+Layout = Mapping[str, tuple[str, tuple[str | int | None, ...]]]
+"""Member -> kinds of its numbers as numpy's letters, and its shape. Counts of one name agree over all members; None is
+any length."""
+
+_KINDS = {
+    "f": "decimal numbers",
+    "b": "yes or no",
+    "iu": "whole numbers",
+    "i": "whole numbers",
+    "fiu": "numbers",
+    "U": "text",
+}
+
+
+def stored_numbers(value: object, where: str | Path, name: str) -> np.ndarray:
+    """The real numbers (...) in a value that a file holds: an array, or lists of numbers.
+
+    Args:
+        value: whatever the file holds.
+        where: the file, for the message.
+        name: what the value is called there.
+
+    Raises:
+        InputError: it holds something else.
+    """
+    try:
+        values = np.asarray(value)
+        if values.dtype.kind == "O":
+            values = values.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):
+        values = np.empty(0, dtype=object)
+    if values.dtype.kind not in "fiub":
+        raise InputError(f'{where}: "{name}" is not an array of numbers.')
+    return values
+
+
+def require_layout(
+    members: Mapping[str, np.ndarray], layout: Layout, refuse: Callable[[str], InputError]
+) -> dict[str, int]:
+    """Refuse arrays of a file whose kinds and shapes do not fit together.
+
+    Args:
+        members: arrays (...) by name, in the units of their file; those that are absent are not looked at.
+        layout: kinds and shapes that they should have.
+        refuse: gives the error for a sentence on what does not fit.
+
+    Returns:
+        Every count by its name.
+
+    Raises:
+        InputError: whatever `refuse` gives, for the first member that does not fit.
+    """
+    counts: dict[str, int] = {}
+    for name, (kinds, shape) in layout.items():
+        values = members.get(name)
+        if values is None:
+            continue
+        if values.dtype.kind not in kinds:
+            raise refuse(f"{name} holds {values.dtype}, not {_KINDS[kinds]}")
+        fits = len(values.shape) == len(shape) and all(
+            count is None or length == (counts.setdefault(count, length) if isinstance(count, str) else count)
+            for length, count in zip(values.shape, shape, strict=True)
+        )
+        if not fits:
+            expected = ", ".join(
+                "any" if count is None else f"{count} = {counts[count]}" if count in counts else str(count)
+                for count in shape
+            )
+            raise refuse(f"{name} has the shape {values.shape}, not ({expected})")
+    return counts
+
+
+def require_places(
+    members: Mapping[str, np.ndarray],
+    points_at: Mapping[str, str],
+    counts: Mapping[str, int],
+    refuse: Callable[[str], InputError],
+) -> None:
+    """Refuse indices in a file that point outside of what they are of.
+
+    Args:
+        members: arrays (...) by name, in the units of their file; those that are absent are not looked at.
+        points_at: member of indices -> the count that they stay below.
+        counts: as `require_layout` gives them.
+        refuse: gives the error for a sentence on what does not fit.
+
+    Raises:
+        InputError: whatever `refuse` gives, for the first member that does not fit.
+    """
+    for name, count in points_at.items():
+        values = members.get(name)
+        if values is not None and values.size and (values.min() < 0 or values.max() >= counts.get(count, 0)):
+            raise refuse(f"{name} points outside of its {counts.get(count, 0)} {count}")
