@@ -436,6 +436,9 @@ def require_plain_pickle(stream: BinaryIO, path: Path) -> None:
         stack += [None if kind is pickletools.markobject else 1 + entries for kind in opcode.stack_after]
 
 
+_INSTRUCTIONS = {opcode.code: opcode for opcode in pickletools.opcodes}
+
+
 def _instructions(stream: BinaryIO) -> Iterator[tuple[pickletools.OpcodeInfo, object, int]]:
     """Each instruction with its argument and the bytes of that; texts and bytes with their length are passed over."""
     begin = stream.tell()
@@ -443,7 +446,7 @@ def _instructions(stream: BinaryIO) -> Iterator[tuple[pickletools.OpcodeInfo, ob
     end = stream.tell()
     stream.seek(begin)
     while code := stream.read(1):
-        opcode = pickletools.code2op.get(code.decode("latin-1"))
+        opcode = _INSTRUCTIONS.get(code.decode("latin-1"))
         if opcode is None:
             raise ValueError(f"no pickle has an instruction {code!r}")
         if opcode.arg is None or opcode.arg.n not in _LENGTHS:
