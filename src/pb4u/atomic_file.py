@@ -21,8 +21,6 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from pb4u.errors import InputError
-
 MARK = ".pb4u"
 """End of the name of what is not finished."""
 _LOCK = ".lock"
@@ -143,16 +141,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_finite(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def incomplete(path: Path) -> InputError:
-    """What is said of a file that a library left unfinished without a usable reason, mostly on a full disk.
-
-    Args:
-        path: the file, where it was being written.
-    """
-    free = shutil.disk_usage(path.parent).free
-    return InputError(
-        f"Cannot write {path.name}: it came out incomplete, as on a disk that is full or limited; {free / 1e6:,.1f} MB "
-        "are free there."
-    )

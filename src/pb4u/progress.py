@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 Progress = Callable[[int, int], None]
 """Called with (parts done, parts in all)."""
+
+_LONG = 60.0
+"""Seconds of work from which it is worth knowing beforehand how long it takes."""
+
+_LEAST_PARTS, _LEAST_SECONDS = 3, 2.0
+"""Measured before the rest is estimated: parts after the first, which also loads and compiles, and their time [s]."""
 
 
 def unheard(done: int, total: int) -> None:
@@ -15,3 +24,87 @@ def unheard(done: int, total: int) -> None:
         done: parts done.
         total: parts in all.
     """
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Progress]:
+    """A bar with the time left, on standard error; silent where that is not a terminal.
+
+    Args:
+        label: what is being done.
+    """
+    if not sys.stderr.isatty():
+        yield unheard
+        return
+    from rich import progress
+    from rich.console import Console
+
+    columns = (
+        progress.TextColumn("{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TimeRemainingColumn(),
+    )
+    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def shown(progress: Progress | None, label: str) -> AbstractContextManager[Progress]:
+    """The progress that a caller gave, or a bar where none was given.
+
+    Args:
+        progress: what hears of it; `unheard` for none.
+        label: what is being done.
+    """
+    return progress_bar(label) if progress is None else nullcontext(progress)
+
+
+class Estimate:
+    """Says once how long work takes, measured on its first parts; nothing where it is less than a minute.
+
+    Args:
+        say: called with the sentence.
+        part: what a part is called, such as "step".
+        clock: the time [s].
+    """
+
+    def __init__(self, say: Callable[[str], None], part: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._say, self._part, self._clock = say, part, clock
+        self._first: tuple[float, int] | None = None
+        self._told = False
+
+    def __call__(self, done: int, total: int) -> None:
+        """Take a progress report.
+
+        Args:
+            done: parts done.
+            total: parts in all.
+        """
+        if self._told:
+            return
+        now = self._clock()
+        if self._first is None:
+            self._first = now, done
+            return
+        seconds, parts = now - self._first[0], done - self._first[1]
+        if parts < _LEAST_PARTS or seconds < _LEAST_SECONDS:
+            return
+        self._told = True
+        each = seconds / parts
+        left = each * (total - done)
+        if left > _LONG:
+            self._say(f"{total - done} more {self._part}s take about {told_time(left)}, {each:.2g} s each.")
+
+
+def told_time(seconds: float) -> str:
+    """A stretch of time in words, to a minute or a tenth of an hour.
+
+    Args:
+        seconds: its length [s].
+    """
+    minutes = max(round(seconds / 60.0), 1)
+    if minutes < 90:
+        return f"{minutes} minute{'s' if minutes > 1 else ''}"
+    return f"{seconds / 3600.0:.1f} hours"

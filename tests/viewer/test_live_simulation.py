@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 from tests.garment.cloth_shapes import quad_tube, saved
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, InputWarning
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 from pb4u.simulation.run_specification import RunSpecification
 from pb4u.viewer.clip import GrowingClip
 from pb4u.viewer.live_simulation import Ending, LiveSimulation, require_offered
+from pb4u.viewer.worker import route_warnings
 
 WORN = (GarmentSpecification(triangles=400),)
 TINY = RunSpecification(SceneSpecification(WORN, frames=5, lead_in=3), model="skinning")
@@ -135,3 +137,24 @@ def test_a_page_cannot_ask_for_anything_else(scene: dict, worn: dict, run: dict,
     garments = (GarmentSpecification("skirt"), GarmentSpecification(**worn))
     with pytest.raises(InputError, match=says):
         require_offered(RunSpecification(SceneSpecification(garments, **scene), **run))
+
+
+def test_what_a_simulation_warns_of_is_told_by_the_page_and_not_by_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tube = saved(tmp_path, quad_tube(low=0.6, high=1.0, radius=0.22, around=24, rows=12))
+    hearer = Hearer()
+    worn = (GarmentSpecification(tube),)
+    run = replace(TINY, scene=replace(TINY.scene, garments=worn, frames=1, lead_in=0))
+    undo = route_warnings()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", InputWarning)
+            simulation = LiveSimulation(run, hearer.advanced, hearer.ended, [tube])
+            simulation.start()
+            assert simulation.join(60.0)
+    finally:
+        undo()
+    assert hearer.ending is Ending.finished, hearer.sentence
+    assert "quads or n-gons are cut into triangles" in hearer.sentence
+    assert "warning" not in capsys.readouterr().err.lower()

@@ -13,10 +13,10 @@ from pb4u.cli.console import (
     ShapeFlag,
     check_json_target,
     check_writable,
-    progress_bar,
     write_json,
 )
 from pb4u.errors import InputError, unknown_name
+from pb4u.progress import progress_bar
 
 if TYPE_CHECKING:
     from pb4u.garment.material import Material

@@ -1,11 +1,10 @@
-"""What every verb shares: the progress bar, JSON output and the flag values that are more than a word."""
+"""What every verb shares: what is said, JSON output and the flag values that are more than a word."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
@@ -14,33 +13,11 @@ import typer
 from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError
 from pb4u.export.registry import formats_help, is_same_file, would_overwrite, written_files
-from pb4u.progress import Progress, unheard
 from pb4u.scene.specification import with_companions
 
 Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
 FORMATS = formats_help()
-
-
-@contextmanager
-def progress_bar(label: str) -> Iterator[Progress]:
-    """A bar with the time left, on standard error; silent where that is not a terminal."""
-    if not sys.stderr.isatty():
-        yield unheard
-        return
-    from rich import progress
-    from rich.console import Console
-
-    columns = (
-        progress.TextColumn("{task.description}"),
-        progress.BarColumn(),
-        progress.MofNCompleteColumn(),
-        progress.TimeElapsedColumn(),
-        progress.TimeRemainingColumn(),
-    )
-    with progress.Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(label, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def say(sentence: str) -> None:

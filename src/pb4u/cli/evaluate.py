@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import Switch, check_json_target, keep_inputs, progress_bar, say, write_json
+from pb4u.cli.console import Switch, check_json_target, keep_inputs, say, write_json
 from pb4u.errors import InputError, Pb4uError
+from pb4u.progress import progress_bar
 
 if TYPE_CHECKING:
     from pb4u.jobs.worker_pool import WorkerPool

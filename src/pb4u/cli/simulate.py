@@ -20,7 +20,6 @@ from pb4u.cli.console import (
     check_json_target,
     check_writable,
     keep_inputs,
-    progress_bar,
     say,
     write_json,
     wrote,
@@ -36,6 +35,7 @@ from pb4u.cli.picture_flags import (
 )
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError, unknown_name
 from pb4u.export.registry import check_target, export, is_drawn
+from pb4u.progress import Estimate, progress_bar
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 from pb4u.simulation.run_specification import Device, FirstFrameChoice, Precision, RunSpecification
 
@@ -472,13 +472,19 @@ def _trajectory(
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with ExitStack() as opened:
         bar = opened.enter_context(progress_bar(f"{count:,} triangles, {simulator.name}"))
+        estimate = Estimate(say, "step")
+
+        def told(done: int, total: int) -> None:
+            bar(done, total)
+            estimate(done, total)
+
         if live is None:
-            return run.roll_out(simulator, scene, file, record, bar, kept)
+            return run.roll_out(simulator, scene, file, record, told, kept)
         header = simulator.header(scene)
         caches = opened.enter_context(LiveCaches(live, header, run.scene.fps, run.scene.written_frames))
 
         def stepped(done: int, total: int) -> None:
-            bar(done, total)
+            told(done, total)
             caches.progress(done, total)
 
         return run.roll_out(simulator, scene, file, record, stepped, kept, caches.append)

@@ -15,7 +15,6 @@ from pb4u.cli.console import (
     JsonFlag,
     check_json_target,
     keep_inputs,
-    progress_bar,
     say,
     write_json,
     wrote,
@@ -29,6 +28,7 @@ from pb4u.cli.picture_flags import (
     TurntableFlag,
     view_of,
 )
+from pb4u.progress import progress_bar
 
 
 def convert(

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pb4u.atomic_file import incomplete
 from pb4u.errors import MissingExtraError
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
+from pb4u.export.incomplete_file import incomplete
 from pb4u.export.shading import CLOTH, SKIN, unit_normals
 from pb4u.progress import Progress, unheard
 from pb4u.scene.author_mesh import Polygons

@@ -14,8 +14,8 @@ from types import ModuleType
 
 import numpy as np
 
-from pb4u.atomic_file import incomplete
 from pb4u.errors import MissingExtraError, Pb4uError
+from pb4u.export.incomplete_file import incomplete
 
 _H264_ENCODERS = ("libx264", "h264_videotoolbox", "h264_mf", "libopenh264")
 """By ffmpeg's names: x264, macOS, Windows, Cisco's."""

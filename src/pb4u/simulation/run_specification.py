@@ -16,7 +16,7 @@ import tomli_w
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning, Interrupted, unknown_name
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, shown, unheard
 from pb4u.reading_limits import read_text
 from pb4u.scene.specification import (
     GarmentSpecification,
@@ -160,11 +160,13 @@ class RunSpecification:
             warnings.warn(sentence, InputWarning, stacklevel=2)
         return assemble(self.scene.at_rate(simulated))
 
-    def simulate(self, path: str | Path | None = None) -> Trajectory:
+    def simulate(self, path: str | Path | None = None, progress: Progress | None = None) -> Trajectory:
         """Simulate the whole run.
 
         Args:
             path: trajectory file to write as frames come; None keeps the frames in memory.
+            progress: called with (frames done, frames in all), lead-in included; by default a bar on standard error
+                where that is a terminal. `pb4u.progress.unheard` is quiet.
 
         Returns:
             The frames at the scene's own rate; fewer than asked for where the state stopped being finite.
@@ -173,7 +175,9 @@ class RunSpecification:
             InputError: something of the run cannot be used.
         """
         simulator = self.simulator()
-        return self.roll_out(simulator, self.assemble(simulator), path)
+        scene = self.assemble(simulator)
+        with shown(progress, simulator.name) as heard:
+            return self.roll_out(simulator, scene, path, progress=heard)
 
     def files(self) -> tuple[object, ...]:
         """Everything that names what is read, be it a built-in name, a file or a loaded object."""

@@ -16,7 +16,7 @@ import torch
 
 from pb4u.body.body_model import PosedBody
 from pb4u.errors import Pb4uError, interrupt_behind
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, shown, unheard
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
@@ -108,23 +108,25 @@ class Simulator(ABC):
                     np.concatenate([body.positions(frame, frame + 1)[0].numpy() for body in scene.colliders]),
                 )
 
-    def simulate(self, scene: Scene, progress: Progress = unheard) -> Trajectory:
+    def simulate(self, scene: Scene, progress: Progress | None = None) -> Trajectory:
         """Simulate a scene in memory.
 
         Args:
             scene: garments and bodies.
-            progress: called with (frames done, frames in all), lead-in included.
+            progress: called with (frames done, frames in all), lead-in included; by default a bar on standard error
+                where that is a terminal. `pb4u.progress.unheard` is quiet.
 
         Raises InputError when the state stopped being finite before the first frame to write.
         """
-        return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=progress))
+        with shown(progress, self.name) as heard:
+            return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=heard))
 
     def simulate_to(
         self,
         scene: Scene,
         path: str | Path,
         record: RunRecord | None = None,
-        progress: Progress = unheard,
+        progress: Progress | None = None,
         seen: Callable[[Frame], None] | None = None,
     ) -> Trajectory:
         """Simulate into a file as frames come, and open it; frames are kept when the state stops being finite.
@@ -133,14 +135,14 @@ class Simulator(ABC):
             scene: garments and bodies.
             path: trajectory file to write.
             record: receives the cost of the run and how it ended.
-            progress: called with (frames done, frames in all), lead-in included.
+            progress: called with (frames done, frames in all), lead-in included; a bar by default, as in `simulate`.
             seen: called with every frame that was written.
 
         Raises Pb4uError when the state stopped being finite before the first frame to write.
         """
         record = record or RunRecord()
-        with TrajectoryWriter(path, self.header(scene)) as writer:
-            for frame in self.written_frames(scene, record, progress):
+        with TrajectoryWriter(path, self.header(scene)) as writer, shown(progress, self.name) as heard:
+            for frame in self.written_frames(scene, record, heard):
                 writer.append(frame)
                 if seen is not None:
                     seen(frame)

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pb4u.export.shading import CLOTH, SKIN
+from pb4u.export.shading import SKIN
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.overlay import OVERLAYS, Overlay
-from pb4u.viewer.surface import PaintedSurface, PlainSurface, Surface, coloured_glb
+from pb4u.viewer.surface import GarmentsSurface, PaintedSurface, PlainSurface, Surface, coloured_glb
 from pb4u.viewer.view_state import SHADED, ViewState
 
 if TYPE_CHECKING:
@@ -251,7 +251,7 @@ class Figure:
         name, header = f"{self._name}/garment{self._versions}", self.clip.header
         if self._overlay.scale is not None:
             return PaintedSurface(self._scene, name, header.faces)
-        return PlainSurface(self._scene, name, header.faces, CLOTH, self._overlay.wireframe)
+        return GarmentsSurface(self._scene, name, header.faces, header.vertex_garment, self._overlay.wireframe)
 
     @property
     def waits(self) -> bool:

@@ -17,7 +17,7 @@ from pb4u.simulation.models import model_descriptions
 from pb4u.simulation.run_specification import RunSpecification
 from pb4u.simulation.simulator import RunRecord
 from pb4u.viewer.clip import GrowingClip
-from pb4u.viewer.worker import Worker, plain_sentence
+from pb4u.viewer.worker import Worker, heard_warnings, plain_sentence
 
 LEAST_TRIANGLES, MOST_TRIANGLES = 400, 40_000
 """Twice the fewest that a built-in garment can be cut into, and just above the finest level of detail."""
@@ -100,14 +100,16 @@ class LiveSimulation(Worker):
         self._frames = run.scene.frames or 0
 
     def _work(self) -> None:
+        told: list[str] = []
         try:
-            sentence, ending = self._simulate()
+            with heard_warnings(told):
+                sentence, ending = self._simulate()
         except _Cancelled:
             there = 0 if self._clip is None else self._clip.frame_count
             sentence, ending = f"Cancelled; {there} of {self._frames} frames are there.", Ending.cancelled
         except Exception as error:
             sentence, ending = plain_sentence(error), Ending.failed
-        self._ended(self._clip, sentence, ending)
+        self._ended(self._clip, " ".join([sentence, *dict.fromkeys(told)]), ending)
 
     def _simulate(self) -> tuple[str, Ending]:
         run = self._specification

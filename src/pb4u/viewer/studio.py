@@ -14,6 +14,7 @@ from pb4u.viewer.browser_window import BrowserWindow
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.display import light
 from pb4u.viewer.page_guard import PageGuard, guarded_server
+from pb4u.viewer.worker import route_warnings
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -46,6 +47,7 @@ class Studio:
             raise InputError(f"The folder {out} does not exist; make it first.")
         check_port(host, port)
         self._clips, self._out = clips, out
+        self._unroute = route_warnings()
         self._lock = threading.Lock()
         self._windows: dict[int, BrowserWindow] = {}
         # The library announces itself on standard output, where the caller has something of its own to say.
@@ -86,6 +88,7 @@ class Studio:
             window.close(timeout=2.0)
         with redirect_stdout(io.StringIO()):
             self._server.stop()
+        self._unroute()
 
 
 def check_port(host: str, port: int) -> None:

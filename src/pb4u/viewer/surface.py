@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pb4u.export.shading import garment_colours
+
 if TYPE_CHECKING:
     from viser import GlbHandle, MeshHandle, SceneApi
 
@@ -77,6 +79,42 @@ class PlainSurface(Surface):
     def remove(self) -> None:
         if self._mesh is not None:
             self._mesh.remove()
+
+
+class GarmentsSurface(Surface):
+    """Several garments, each a surface of one colour of its own.
+
+    Args:
+        scene: of one page.
+        name: of the nodes.
+        faces: (faces, 3) int, of all garments.
+        vertex_garment: (vertices,) int garment of each vertex.
+        wireframe: draw edges in place of faces.
+    """
+
+    def __init__(
+        self, scene: SceneApi, name: str, faces: np.ndarray, vertex_garment: np.ndarray, wireframe: bool = False
+    ) -> None:
+        self._parts: list[tuple[np.ndarray, PlainSurface]] = []
+        place = np.empty(len(vertex_garment), dtype=np.int64)
+        for garment, colour in enumerate(garment_colours(int(vertex_garment.max(initial=0)) + 1).tolist()):
+            rows = np.flatnonzero(vertex_garment == garment)
+            place[rows] = np.arange(len(rows))
+            own = place[faces[vertex_garment[faces[:, 0]] == garment]]
+            if len(own):
+                red, green, blue = colour
+                surface = PlainSurface(scene, f"{name}/{garment}", own, (red, green, blue), wireframe)
+                self._parts.append((rows, surface))
+
+    def show(self, positions: np.ndarray, colours: np.ndarray | None) -> bool:
+        return all([surface.show(positions[rows], None) for rows, surface in self._parts])
+
+    def reveal(self) -> None:
+        pass
+
+    def remove(self) -> None:
+        for _, surface in self._parts:
+            surface.remove()
 
 
 class PaintedSurface(Surface):

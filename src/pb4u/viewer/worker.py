@@ -5,9 +5,14 @@ from __future__ import annotations
 import sys
 import threading
 import traceback
+import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
 
-from pb4u.errors import Pb4uError
+from pb4u.errors import InputWarning, Pb4uError
 
 
 class Worker(ABC):
@@ -42,6 +47,44 @@ class Worker(ABC):
     @abstractmethod
     def _work(self) -> None:
         """What the thread does, which looks at `_cancelled` between two frames."""
+
+
+_HEARING: ContextVar[list[str] | None] = ContextVar("hearing", default=None)
+"""Where the warnings of the work of this thread go; to the terminal by default."""
+
+
+@contextmanager
+def heard_warnings(told: list[str]) -> Iterator[None]:
+    """Take the product's own warnings of this thread for a page, in place of the terminal; other threads keep theirs.
+
+    Args:
+        told: gets their sentences.
+    """
+    token = _HEARING.set(told)
+    try:
+        yield
+    finally:
+        _HEARING.reset(token)
+
+
+def route_warnings() -> Callable[[], None]:
+    """Let the warnings of work in `heard_warnings` go there from now on; returns what undoes that."""
+    before = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
+        told = _HEARING.get()
+        if told is not None and issubclass(category, InputWarning):
+            told.append(" ".join(str(message).split()))
+        else:
+            before(message, category, *rest, **more)
+
+    def undo() -> None:
+        # Another may have put its own in place since.
+        if warnings.showwarning is show:
+            warnings.showwarning = before
+
+    warnings.showwarning = show
+    return undo
 
 
 def plain_sentence(error: BaseException) -> str:

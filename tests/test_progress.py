@@ -1,0 +1,48 @@
+"""How long work takes: an estimate from its first parts, and a bar where somebody looks."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Callable
+
+import pytest
+from tests.simulation.ball_scene import ball_scene
+
+from pb4u.progress import Estimate, unheard
+from pb4u.simulation.simulator import SkinningSimulator
+
+
+def told_of(seconds: Callable[[int], float], total: int) -> list[str]:
+    """What an estimate says of work whose parts 1, 2, .. take so long [s]."""
+    told: list[str] = []
+    now = 0.0
+    estimate = Estimate(told.append, "step", clock=lambda: now)
+    for done in range(1, total + 1):
+        now += seconds(done)
+        estimate(done, total)
+    return told
+
+
+def test_long_work_is_estimated_once_and_without_its_first_part() -> None:
+    # Parts after the first take 2 s; that loads for a minute.
+    assert told_of(lambda k: 60.0 if k == 1 else 2.0, 200) == ["196 more steps take about 7 minutes, 2 s each."]
+    assert told_of(lambda _: 30.0, 1000) == ["996 more steps take about 8.3 hours, 30 s each."]
+
+
+@pytest.mark.parametrize(("each", "total"), [(0.1, 300), (10.0, 4), (30.0, 3)])
+def test_short_work_is_not(each: float, total: int) -> None:
+    assert told_of(lambda _: each, total) == []
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_simulation_from_python_shows_a_bar_on_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = ball_scene()
+    for stream, quiet, seen in ((Terminal(), False, True), (Terminal(), True, False), (io.StringIO(), False, False)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        SkinningSimulator().simulate(scene, *([unheard] if quiet else []))
+        assert ("skinning" in stream.getvalue()) is seen
