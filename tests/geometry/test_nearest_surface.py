@@ -92,6 +92,44 @@ def test_beyond_the_border_of_a_region_nothing_is_inside() -> None:
     assert region[np.asarray(mesh.faces)[found.triangle.numpy()]].all(), "faces are numbered as in the whole surface"
 
 
+def limb() -> tuple[trimesh.Trimesh, np.ndarray]:
+    """A bar along X with 24 sides, radius 0.03 and ends at 0 and 0.3, and which of its vertices are not of the hand."""
+    bar = trimesh.creation.cylinder(radius=0.03, height=0.3, sections=24)
+    bar.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0.0, 1.0, 0.0]))
+    bar.apply_translation([0.15, 0.0, 0.0])
+    bar = bar.subdivide().subdivide().subdivide()
+    return bar, np.asarray(bar.vertices)[:, 0] < 0.22
+
+
+def test_what_came_into_a_limb_by_its_open_end_is_inside_once_that_is_capped() -> None:
+    bar, arm = limb()
+    faces, vertices = np.asarray(bar.faces), np.asarray(bar.vertices)
+    cut = vertices[faces[arm[faces].all(axis=1)], 0].max()
+    points = np.array([[cut - 0.004, 0.005, 0.0], [cut + 0.004, 0.005, 0.0], [0.1, 0.028, 0.0], [0.1, 0.04, 0.0]])
+    is_open, capped = (TriangleSurface(faces, len(vertices), arm, capped=closed) for closed in (False, True))
+    # The nearest way out of the open end is the side of the limb, half of a cloth that came in by each.
+    assert float(is_open.at(vertices).nearest(points[:1]).normals[0, 0]) < 0.5
+    found = capped.at(vertices).nearest(points)
+    assert (found.signed_distance.numpy() < 0.0).tolist() == [True, False, True, False]
+    assert not found.beyond_border.any()
+    np.testing.assert_allclose(found.normals.numpy()[:2], [[1.0, 0.0, 0.0]] * 2, atol=0.2)
+    # Its caps follow the given faces, and only its own faces are skin.
+    assert (found.triangle.numpy() >= len(faces)).tolist() == [True, True, False, False]
+    assert len(capped.region_faces) + len(capped.caps) == len(capped.faces)
+    assert np.array_equal(capped.region_faces, is_open.faces)
+
+
+def test_the_border_of_the_surface_itself_is_not_capped() -> None:
+    bar, arm = limb()
+    faces = np.asarray(bar.faces)
+    still_open = faces[(np.asarray(bar.vertices)[faces][:, :, 0] > 0.05).all(axis=1)]
+    whole = np.ones(len(arm), dtype=bool)
+    assert not len(TriangleSurface(still_open, len(arm), whole, capped=True).caps)
+    loops = TriangleSurface(still_open, len(arm), arm, capped=True).topology.boundary_loops
+    assert len(loops) == 1
+    assert np.asarray(bar.vertices)[loops[0], 0].max() < 0.1
+
+
 @pytest.mark.parametrize("cut", [False, True])
 def test_the_compiled_search_and_the_candidates_describe_the_same_points(cut: bool) -> None:
     """Faces, edges and corners, inside and outside, with and without a border; in a later pose than the tree's."""

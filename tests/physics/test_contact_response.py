@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.physics.shapes import DT, at_rest, capsule, collider, packed, sheet, time_step
+from tests.physics.shapes import DT, at_rest, capsule, collider, colliders, packed, sheet, time_step
 
+from pb4u.physics.contact.planes import nearest_planes
 from pb4u.physics.contact.response import ContactReport, ContactResponse
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
@@ -110,6 +111,29 @@ def test_regions_left_out_of_contact_do_not_push() -> None:
     after, report = answered(garments, state, frame)
     assert torch.equal(after.positions, state.positions)
     assert (report.pushed, report.left) == (0, 0)
+
+
+def test_cloth_that_came_into_a_limb_by_its_open_end_is_pushed_out_of_that() -> None:
+    body = capsule()
+    vertices, faces = np.asarray(body.vertices), np.asarray(body.faces)
+    arm = vertices[:, 1] < 0.2
+    end = vertices[faces[arm[faces].all(axis=1)], 1].max()
+    motion = np.array([0.0, 0.0, 0.01])
+    contact = np.concatenate([arm, arm])
+    # Two worlds, so that the caps of the second are not counted from those of the first.
+    frame = colliders([(vertices, faces), (vertices + [0.3, 0.0, 0.0], faces)], [0, 1], motion, contact=contact)
+    garments = packed(sheet(2, 2, 0.02, 0.02), sheet(2, 2, 0.02, 0.02))
+    x = garments.rest_positions[:, [0, 2, 1]].clone()
+    for world, middle in enumerate((0.0, 0.3)):
+        rows = garments.vertex_garment == world
+        x[rows] += torch.tensor([middle, end - 0.003, 0.01], dtype=x.dtype) - x[rows].mean(0)
+    after, report = answered(garments, at_rest(garments, x), frame)
+    assert (report.pushed, report.left) == (len(x), 0)
+    torch.testing.assert_close(after.positions[:, [0, 2]], x[:, [0, 2]], rtol=0, atol=1e-3)
+    assert float(after.positions[:, 1].min()) > end
+    planes = nearest_planes(frame.now, garments, x)
+    carried = planes.transported(frame.following) - planes.points
+    torch.testing.assert_close(carried, torch.from_numpy(motion).expand_as(carried), rtol=0, atol=1e-9)
 
 
 def test_single_precision_stays_single() -> None:

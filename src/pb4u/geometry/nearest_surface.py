@@ -60,19 +60,29 @@ class TriangleSurface:
         faces: (faces, 3) int64, counter-clockwise seen from outside.
         vertex_count: number of vertices.
         region: (vertices,) bool or None; faces with a vertex outside the region are left out.
+        capped: closes the holes that this leaves, so that nothing is inside what it came into through one of them.
+
+    Attributes:
+        region_faces: (faces, 3) int64 those of the region.
+        faces: (faces, 3) int64 those of the region, then the caps.
+        caps: (caps, 3) int64 faces that close the holes; named in answers as if they followed all given faces.
 
     Raises:
         InputError: no face is left.
     """
 
-    def __init__(self, faces: np.ndarray, vertex_count: int, region: np.ndarray | None = None) -> None:
+    def __init__(
+        self, faces: np.ndarray, vertex_count: int, region: np.ndarray | None = None, *, capped: bool = False
+    ) -> None:
         faces = np.asarray(faces, dtype=np.int64)
         kept = np.arange(len(faces)) if region is None else np.flatnonzero(np.asarray(region)[faces].all(axis=1))
         if not len(kept):
             raise InputError("The body surface has no face that may be touched; its contact region is empty.")
-        self.faces = np.ascontiguousarray(faces[kept])
+        self.caps = _caps(faces, kept, vertex_count) if capped else faces[:0]
+        self.region_faces = faces[kept]
+        self.faces = np.concatenate([self.region_faces, self.caps])
         self.vertex_count = vertex_count
-        self._kept = kept
+        self._kept = np.concatenate([kept, len(faces) + np.arange(len(self.caps))])
         self._tree: BoxTree | None = None
 
     @cached_property
@@ -113,6 +123,19 @@ class TriangleSurface:
     def at(self, vertices: Tensor | np.ndarray) -> PosedSurface:
         """This surface with its `vertices` (vertices, 3) [m] somewhere."""
         return PosedSurface(self, torch.as_tensor(vertices).detach())
+
+
+def _caps(faces: np.ndarray, kept: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Fans (caps, 3) int64 over the holes that the faces left out of a surface make in it; its own border stays."""
+    if len(kept) == len(faces):
+        return faces[:0]
+    border = Topology(faces, vertex_count).border_vertices
+    fans = [faces[:0]]
+    for loop in Topology(faces[kept], vertex_count).boundary_loops:
+        if len(loop) > 2 and len(np.unique(loop)) == len(loop) and not border[loop].any():
+            ring = loop[::-1]
+            fans.append(np.column_stack([np.full(len(ring) - 2, ring[0]), ring[1:-1], ring[2:]]))
+    return np.concatenate(fans)
 
 
 class PosedSurface:

@@ -358,7 +358,7 @@ def substep_count(step: TimeStep) -> int:
     near = planes.touchable & (planes.distance < _NEAR)
     if not bool(near.any()):
         return 1
-    motion = planes.interpolated(bodies.motion, bodies.colliders.faces)[near]
+    motion = planes.interpolated(bodies.motion, bodies.colliders.contact_faces)[near]
     return max(1, math.ceil(float(motion.norm(dim=1).max()) / LARGEST_MOTION))
 
 

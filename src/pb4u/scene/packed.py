@@ -161,8 +161,9 @@ class PackedColliders:
         contact: (vertices,) bool, False where contact is not answered.
         vertex_world: (vertices,) int64 world of each vertex, ascending.
         ground_height: height of the ground plane [m], or None.
-        surfaces: the searchable surface of each world's bodies, regions left out of contact cut away; None for a world
-            without a body that may be touched.
+        surfaces: the searchable surface of each world's bodies, regions left out of contact cut away and the holes
+            closed: cloth that a hand went through would come into the forearm by its open end. None for a world without
+            a body that may be touched.
     """
 
     faces: Tensor
@@ -188,6 +189,25 @@ class PackedColliders:
         """Indices (faces,) int64 of the packed faces of each world."""
         face_world = self.vertex_world[self.faces[:, 0]] if len(self.faces) else self.vertex_world[:0]
         return tuple(torch.nonzero(face_world == world)[:, 0] for world in range(len(self.surfaces)))
+
+    @cached_property
+    def contact_faces(self) -> Tensor:
+        """Faces (faces, 3) int64 that contact is answered on: all packed faces, then the caps of each world."""
+        caps = [self._caps(world) + rows.start for world, rows in enumerate(self.world_vertices)]
+        return torch.cat([self.faces, *caps])
+
+    @cached_property
+    def world_contact_faces(self) -> tuple[Tensor, ...]:
+        """Indices (faces,) int64 into `contact_faces` of what the surface of each world calls its faces."""
+        made, stop = [], len(self.faces)
+        for world, own in enumerate(self.world_faces):
+            start, stop = stop, stop + len(self._caps(world))
+            made.append(torch.cat([own, torch.arange(start, stop, device=own.device)]))
+        return tuple(made)
+
+    def _caps(self, world: int) -> Tensor:
+        surface = self.surfaces[world]
+        return self.faces[:0] if surface is None else torch.from_numpy(surface.caps).to(self.faces.device)
 
     @cached_property
     def touchable(self) -> tuple[Tensor, ...]:
@@ -324,7 +344,7 @@ def _surfaces(
             made.append(None)
             continue
         own = all_faces[owner[all_faces[:, 0]] == world] - vertices[0]
-        made.append(TriangleSurface(own, len(vertices), region))
+        made.append(TriangleSurface(own, len(vertices), region, capped=True))
     return tuple(made)
 
 

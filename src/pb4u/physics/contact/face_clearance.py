@@ -36,13 +36,13 @@ class FaceClearance:
         smallest_radius: smallest radius of the body where cloth rests on it [m].
         largest_push: largest displacement of a vertex in one pass [m].
         passes: most passes, since a lifted vertex lifts what is beside it too; clothes of 2,500 and 11,000 triangles
-            need two to four.
+            need two to six.
     """
 
     clearance: float = 3e-4
     smallest_radius: float = 0.03
     largest_push: float = 5e-3
-    passes: int = 4
+    passes: int = 6
 
     def lift(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
         """State with its cloth lifted out of the bodies.
@@ -128,7 +128,8 @@ def _skin(garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Iterator[_
         if surface is None or first == stop:
             yield _Skin(np.zeros((0, 3)), np.zeros((0, 3)))
             continue
-        body, faces, cloth = surface.vertices.numpy(force=True), surface.surface.faces, as_array(x[first:stop])
+        body, cloth = surface.vertices.numpy(force=True), as_array(x[first:stop])
+        faces = surface.surface.region_faces
         low, high = cloth.min(axis=0) - SKIN_OVER_CLOTH, cloth.max(axis=0) + SKIN_OVER_CLOTH
         inside = ((body >= low) & (body <= high)).all(axis=1)
         # Their normals need the faces around them alone.

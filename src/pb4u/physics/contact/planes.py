@@ -21,7 +21,7 @@ class ContactPlanes:
         normals: (vertices, 3) outward unit normals.
         distance: (vertices,) distance [m] of the position used for the lookup, signed for exact planes.
         touchable: (vertices,) bool, False where the vertex has no body or is nearest to a region left out of contact.
-        triangle: (vertices,) int64 face of the packed colliders.
+        triangle: (vertices,) int64 among the contact faces of the packed colliders.
         barycentric: (vertices, 3) of the point in that face.
     """
 
@@ -51,21 +51,21 @@ class ContactPlanes:
 
     def transported(self, pose: ColliderPose) -> Tensor:
         """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`."""
-        return self.interpolated(pose.positions, pose.colliders.faces)
+        return self.interpolated(pose.positions, pose.colliders.contact_faces)
 
     def interpolated(self, values: Tensor, faces: Tensor) -> Tensor:
         """Values (vertices, 3) interpolated at the nearest points, in the unit of `values`.
 
         Args:
             values: (body vertices, 3) of any unit.
-            faces: (body faces, 3) int64 faces of the packed colliders.
+            faces: (body faces, 3) int64 contact faces of the packed colliders.
         """
         corners = values.to(self.barycentric.dtype)[faces[self.triangle]]
         return (self.barycentric[:, :, None] * corners).sum(1)
 
     def transported_normals(self, pose: ColliderPose) -> Tensor:
         """Dimensionless unit normals (vertices, 3) of the faces of the nearest points when the bodies take `pose`."""
-        corners = pose.positions.to(self.normals.dtype)[pose.colliders.faces[self.triangle]]
+        corners = pose.positions.to(self.normals.dtype)[pose.colliders.contact_faces[self.triangle]]
         cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
 
@@ -107,7 +107,7 @@ class ContactSet:
         if bodies is None:
             return ContactSet()
         now = search(bodies.now, garments, x.detach())
-        motion = now.interpolated(bodies.motion, bodies.colliders.faces)
+        motion = now.interpolated(bodies.motion, bodies.colliders.contact_faces)
         normals = now.transported_normals(bodies.following)
         return ContactSet(now=now, transported=x + motion.to(x), transported_normals=normals.to(x))
 
@@ -142,7 +142,7 @@ def nearest_planes(
         planes.normals[rows] = nearest.normals
         planes.distance[rows] = nearest.signed_distance
         planes.touchable[rows] = ~nearest.beyond_border
-        planes.triangle[rows] = pose.colliders.world_faces[world][nearest.triangle]
+        planes.triangle[rows] = pose.colliders.world_contact_faces[world][nearest.triangle]
         planes.barycentric[rows] = nearest.barycentric
     return planes
 
@@ -175,7 +175,7 @@ def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor
 def clearances(pose: ColliderPose, points: Tensor, world: Tensor) -> tuple[Tensor, Tensor]:
     """Signed distance (points,) [m] to the bodies, and outward unit normals (points, 3).
 
-    Where there is no body, or only a region left out of contact, the distance is infinite.
+    Where there is no body, or only a region left out of contact or the cap of one, the distance is infinite.
 
     Args:
         pose: the bodies at one instant.
@@ -188,7 +188,8 @@ def clearances(pose: ColliderPose, points: Tensor, world: Tensor) -> tuple[Tenso
         if surface is None or not len(rows):
             continue
         nearest = surface.nearest(points[rows])
-        distance[rows] = torch.where(nearest.beyond_border, torch.inf, nearest.signed_distance)
+        no_skin = nearest.beyond_border | (nearest.triangle >= len(pose.colliders.world_faces[number]))
+        distance[rows] = torch.where(no_skin, torch.inf, nearest.signed_distance)
         normals[rows] = nearest.normals
     return distance, normals
 

@@ -123,7 +123,7 @@ class ContactResponse(Contact):
         worse = check.touchable & (check.distance < torch.minimum(planes.distance, torch.zeros_like(planes.distance)))
         push = torch.where(worse, 0.0, push)
         touched = (push > 0)[:, None]
-        body_velocity = planes.interpolated(bodies.motion, bodies.colliders.faces).to(v) / step.dt
+        body_velocity = planes.interpolated(bodies.motion, bodies.colliders.contact_faces).to(v) / step.dt
         inward = ((v - body_velocity) * normal).sum(1, keepdim=True).clamp_max(0.0)
         return torch.where(touched, x + push[:, None] * normal, x), torch.where(touched, v - inward * normal, v)
 
