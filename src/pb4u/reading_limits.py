@@ -49,6 +49,7 @@ MOST_UNFOLDED = 4_000_000
 _MOST_TOLD = 200
 """Characters of what a library says of a file that are passed on."""
 
+_OPCODES = {opcode.code.encode("latin-1"): opcode for opcode in pickletools.opcodes}
 _LENGTHS = {
     pickletools.TAKEN_FROM_ARGUMENT1: 1, pickletools.TAKEN_FROM_ARGUMENT4: 4,
     pickletools.TAKEN_FROM_ARGUMENT4U: 4, pickletools.TAKEN_FROM_ARGUMENT8U: 8,
@@ -436,9 +437,6 @@ def require_plain_pickle(stream: BinaryIO, path: Path) -> None:
         stack += [None if kind is pickletools.markobject else 1 + entries for kind in opcode.stack_after]
 
 
-_INSTRUCTIONS = {opcode.code: opcode for opcode in pickletools.opcodes}
-
-
 def _instructions(stream: BinaryIO) -> Iterator[tuple[pickletools.OpcodeInfo, object, int]]:
     """Each instruction with its argument and the bytes of that; texts and bytes with their length are passed over."""
     begin = stream.tell()
@@ -446,7 +444,7 @@ def _instructions(stream: BinaryIO) -> Iterator[tuple[pickletools.OpcodeInfo, ob
     end = stream.tell()
     stream.seek(begin)
     while code := stream.read(1):
-        opcode = _INSTRUCTIONS.get(code.decode("latin-1"))
+        opcode = _OPCODES.get(code)
         if opcode is None:
             raise ValueError(f"no pickle has an instruction {code!r}")
         if opcode.arg is None or opcode.arg.n not in _LENGTHS:

@@ -233,3 +233,26 @@ def test_what_a_kill_leaves_the_next_run_sweeps(tmp_path: Path) -> None:
     assert any(tmp_path.iterdir())
     subprocess.run([*command, "--frames", "1"], cwd=tmp_path, check=True, capture_output=True)
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_conversion_that_is_ended_leaves_no_part_of_a_file(
+    tmp_path: Path, pb4u: Callable, number: signal.Signals
+) -> None:
+    clip = SkinningSimulator().simulate(make_scene("tshirt", triangles=1000, frames=90, lead_in=0))
+    before = clip.save(tmp_path / "t.npz").read_bytes()
+    (tmp_path / "t.gif").write_text("an earlier one")
+    run = subprocess.Popen([*PB4U, "convert", "t.npz", "t.gif"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    while run.poll() is None and not any(tmp_path.glob(f".t.gif.*{MARK}")):
+        time.sleep(0.01)
+    run.send_signal(number)
+    _, said = run.communicate(timeout=120)
+    assert "Traceback" not in said
+    if number == signal.SIGKILL:
+        assert pb4u("convert", tmp_path / "t.npz", tmp_path / "t.pkl").code == 0
+        (tmp_path / "t.pkl").unlink()
+    else:
+        assert (run.returncode, said) == (128 + number, "pb4u: interrupted; nothing was written.\n")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["t.gif", "t.npz"]
+    assert (tmp_path / "t.npz").read_bytes() == before
+    assert (tmp_path / "t.gif").read_text() == "an earlier one"

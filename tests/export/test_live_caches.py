@@ -51,3 +51,14 @@ def test_folders_that_hold_something_else_are_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=says):
             check_live_folder(folder)
     check_live_folder(tmp_path / "new")
+
+
+def test_two_runs_do_not_write_in_one_folder(trajectory: Trajectory, tmp_path: Path) -> None:
+    with LiveCaches(tmp_path, trajectory.header, 25.0) as caches:
+        caches.append(next(iter(trajectory.frames)))
+        with pytest.raises(InputError, match="Another process writes in"):
+            LiveCaches(tmp_path, trajectory.header, 25.0)
+        assert len(pc2_frames(tmp_path / "garment.pc2")) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["garment.pc2", "progress.jsonl"]
+    with LiveCaches(tmp_path, trajectory.header, 25.0):
+        assert len(pc2_frames(tmp_path / "garment.pc2")) == 0

@@ -11,11 +11,13 @@ from __future__ import annotations
 import json
 import os
 import re
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from pb4u.errors import InputError
 from pb4u.export.mesh_sequence import pc2_header
@@ -24,6 +26,8 @@ from pb4u.scene.trajectory import Frame, TrajectoryHeader
 
 PROGRESS = "progress.jsonl"
 """A line {"step": done, "steps": in all, "frames": written} for every step; it also marks a folder as one of these."""
+
+_LOCK = ".lock"
 
 
 def check_live_folder(folder: Path) -> None:
@@ -42,7 +46,8 @@ def check_live_folder(folder: Path) -> None:
         raise InputError(f"The folder {parent} for --live does not exist; make it first.")
     if not os.access(parent, os.W_OK):
         raise InputError(f"The folder {parent} for --live cannot be written to.")
-    if folder.exists() and any(folder.iterdir()) and not (folder / PROGRESS).is_file():
+    others = folder.exists() and any(entry.name != _LOCK for entry in folder.iterdir())
+    if others and not (folder / PROGRESS).is_file():
         raise InputError(f"{folder} for --live holds other files; give a new folder, or an empty one.")
 
 
@@ -56,7 +61,7 @@ class LiveCaches:
         frames: most frames to write; None for all.
 
     Raises:
-        InputError: the folder cannot be written to.
+        InputError: the folder cannot be written to, or another process writes there.
     """
 
     def __init__(self, folder: Path, header: TrajectoryHeader, fps: float, frames: int | None = None) -> None:
@@ -70,6 +75,7 @@ class LiveCaches:
         self._open = ExitStack()
         try:
             folder.mkdir(exist_ok=True)
+            self._open.enter_context(_held(folder))
             for earlier in folder.glob("*.pc2"):
                 earlier.unlink()
             self._progress = self._open.enter_context((folder / PROGRESS).open("w", encoding="ascii"))
@@ -141,6 +147,23 @@ class LiveCaches:
 
     def __exit__(self, *_: object) -> None:
         self._open.close()
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Keep other processes from writing in a folder."""
+    lock = FileLock(folder / _LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise InputError(f"Another process writes in {folder}; wait for it, or give --live another folder.") from None
+    try:
+        yield
+    finally:
+        # While it is held: freed, it could be another's already.
+        with suppress(OSError):
+            (folder / _LOCK).unlink()
+        lock.release()
 
 
 def _file_names(header: TrajectoryHeader) -> list[str]:
