@@ -74,7 +74,7 @@ def load_simulator(
         contact: push the garment out of the body after each step (networks and solver).
         self_contact: cloth feels cloth, within a garment and between garments (networks and solver, which do unless
             this is False).
-        refine: solver iterations after each step of a network.
+        refine: most solver iterations after each step of a network; fewer where the cloth is near balance.
         propagation_steps: override of K for a network; None follows the paper's rule.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".

@@ -69,7 +69,7 @@ class RunSpecification:
         contact: push the garment out of the body after each step (networks and solver).
         self_contact: cloth feels cloth, within a garment and between garments; None is on for networks and the solver,
             which can.
-        refine: solver iterations after each step of a network.
+        refine: most solver iterations after each step of a network; fewer where the cloth is near balance.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         propagation_steps: override of K for a network; None follows the paper's rule.
         device: "auto", "cpu" or "cuda", for networks and newton.
