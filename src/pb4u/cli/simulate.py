@@ -202,7 +202,7 @@ def simulate(
         int | None,
         typer.Option(
             metavar="N",
-            help="Solver iterations after each step of a network; what they leave torn the solver makes "
+            help="Most solver iterations after each step of a network; what they leave torn the solver makes "
             f"anew. Default: {RunSpecification.refine}.",
         ),
     ] = None,
