@@ -89,7 +89,7 @@ def _examples() -> str:
 
 def _verbs() -> Iterator[str]:
     """Every verb with its flags, as `--help` has them."""
-    from pb4u.cli.main import app
+    from pb4u.cli.application import app
 
     yield from _section("pb4u", app)
 

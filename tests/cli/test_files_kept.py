@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -200,6 +201,20 @@ def test_an_interrupt_in_compiled_code_is_one(pb4u: Callable, tmp_path: Path, mo
     monkeypatch.setattr(RunSpecification, "assemble", broken)
     ended = pb4u("simulate", "--out", "b.npz")
     assert (ended.code, ended.err) == (143, "pb4u: interrupted; nothing was written.\n")
+
+
+class Loading(ModuleType):
+    """A module that an interrupt meets while it is loaded."""
+
+    @property
+    def app(self) -> None:
+        raise KeyboardInterrupt
+
+
+def test_an_interrupt_while_modules_are_loaded_is_one(pb4u: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pb4u.cli.application", Loading("pb4u.cli.application"))
+    ended = pb4u("info")
+    assert (ended.code, ended.err) == (130, "pb4u: interrupted; nothing was written.\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

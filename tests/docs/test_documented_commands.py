@@ -18,7 +18,8 @@ import pytest
 import typer
 
 import pb4u
-from pb4u.cli.main import app, main
+from pb4u.cli.application import app
+from pb4u.cli.main import main
 from pb4u.dataset.jobs_file import read_jobs
 from pb4u.simulation.run_specification import RunSpecification, tomllib
 

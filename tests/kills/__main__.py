@@ -36,9 +36,10 @@ from pb4u.training.packed_data import save_training_data
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
 PB4U = (sys.executable, "-c", "from pb4u.cli.main import main; main()")
-NO_ROOM = "no room"
 _SPARE = 3 * 2**18
-"""Bytes left on a small disk that is nearly full: less than any of the runs writes."""
+"""Bytes left at most on a small disk that is nearly full: about what the runs write."""
+_BEGUN = 0.2
+"""Seconds in which Python itself has begun, which answers an interrupt in its own way."""
 
 
 class Run(ABC):
@@ -167,21 +168,28 @@ def _finished(command: list[str], folder: Path) -> tuple[float, str]:
     return time.monotonic() - begun, ended.stderr
 
 
+def _answer() -> None:
+    """Let a run answer signals as from a terminal: what is begun in the background has some of them ignored."""
+    for number in SIGNALS[1:]:
+        signal.signal(number, signal.SIG_DFL)
+
+
 def _ended_by(run: Run, folder: Path, number: signal.Signals, after: float) -> tuple[int, str]:
     """Exit code and last words of a run that gets a signal after so many seconds."""
     process = subprocess.Popen(
-        [*PB4U, *run.arguments], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    )
+        [*PB4U, *run.arguments], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        preexec_fn=_answer,
+    )  # fmt: skip
     time.sleep(after)
     process.send_signal(number)
     _, said = process.communicate()
     return process.returncode, said
 
 
-def _without_room(run: Run, folder: Path) -> tuple[int, str]:
+def _without_room(run: Run, folder: Path, spare: int) -> tuple[int, str]:
     filler = folder.parent / "filler"
     free = shutil.disk_usage(folder).free
-    filler.write_bytes(bytes(max(0, free - _SPARE)))
+    filler.write_bytes(bytes(max(0, free - spare)))
     ended = subprocess.run([*PB4U, *run.arguments], cwd=folder, capture_output=True, text=True, check=False)
     filler.unlink()
     return ended.returncode, ended.stderr
@@ -191,10 +199,12 @@ def _hidden(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob(f".*{MARK}"))
 
 
-def _trial(run: Run, way: signal.Signals | str, after: float, place: Place, sound: Mapping[str, Any]) -> str:
+def _trial(run: Run, way: signal.Signals | int, after: float, place: Place, sound: Mapping[str, Any]) -> str:
     """How a trial ended, in a word; raises AssertionError for what is wrong."""
     folder = place.emptied()
-    code, said = _without_room(run, folder) if isinstance(way, str) else _ended_by(run, folder, way, after)
+    code, said = (
+        _ended_by(run, folder, way, after) if isinstance(way, signal.Signals) else _without_room(run, folder, way)
+    )
     assert "Traceback" not in said, said
     assert digest(place.inputs) == place.before, "an input was changed"
     catchable = way != signal.SIGKILL
@@ -238,9 +248,11 @@ def main() -> None:
             rng = random.Random(number)
             run = RUNS[number % len(RUNS)]
             small = asked.small is not None and rng.random() < 0.3
-            way: signal.Signals | str = NO_ROOM if small and rng.random() < 0.6 else SIGNALS[number % len(SIGNALS)]
-            after = rng.random() * length[run.name]
-            told = f"{number}: {run.name}, {way if isinstance(way, str) else f'{way.name} after {after:.2f} s'}"
+            # Either a signal, or so many bytes that are left on the disk.
+            way = rng.randrange(_SPARE) if small and rng.random() < 0.6 else SIGNALS[number % len(SIGNALS)]
+            after = _BEGUN + rng.random() * length[run.name]
+            ended_by = f"{way.name} after {after:.2f} s" if isinstance(way, signal.Signals) else f"{way:,} bytes left"
+            told = f"{number}: {run.name}, {ended_by}"
             told += " on a small disk" if small else ""
             try:
                 word = _trial(run, way, after, places[-1 if small else 0], sound[run.name])

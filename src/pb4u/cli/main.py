@@ -7,53 +7,11 @@ import signal
 import sys
 import traceback
 import warnings
-from typing import Annotated
 
-import typer
-
-from pb4u import __version__
-from pb4u.cli import assets, batch, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
 from pb4u.errors import InputWarning, Interrupted, Pb4uError, interrupt_behind
 
 _LONGEST = 1500
 """Characters that a refusal has at most: a screen of a terminal."""
-
-app = typer.Typer(
-    name="pb4u",
-    help="Garment simulation on moving bodies: any body, any garment, any triangle count.",
-    epilog="Add --debug to any command to see where an error came from. Lengths are metres, times seconds.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
-for verb in (
-    simulate.simulate,
-    trajectory_verbs.view,
-    check.check,
-    trajectory_verbs.convert,
-    convert_weights.convert_weights,
-    train.train,
-    evaluate.evaluate,
-    batch.batch,
-    info.info,
-):
-    app.command()(verb)
-app.add_typer(assets.group, name="assets")
-
-
-def _tell_version(asked: bool) -> None:
-    if asked:
-        print(f"pb4u {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def _options(
-    version: Annotated[
-        bool, typer.Option("--version", is_eager=True, callback=_tell_version, help="Show the version and exit.")
-    ] = False,
-) -> None:
-    pass
 
 
 def _one_line_warning(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
@@ -76,7 +34,12 @@ def main() -> None:
     warnings.simplefilter("always", InputWarning)
     answer_signals()
     try:
+        # Here, so that an interrupt while they are loaded is one.
+        from pb4u.cli.application import app
+
         app()
+    except KeyboardInterrupt as interrupted:
+        sys.exit(_tell(interrupted))
     except SystemExit as ended:
         if (interrupt := interrupt_behind(ended)) is not None:
             ended.code = _tell(interrupt)

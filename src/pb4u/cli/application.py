@@ -1,0 +1,47 @@
+"""The verbs of `pb4u` together."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from pb4u import __version__
+from pb4u.cli import assets, batch, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
+
+app = typer.Typer(
+    name="pb4u",
+    help="Garment simulation on moving bodies: any body, any garment, any triangle count.",
+    epilog="Add --debug to any command to see where an error came from. Lengths are metres, times seconds.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+for verb in (
+    simulate.simulate,
+    trajectory_verbs.view,
+    check.check,
+    trajectory_verbs.convert,
+    convert_weights.convert_weights,
+    train.train,
+    evaluate.evaluate,
+    batch.batch,
+    info.info,
+):
+    app.command()(verb)
+app.add_typer(assets.group, name="assets")
+
+
+def _tell_version(asked: bool) -> None:
+    if asked:
+        print(f"pb4u {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_tell_version, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
