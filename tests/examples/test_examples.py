@@ -93,7 +93,7 @@ def test_change_the_material(example: Run, tmp_path: Path) -> None:
 
 def test_compare_with_the_solver(example: Run, tmp_path: Path) -> None:
     said = example(
-        "05_compare_with_the_solver.py", "--model", "skinning", "--triangles", 300, "--frames", 3, "--lead-in", 2
+        "05_compare_with_the_solver.py", "--model", "skinning", "--triangles", 600, "--frames", 3, "--lead-in", 2
     )
     energies = {row[0]: (float(row[-2]), float(row[-1])) for row in map(str.split, said.splitlines()) if "[J]" in row}
     assert energies["total"][1] < energies["total"][0]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pb4u.dataset.clip import ClipJob
 from pb4u.dataset.dataset_folder import INDEX, DatasetFolder
 from pb4u.errors import MissingExtraError
-from pb4u.evaluation.metrics import ENERGIES, GEOMETRY, STRAINS
+from pb4u.evaluation.metrics import ENERGIES, OF_A_CLIP, STRAINS
 from pb4u.garment.material import Material
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def _schema() -> pyarrow.Schema:
         **dict.fromkeys(("contact", "self_contact", "half", "diverged"), switch),
         **dict.fromkeys(("fps", "arms_away", "mean_edge_length", "ms_per_step", "seconds"), number),
         "notes": pa.list_(text),
-        **measured((*ENERGIES, *GEOMETRY)),
+        **measured(OF_A_CLIP),
         **measured(ENERGIES, "paper_"),
         "garments": pa.list_(pa.struct(list(garment.items()))),
     }

@@ -36,6 +36,8 @@ GEOMETRY = (
     *STRAINS, "penetration_percent", "penetration_depth_max", "visible_skin_percent", "self_intersections",
     "body_intersections",
 )  # fmt: skip
+OF_A_CLIP = (*ENERGIES, *GEOMETRY, "limbs_through_cloth")
+"""Metrics of each frame of a clip; the last needs the skeletons of its scene."""
 
 PENETRATION_TOLERANCE = 1e-3
 """Depth [m] beyond which a vertex counts as inside the body: less is within the accuracy of a body's triangles."""
@@ -106,7 +108,7 @@ def measure(
         for frame, count in zip(frames, crossed.sum(axis=1), strict=True):
             frame.metrics["limbs_through_cloth"] = float(count)
     return {
-        "metrics": _series([frame.metrics for frame in frames], (*ENERGIES, *GEOMETRY, "limbs_through_cloth")),
+        "metrics": _series([frame.metrics for frame in frames], OF_A_CLIP),
         "metrics_paper": _series([frame.paper for frame in frames], ENERGIES),
         "diverged": first is not None,
         "diverged_at": first,
