@@ -113,7 +113,7 @@ def test_a_few_lines_by_hand_are_enough(tmp_path: Path) -> None:
         ("[scene]\nfps = true", "must be a number, not True"),
         ("[run]\ncontact = 'on'", "true or false, not 'on'"),
         ("[run]\nrefine = -1", "0 or more, and 10000 at most, not -1"),
-        ("[run]\npasses = 0", "at least 1 pass a step, not 0"),
+        ("[run]\npasses = 0", "at least 1 pass a step, and 1000 at most, not 0"),
         ("[run]\ndevice = 'gpu'", "no device 'gpu'"),
         ("[run]\nfirst_frame = 'setled'", "did you mean settled"),
         ("[run]\nprecision = 'float16'", "no precision 'float16'"),
