@@ -133,6 +133,7 @@ def broken(members: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
         ("posedirs", np.zeros((90, 3, 10)), '"posedirs" has shape'),
         ("J_regressor", np.zeros((24, 7)), '"J_regressor" has shape'),
         ("v_template", np.full((90, 3), np.nan), "not finite"),
+        ("posedirs", np.full((90, 3, 207), 1e300), "beyond 10000"),
         ("kintree_table", np.zeros((2, 30), dtype=np.int64), "has 30 joints"),
         ("kintree_table", np.full((2, 24), 23), "before its parent"),
         ("f", np.full((3, 3), 90), "from 0 to 89"),

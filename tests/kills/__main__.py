@@ -202,14 +202,13 @@ def _hidden(folder: Path) -> list[str]:
 def _trial(run: Run, way: signal.Signals | int, after: float, place: Place, sound: Mapping[str, Any]) -> str:
     """How a trial ended, in a word; raises AssertionError for what is wrong."""
     folder = place.emptied()
-    code, said = (
-        _ended_by(run, folder, way, after) if isinstance(way, signal.Signals) else _without_room(run, folder, way)
-    )
+    by_signal = isinstance(way, signal.Signals)
+    code, said = _ended_by(run, folder, signal.Signals(way), after) if by_signal else _without_room(run, folder, way)
     assert "Traceback" not in said, said
     assert digest(place.inputs) == place.before, "an input was changed"
     catchable = way != signal.SIGKILL
     word = "killed" if not catchable else {0: "done", 1: "refused"}.get(code, "interrupted")
-    if isinstance(way, signal.Signals):
+    if by_signal:
         # A signal before Python has begun, or after the work, is answered by the system or not at all.
         allowed = {0, -way, 128 + way} | ({1} if run.name == "evaluate" else set())
         assert code in allowed, f"exit code {code}: {said}"

@@ -37,9 +37,11 @@ JOINT_NAMES: Mapping[str, tuple[str, ...]] = {
 _HAND_JOINTS = {"left_wrist", "right_wrist", "left_hand", "right_hand", *_FINGERS}
 # Bones that move one vertex at most, which bounds the cost of skinning; the others' shares go to these.
 _MAX_INFLUENCES = 8
-# A SMPL-X file appends 10 or 100 expression directions to its 10 or 300 of shape.
 _OMITTED_TYPE = 2
 """Type of a body vertex left out of contact in the released code."""
+_LARGEST = 1e4
+"""Numbers of a model, which are metres or shares, beyond which they are damaged."""
+# A SMPL-X file appends 10 or 100 expression directions to its 10 or 300 of shape.
 _SMPLX_EXPRESSIONS = {20: 10, 400: 100}
 
 
@@ -133,8 +135,10 @@ def _require_shapes(path: Path, arrays: Mapping[str, Any], vertices: int, joints
 
 def _finite(path: Path, key: str, values: np.ndarray) -> np.ndarray:
     numbers = stored_numbers(values, path, key).astype(np.float64, copy=False)
-    if not np.isfinite(numbers).all():
-        raise InputError(f'{path}: "{key}" holds numbers that are not finite; download the model again.')
+    if not (np.abs(numbers) <= _LARGEST).all():
+        raise InputError(
+            f'{path}: "{key}" holds numbers that are not finite, or beyond {_LARGEST:g}; download the model again.'
+        )
     return numbers
 
 
