@@ -254,14 +254,20 @@ def test_what_a_kill_leaves_the_next_run_sweeps(tmp_path: Path) -> None:
 def test_a_conversion_that_is_ended_leaves_no_part_of_a_file(
     tmp_path: Path, pb4u: Callable, number: signal.Signals
 ) -> None:
+    if signal.getsignal(number) is signal.SIG_IGN:
+        pytest.skip("the tests were started where this signal is ignored")
     clip = SkinningSimulator().simulate(make_scene("tshirt", triangles=1000, frames=90, lead_in=0))
     before = clip.save(tmp_path / "t.npz").read_bytes()
-    (tmp_path / "t.gif").write_text("an earlier one")
-    run = subprocess.Popen([*PB4U, "convert", "t.npz", "t.gif"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-    while run.poll() is None and not any(tmp_path.glob(f".t.gif.*{MARK}")):
-        time.sleep(0.01)
-    run.send_signal(number)
-    _, said = run.communicate(timeout=120)
+    for _ in range(3):
+        (tmp_path / "t.gif").write_text("an earlier one")
+        run = subprocess.Popen([*PB4U, "convert", "t.npz", "t.gif"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+        while run.poll() is None and not any(tmp_path.glob(f".t.gif.*{MARK}")):
+            time.sleep(0.01)
+        run.send_signal(number)
+        _, said = run.communicate(timeout=120)
+        # On a busy machine it may have written the last picture by then.
+        if run.returncode != 0:
+            break
     assert "Traceback" not in said
     if number == signal.SIGKILL:
         assert pb4u("convert", tmp_path / "t.npz", tmp_path / "t.pkl").code == 0
