@@ -134,7 +134,7 @@ def test_nothing_wider_than_one_latent_is_ever_built_for_edges(form):
 @pytest.mark.parametrize("gradients", [False, True])
 def test_bfloat16_weights_answer_in_full_precision_and_stay_close(gradients):
     exact = model_of(TINY, dtype=torch.float32)
-    rounded = exact.with_products_in(torch.bfloat16)
+    rounded = exact.for_inference(torch.bfloat16)
     at = moment([sheet(9, 12)])
     with torch.set_grad_enabled(gradients):
         expected = accelerations(exact, at, dtype=torch.float32).detach()

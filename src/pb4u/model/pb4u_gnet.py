@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import torch
 from torch import Tensor, nn
 
+from pb4u.geometry.proximity.element_distance import COMPILES
 from pb4u.graph.garment_graph import GarmentGraph
 from pb4u.graph.graph import GARMENT, Graph
 from pb4u.model.propagation import Propagation, PropagationForm
 from pb4u.model.propagation_control import ConstantDistance, FixedSteps, PropagationControl, TruncatedDistance
 from pb4u.model.update_scaling import MeanScaling, NoScaling, PerVertexScaling, UpdateScaling
-from pb4u.nn.acceleration_model import NetworkConfiguration
+from pb4u.nn.acceleration_model import GraphNetwork, NetworkConfiguration
 from pb4u.nn.encode_process_decode import EncodeProcessDecode
 from pb4u.nn.interaction_block import InteractionBlock
 from pb4u.nn.mlp import MLP, SplitMLP, in_runs
@@ -48,12 +50,14 @@ class Pb4uGNet(EncodeProcessDecode):
 
     def __init__(self, configuration: Pb4uConfiguration) -> None:
         super().__init__(configuration)
+        self.configuration = configuration
+        self.kinds = ("mesh", "world")
         self.control: PropagationControl = configuration.control
         self.scaling: UpdateScaling = configuration.scaling
         width = configuration.width
         self.propagation = Propagation(width, configuration.propagation)
         self.update = SplitMLP((width, width), width, width, norm=True)
-        self.blocks = nn.ModuleList(InteractionBlock(width, ("mesh", "world")) for _ in range(configuration.blocks))
+        self.blocks = nn.ModuleList(InteractionBlock(width, self.kinds) for _ in range(configuration.blocks))
         self.decoder = MLP(width, width, 3, norm=False)
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
@@ -71,6 +75,18 @@ class Pb4uGNet(EncodeProcessDecode):
     def _updated(self, before: Tensor, propagated: Tensor) -> Tensor:
         hidden = self.update.project(0, before, bias=True) + self.update.project(1, propagated)
         return self.update.after_first(hidden)
+
+    def for_inference(self, precision: torch.dtype) -> GraphNetwork:
+        """Network that computes the same without gradients; see `GraphNetwork.for_inference`."""
+        if not COMPILES or next(self.parameters()).device.type != "cpu":
+            return super().for_inference(precision)
+        from pb4u.model.compiled_pb4u_gnet import CompiledPb4uGNet
+
+        return (
+            CompiledPb4uGNet(self, precision)
+            if CompiledPb4uGNet.takes(self, precision)
+            else super().for_inference(precision)
+        )
 
     def propagation_steps(self, mean_edge_length: float) -> int:
         """Number K of propagation steps of a garment of `mean_edge_length` [m]."""

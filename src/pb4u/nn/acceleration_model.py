@@ -133,6 +133,22 @@ class GraphNetwork(nn.Module, ABC):
             steps: propagation steps of each garment.
         """
 
+    def for_inference(self, precision: torch.dtype) -> GraphNetwork:
+        """Network that computes the same without gradients, as fast as may be; called on a copy, which it may change.
+
+        Perceptrons over several parts, nine tenths of the products, hold their weights, and so multiply, in
+        `precision`. Encoders, decoder, latents, norms, sums over nodes and accelerations keep float32: features rounded
+        to bfloat16 alone made three quarters of the error.
+
+        Args:
+            precision: such as `torch.bfloat16`.
+        """
+        for module in self.modules():
+            if isinstance(module, SplitMLP):
+                for layer in (module.first, module.second, module.last):
+                    layer.to(precision)
+        return self
+
     def propagation_steps(self, mean_edge_length: float) -> int:
         """Number of propagation steps of a garment; 0 for a method without them.
 
@@ -189,12 +205,17 @@ class PreparedGarments:
         count = len(self.steps)
         chosen = (steps,) * count if isinstance(steps, int) else tuple(steps)
         for number in chosen:
-            if not 1 <= number <= MOST_PROPAGATION_STEPS:
-                raise InputError(
-                    f"Propagation steps must lie between 1 and {MOST_PROPAGATION_STEPS}, not {number}; "
-                    "leave the option out to let the resolution decide."
-                )
+            require_propagation_steps(number)
         return replace(self, steps=chosen)
+
+
+def require_propagation_steps(number: int) -> None:
+    """Refuse a number of propagation steps that no mesh calls for. Raises InputError where it is not from 1 to 500."""
+    if not 1 <= number <= MOST_PROPAGATION_STEPS:
+        raise InputError(
+            f"Propagation steps must lie between 1 and {MOST_PROPAGATION_STEPS}, not {number}; "
+            "leave the option out to let the resolution decide."
+        )
 
 
 class AccelerationModel(nn.Module):
@@ -241,20 +262,14 @@ class AccelerationModel(nn.Module):
         prepared = PreparedGarments(builder, steps, network.update_scale(static), derived.losses)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
-    def with_products_in(self, precision: torch.dtype) -> AccelerationModel:
-        """Copy whose perceptrons over several parts hold their weights, and so multiply, in another precision.
-
-        Those are nine tenths of the products. Encoders, decoder, latents, norms, sums over nodes, normalisers and
-        accelerations keep theirs: features rounded to bfloat16 alone made three quarters of the error.
+    def for_inference(self, precision: torch.dtype = torch.float32) -> AccelerationModel:
+        """Copy that computes the same without gradients, as fast as may be; see `GraphNetwork.for_inference`.
 
         Args:
-            precision: such as `torch.bfloat16`.
+            precision: of the products, such as `torch.bfloat16`.
         """
         copied = copy.deepcopy(self)
-        for module in copied.modules():
-            if isinstance(module, SplitMLP):
-                for layer in (module.first, module.second, module.last):
-                    layer.to(precision)
+        copied.network = copied.network.for_inference(precision)
         return copied
 
     def forward(self, graph: Graph, prepared: PreparedGarments) -> Tensor:

@@ -54,14 +54,19 @@ class EncodeProcessDecode(GraphNetwork):
 
     def encode(self, graph: Graph) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Node and edge latents (rows, width), dimensionless, by set name."""
-        nodes = {}
+        nodes = {name: self.node_encoder(values) for name, values in self.node_inputs(graph).items()}
+        return nodes, {name: self.edge_encoders[s.kind](s.features) for name, s in graph.edges.items()}
+
+    def node_inputs(self, graph: Graph) -> dict[str, Tensor]:
+        """What the encoder of nodes reads, (nodes, columns) [1] by set name: features, and embeddings of labels."""
+        entering = {}
         for name, node_set in graph.nodes.items():
             inputs = [node_set.features, self.node_type(node_set.types).to(node_set.features)]
             if self.level is not None:
                 labels = graph.rest[LEVEL] if name == GARMENT else torch.zeros_like(node_set.types)
                 inputs.append(self.level(labels).to(node_set.features))
-            nodes[name] = self.node_encoder(torch.cat(inputs, dim=1))
-        return nodes, {name: self.edge_encoders[s.kind](s.features) for name, s in graph.edges.items()}
+            entering[name] = torch.cat(inputs, dim=1)
+        return entering
 
     def decode_after(
         self, blocks: nn.ModuleList, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph
