@@ -8,7 +8,8 @@ import torch
 import trimesh
 
 from pb4u.errors import InputError
-from pb4u.geometry.nearest_surface import TriangleSurface, closest_barycentric
+from pb4u.geometry.closest_point import closest_barycentric
+from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.principal_stretch import face_strains, principal_stretches, weighted_percentile
 
 

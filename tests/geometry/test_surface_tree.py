@@ -102,24 +102,51 @@ def test_pairs_known_before_save_a_search_and_change_nothing(name: str) -> None:
     """Over several moves: small ones, one of a few vertices that go far, and one of all."""
     surface = SURFACES[name]
     tree, rng = surface.tree, np.random.default_rng(2)
-    x, known = surface.before, surface.tree.pairs(surface.before, 2e-3)
-    seen = []
-    for size, share in ((2e-4, 1.0), (3e-4, 1.0), (0.05, 0.04), (2e-4, 1.0), (0.05, 1.0), (2e-4, 1.0)):
+    x, known = surface.before, surface.tree.pairs(surface.before, 2e-3, lasting=True)
+    seen = [known.neighbourhood]
+    for size, share in ((2e-4, 1.0), (3e-4, 1.0), (0.05, 0.04), (2e-4, 1.0), (0.1, 1.0), (2e-4, 1.0)):
         moves = size * rng.normal(size=x.shape) * (rng.random(len(x)) < share)[:, None]
-        found = tree.pairs(x, 2e-3, moves, known)
-        near = np.zeros(len(surface.all_pairs), dtype=bool)
-        for part in np.linspace(0.0, 1.0, 41):
-            near |= surface.all_pairs.nearest(x + part * moves)[0] < 2e-3
-        assert keys(surface.all_pairs, near) <= keys(found)
-        assert len(keys(found)) == len(found)
-        assert keys(tree.pairs(x, 2e-3, moves)) <= keys(found)
+        found = tree.pairs(x, 2e-3, moves, known, lasting=True)
+        _assert_complete(surface, x, moves, found)
         seen.append(found.neighbourhood)
         x, known = x + moves, found
     assert seen[0] is not None
-    assert seen[1] is seen[0]
-    assert seen[2] is seen[0]
-    assert seen[4] is None
-    assert seen[5] is not None
+    assert all(later is seen[0] for later in seen[1:5])
+    assert seen[5] is not seen[0]
+    assert seen[6] is seen[5]
+
+
+@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("size", [2e-3, 0.03])
+def test_pairs_known_of_one_move_serve_another_that_ends_near(name: str, size: float) -> None:
+    """As a move that is turned aside where cloth meets cloth, and one that starts where the first one ended."""
+    surface = SURFACES[name]
+    tree, rng = surface.tree, np.random.default_rng(4)
+    moves = size * rng.normal(size=surface.before.shape)
+    known = tree.pairs(surface.before, 2e-3, moves, lasting=True)
+    _assert_complete(surface, surface.before, moves, known)
+    for x, further in (
+        (surface.before, moves + 5e-4 * rng.normal(size=moves.shape)),
+        (surface.before + moves, 5e-4 * rng.normal(size=moves.shape)),
+        (surface.before + 0.7 * moves, 0.2 * moves),
+    ):
+        found = tree.pairs(x, 2e-3, further, known)
+        _assert_complete(surface, x, further, found)
+        narrower = tree.pairs(x, 1e-3, further, known)
+        _assert_complete(surface, x, further, narrower, 1e-3)
+    served = tree.pairs(surface.before, 2e-3, moves + 1e-4, known)
+    assert served.neighbourhood is known.neighbourhood
+
+
+def _assert_complete(
+    surface: Surface, x: np.ndarray, moves: np.ndarray, found: ElementPairs, reach: float = 2e-3
+) -> None:
+    """Whether all pairs that come within `reach` [m] on the way are found, each once."""
+    near = np.zeros(len(surface.all_pairs), dtype=bool)
+    for part in np.linspace(0.0, 1.0, 41):
+        near |= surface.all_pairs.nearest(x + part * moves)[0] < reach
+    assert keys(surface.all_pairs, near) <= keys(found)
+    assert len(keys(found)) == len(found)
 
 
 def test_cloth_that_is_carried_along_gives_no_more_pairs() -> None:

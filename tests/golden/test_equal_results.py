@@ -1,4 +1,4 @@
-"""Results equal to the bit from run to run, and, within rounding, to those written down.
+"""Results equal to the bit from run to run, and near those written down, whichever machine made them.
 
 After an intended change of results run this file as a program; it rewrites golden_trajectories.npz.
 """
@@ -17,8 +17,11 @@ GOLDEN = Path(__file__).with_name("golden_trajectories.npz")
 SCENES = (("tanktop", "walk"),)
 MODELS = {"skinning": "--model skinning", "solver": "--model solver --self-contact off"}
 SIZE = "--triangles 300 --frames 2 --lead-in 2"
-TOLERANCES = {"skinning": 1e-6, "solver": 1e-5}
-"""How far [m] positions may be from those written down: rounding of float32, and of the solver's iterations."""
+DISTANCES = {"skinning": 1e-6, "solver": 5e-3}
+"""How far [m] vertices may be, on average, from those written down. The solver ends within its tolerance, not at a
+point: two processors that round otherwise came out 2.6 mm apart, in other folds."""
+ENERGY = 0.06
+"""Share of the energy in which a run may differ from what is written down; those two differed by 1.2 and 2.5 %."""
 
 ARRAYS = {
     "positions", "velocities", "faces", "rest_positions", "pinned", "vertex_garment", "body_positions", "body_faces",
@@ -69,7 +72,15 @@ def test_trajectories_are_those_written_down(recorded: tuple[Path, dict], model:
     folder, _ = recorded
     with np.load(GOLDEN) as golden, np.load(folder / f"tanktop_walk_{model}.npz") as found:
         np.testing.assert_array_equal(found["faces"], golden["faces"])
-        np.testing.assert_allclose(found["positions"], golden[model], rtol=0, atol=TOLERANCES[model])
+        assert np.linalg.norm(found["positions"] - golden[model], axis=-1).mean() < DISTANCES[model]
+        np.testing.assert_allclose(_energies(folder, model), golden[f"{model}_energies"], rtol=ENERGY)
+
+
+def _energies(folder: Path, model: str) -> list[float]:
+    """Total energy of each frame [J], as the run reports it."""
+    report = json.loads((folder / f"tanktop_walk_{model}.json").read_text())
+    energies: list[float] = report["metrics"]["total"]["per_frame"]
+    return energies
 
 
 def write_down(folder: Path) -> None:
@@ -78,7 +89,7 @@ def write_down(folder: Path) -> None:
     kept = {}
     for model in MODELS:
         with np.load(folder / f"tanktop_walk_{model}.npz") as found:
-            kept |= {"faces": found["faces"], model: found["positions"]}
+            kept |= {"faces": found["faces"], model: found["positions"], f"{model}_energies": _energies(folder, model)}
     np.savez_compressed(GOLDEN, **kept)
 
 

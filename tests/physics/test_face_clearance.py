@@ -11,7 +11,6 @@ from ball_scene import ball_scene
 from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import area_weighted_normals
 from pb4u.physics.contact.face_clearance import FaceClearance
-from pb4u.physics.contact.planes import clearances
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.state import State
 from pb4u.simulation.timeline import Timeline
@@ -33,7 +32,9 @@ def sheet_wrapped_round_the_ball() -> tuple[Timeline, State]:
 
 def deepest_middle(timeline: Timeline, state: State) -> float:
     middles = state.positions[timeline.garments.faces].mean(1)
-    return float(clearances(timeline.pose(0), middles, timeline.garments.face_garment)[0].min())
+    surface = timeline.pose(0).surfaces[0]
+    assert surface is not None
+    return float(surface.nearest(middles).signed_distance.min())
 
 
 def test_faces_that_cut_into_the_body_are_lifted_out_of_it() -> None:

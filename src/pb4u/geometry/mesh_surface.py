@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface, closest_barycentric
+from pb4u.geometry.closest_point import closest_barycentric
+from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import edge_lengths
 

@@ -16,9 +16,10 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.geometry.proximity.box_tree import BoxTree
+from pb4u.geometry.closest_point import closest_barycentric
 from pb4u.geometry.proximity.element_distance import COMPILES
-from pb4u.geometry.proximity.nearest_points import fitted, nearest_points
+from pb4u.geometry.proximity.nearest_points import Found, Searched, look_up
+from pb4u.geometry.proximity.wide_tree import WideTree
 from pb4u.geometry.topology import Topology
 from pb4u.threads import of_parts
 
@@ -66,6 +67,7 @@ class TriangleSurface:
         region_faces: (faces, 3) int64 those of the region.
         faces: (faces, 3) int64 those of the region, then the caps.
         caps: (caps, 3) int64 faces that close the holes; named in answers as if they followed all given faces.
+        names: (faces,) int64 what answers call each of the `faces`.
 
     Raises:
         InputError: no face is left.
@@ -82,8 +84,8 @@ class TriangleSurface:
         self.region_faces = faces[kept]
         self.faces = np.concatenate([self.region_faces, self.caps])
         self.vertex_count = vertex_count
-        self._kept = np.concatenate([kept, len(faces) + np.arange(len(self.caps))])
-        self._tree: BoxTree | None = None
+        self.names = np.concatenate([kept, len(faces) + np.arange(len(self.caps))])
+        self._tree: WideTree | None = None
 
     @cached_property
     def topology(self) -> Topology:
@@ -98,7 +100,7 @@ class TriangleSurface:
         key = str(device)
         if key not in self._tensors:
             mesh = self.topology
-            arrays = (self.faces, mesh.face_edges.copy(), mesh.edge_face_counts == 1, mesh.border_vertices, self._kept)
+            arrays = (self.faces, mesh.face_edges.copy(), mesh.edge_face_counts == 1, mesh.border_vertices, self.names)
             self._tensors[key] = tuple(torch.from_numpy(a).to(device) for a in arrays)  # type: ignore[assignment]
         return self._tensors[key]
 
@@ -109,15 +111,19 @@ class TriangleSurface:
         begins = np.searchsorted(np.sort(self.faces.reshape(-1)), np.arange(self.vertex_count + 1))
         return begins, around, self.topology.border_vertices
 
-    def tree(self, vertices: np.ndarray) -> BoxTree:
+    @cached_property
+    def closed(self) -> bool:
+        """Whether it has no border."""
+        return self.topology.is_closed
+
+    def tree(self, vertices: np.ndarray) -> WideTree:
         """Tree over the faces, built at the first pose it is asked for: what is near on a body mostly stays near.
 
         Args:
             vertices: (vertices, 3) [m].
         """
         if self._tree is None:
-            none = np.zeros(len(self.faces), dtype=np.int64)
-            self._tree = BoxTree.over(vertices[self.faces].mean(axis=1), none, none[:1])
+            self._tree = WideTree.over(vertices[self.faces].mean(axis=1))
         return self._tree
 
     def at(self, vertices: Tensor | np.ndarray) -> PosedSurface:
@@ -158,11 +164,11 @@ class PosedSurface:
         self.vertices = vertices.to(torch.float64)
 
     @cached_property
-    def _searched(self) -> tuple[np.ndarray, np.ndarray, tuple, tuple, tuple]:
-        """Vertices, faces, fans, what is fitted of the tree, and the tree, for the compiled search."""
+    def _searched(self) -> Searched:
         vertices = np.ascontiguousarray(self.vertices.numpy())
-        tree = self.surface.tree(vertices).arrays[:3]
-        return vertices, self.surface.faces, self.surface.fans, fitted(vertices, self.surface.faces, *tree), tree
+        faces, tree = self.surface.faces, self.surface.tree(vertices)
+        fitted = tree.fitted(vertices, faces)
+        return Searched(vertices, faces, self.surface.fans, tree.order, tree.children, tree.bottoms, *fitted)
 
     @cached_property
     def _corners(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -209,11 +215,13 @@ class PosedSurface:
         queried = asked.to(self.vertices.device, torch.float64)
         if not bool(torch.isfinite(queried).all()):
             raise InputError("The nearest surface was asked for a point that is not finite.")
-        if COMPILES and self.vertices.device.type == "cpu":
-            triangle, barycentric, position, normal, distance, beyond = self._nearest_by_tree(queried.numpy())
+        if self.compiled:
+            found = Found.nothing(len(queried))
+            self.look_up(queried.numpy(), found)
+            _, original, barycentric, position, normal, distance, beyond = (torch.from_numpy(v) for v in found)
         else:
             triangle, barycentric, position, normal, distance, beyond = self._nearest_by_candidates(queried)
-        original = self.surface._on(self.vertices.device)[4].index_select(0, triangle)
+            original = self.surface._on(self.vertices.device)[4].index_select(0, triangle)
 
         def back(t: Tensor) -> Tensor:
             return t.to(asked.device, asked.dtype if asked.dtype.is_floating_point else torch.float64)
@@ -227,12 +235,52 @@ class PosedSurface:
             beyond_border=beyond.to(asked.device),
         )
 
-    def _nearest_by_tree(self, points: np.ndarray) -> list[Tensor]:
-        """What `nearest_points` gives, part by part."""
-        searched, asked = self._searched, np.ascontiguousarray(points)
-        parts = np.split(asked, range(_POINTS_PER_PART, len(asked), _POINTS_PER_PART))
-        found = of_parts(lambda part: nearest_points(*searched, part), parts)
-        return [torch.from_numpy(np.concatenate(values)) for values in zip(*found, strict=True)]
+    @property
+    def compiled(self) -> bool:
+        """Whether `look_up` answers here."""
+        return COMPILES and self.vertices.device.type == "cpu"
+
+    def look_up(
+        self,
+        points: np.ndarray,
+        found: Found,
+        within: float = np.inf,
+        patience: float = 0.0,
+        names: np.ndarray | None = None,
+    ) -> int:
+        """Bring what was found at this pose up to date; see `nearest_points.look_up`.
+
+        Args:
+            points: (points, 3) [m].
+            found: for the same points, wherever they were; changed.
+            within: distance [m] from which on a point need only be known to be so far. An open surface has no use
+                for it: by its border a point comes inside without passing through it.
+            patience: way [m] that a point may have gone for its answer to stand.
+            names: (faces,) int64 what to call the `faces` of the surface; `surface.names` by default.
+
+        Returns:
+            Number of points that were searched for.
+        """
+        searched, called = self._searched, self.surface.names if names is None else names
+        asked = np.ascontiguousarray(points)
+        far = within if self.surface.closed else np.inf
+        starts = range(0, max(len(asked), 1), _POINTS_PER_PART)
+        parts = [(asked[k : k + _POINTS_PER_PART], found.rows(k, k + _POINTS_PER_PART)) for k in starts]
+        return sum(of_parts(lambda part: look_up(searched, called, part[0], far, patience, False, part[1]), parts))
+
+    def look_up_nearer(self, points: np.ndarray, found: Found, among: np.ndarray | None = None) -> None:
+        """Bring up to date what was found where a face is nearer than that.
+
+        Args:
+            points: (points, 3) [m].
+            found: for the same points; changed.
+            among: (faces,) bool, the `faces` of the surface that may be; None for all.
+        """
+        searched = self._searched
+        if among is not None:
+            fitted = self.surface.tree(searched.vertices).fitted(searched.vertices, searched.faces, among)
+            searched = searched._replace(corners=fitted[0], boxes=fitted[1])
+        look_up(searched, self.surface.names, np.ascontiguousarray(points), np.inf, -1.0, True, found)
 
     def _nearest_by_candidates(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
         """What `nearest_points` gives, by tensors alone."""
@@ -324,47 +372,3 @@ def _closest_of(points: Tensor, faces: Tensor, corners: tuple[Tensor, Tensor, Te
     closest = barycentric[..., :1] * a + barycentric[..., 1:2] * b + barycentric[..., 2:] * c
     distance, column = (points[:, None] - closest).norm(dim=-1).min(dim=1)
     return faces.gather(1, column[:, None])[:, 0], distance
-
-
-def closest_barycentric(points: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
-    """Barycentric coordinates of the point of each triangle that is closest to a point of its own.
-
-    By Voronoi regions of corners, edges and face (Ericson, Real-Time Collision Detection, 5.1.5); a degenerate
-    triangle counts as its edges.
-
-    Args:
-        points: (..., 3) [m].
-        a: (..., 3) first corner of each triangle [m].
-        b: (..., 3) second corner [m].
-        c: (..., 3) third corner [m].
-
-    Returns:
-        (..., 3) barycentric coordinates in the triangle.
-    """
-    ab, ac, ap = b - a, c - a, points - a
-    d1, d2 = (ab * ap).sum(-1), (ac * ap).sum(-1)
-    bp, cp = points - b, points - c
-    d3, d4 = (ab * bp).sum(-1), (ac * bp).sum(-1)
-    d5, d6 = (ab * cp).sum(-1), (ac * cp).sum(-1)
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-
-    def ratio(top: Tensor, bottom: Tensor) -> Tensor:
-        return torch.where(bottom > 0, top / torch.where(bottom > 0, bottom, 1.0), 0.0).clamp(0.0, 1.0)
-
-    zero, one = torch.zeros_like(d1), torch.ones_like(d1)
-    total = va + vb + vc
-    v, w = ratio(vb, total), ratio(vc, total)
-    result = torch.stack([one - v - w, v, w], dim=-1)
-    t = ratio(d4 - d3, (d4 - d3) + (d5 - d6))
-    result = _choose((va <= 0) & (d4 - d3 >= 0) & (d5 - d6 >= 0), (zero, one - t, t), result)
-    t = ratio(d2, d2 - d6)
-    result = _choose((vb <= 0) & (d2 >= 0) & (d6 <= 0), (one - t, zero, t), result)
-    t = ratio(d1, d1 - d3)
-    result = _choose((vc <= 0) & (d1 >= 0) & (d3 <= 0), (one - t, t, zero), result)
-    result = _choose((d6 >= 0) & (d5 <= d6), (zero, zero, one), result)
-    result = _choose((d3 >= 0) & (d4 <= d3), (zero, one, zero), result)
-    return _choose((d1 <= 0) & (d2 <= 0), (one, zero, zero), result)
-
-
-def _choose(where: Tensor, coordinates: tuple[Tensor, Tensor, Tensor], otherwise: Tensor) -> Tensor:
-    return torch.where(where[..., None], torch.stack(coordinates, dim=-1), otherwise)

@@ -125,12 +125,9 @@ class IncrementalPotential:
         return replace(self, terms=tuple(new if term.name == new.name else term for term in self.terms))
 
     def of(self, step: TimeStep) -> StepPotential:
-        """The potential of `step`, with the contacts at its start looked up."""
+        """The potential of `step`, with the contacts of the body at its start looked up."""
         exact = self.search is nearest_planes
-        contacts = step.contacts if exact else step.contacts_by(self.search)
-        before = step.state.positions
-        cloth = self.self_contact.pairs(step.garments, before, None, before)
-        return StepPotential(self, step, replace(contacts, cloth_now=None if cloth is None else cloth.touching(before)))
+        return StepPotential(self, step, step.contacts if exact else step.contacts_by(self.search))
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +182,7 @@ class StepPotential:
         """
         met = self._along(x, wanted - x)
         carried = self.potential.self_contact.carried(self.step.garments, x, wanted, met.contacts.cloth)
-        return (met if carried is wanted else self._along(x, carried - x)), carried
+        return (met if carried is wanted else met._along(x, carried - x)), carried
 
     def as_far_as_free(self, x: Tensor, moves: Tensor) -> tuple[StepPotential, Tensor]:
         """This potential for a move, as `reached` gives it, and the shares (worlds,) of it that touch nothing.
@@ -199,15 +196,30 @@ class StepPotential:
 
     def with_cloth(self, cloth: ClothPairs | None) -> StepPotential:
         """This potential with the cloth elements that it compares fixed to `cloth`; None looks them up."""
-        return self if cloth is None else replace(self, contacts=replace(self.contacts, cloth=cloth))
+        if cloth is None:
+            return self
+        if self.contacts.cloth is not None:
+            return replace(self, contacts=replace(self.contacts, cloth=cloth))
+        before = self.step.state.positions
+        return self._with_cloth_from(cloth, self.potential.self_contact.pairs(self.step.garments, before, None, before))
+
+    def _with_cloth_from(self, cloth: ClothPairs, start: ClothPairs | None) -> StepPotential:
+        """This potential with `cloth`, and those of the pairs near at the step's `start` that touch there."""
+        touching = None if start is None else start.touching(self.step.state.positions)
+        return replace(self, contacts=replace(self.contacts, cloth=cloth, cloth_now=touching))
 
     def without_cloth(self) -> StepPotential:
         """This potential without contact between cloth elements: finite where cloth crosses cloth."""
         return replace(self, potential=self.potential.without_self_contact())
 
-    def _along(self, x: Tensor, moves: Tensor) -> StepPotential:
-        garments, before = self.step.garments, self.step.state.positions
-        return self.with_cloth(self.potential.self_contact.pairs(garments, x, moves, before, self.contacts.cloth))
+    def _along(self, x: Tensor, moves: Tensor | None) -> StepPotential:
+        """This potential with all cloth elements that meet along `moves` (vertices, 3) [m] from `x`; None for none."""
+        garments, before, known = self.step.garments, self.step.state.positions, self.contacts.cloth
+        cloth = self.potential.self_contact.pairs(garments, x, moves, before, known)
+        # What a move from the step's start meets is all that touches there.
+        if cloth is not None and known is None and x is before:
+            return self._with_cloth_from(cloth, cloth)
+        return self.with_cloth(cloth)
 
     def energies(self, x: Tensor) -> Energies:
         """Energies at `x` (vertices, 3) [m]; differentiable by autograd."""
@@ -283,7 +295,6 @@ class StepPotential:
         if self.step.bodies is not None and contacts.next is None:
             contacts = replace(contacts, next=self.contact_at(x))
         if contacts.cloth is None:
-            before = self.step.state.positions
-            cloth = self.potential.self_contact.pairs(self.step.garments, x.detach(), None, before)
-            contacts = contacts if cloth is None else replace(contacts, cloth=cloth)
+            found = self._along(x.detach(), None).contacts
+            contacts = replace(contacts, cloth=found.cloth, cloth_now=found.cloth_now)
         return contacts

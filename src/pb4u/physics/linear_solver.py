@@ -224,16 +224,16 @@ class AgeingPreconditioner:
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a symmetric matrix, directions without positive stiffness left out."""
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
-    shift = 1e-9 * np.abs(np.diagonal(matrix)).max() * np.eye(len(matrix))
-    try:
-        # Twenty times faster than the eigenvectors, and the usual case.
-        return cho_solve(cho_factor(matrix + shift), np.eye(len(matrix)))
-    except LinAlgError:
-        values, vectors = np.linalg.eigh(matrix)
-        kept = values > 1e-9 * values[-1]
-        return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    tensor = torch.from_numpy(matrix)
+    shift = 1e-9 * float(tensor.diagonal().abs().max())
+    # Twenty times faster than the eigenvectors, and the usual case; a quarter of what solving for the identity takes.
+    factor, failed = torch.linalg.cholesky_ex(tensor + shift * torch.eye(len(tensor), dtype=tensor.dtype))
+    if not bool(failed):
+        inverse: np.ndarray = torch.cholesky_inverse(factor).numpy()
+        return inverse
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > 1e-9 * values[-1]
+    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
 
 
 def _affine_functions(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

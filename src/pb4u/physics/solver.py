@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.planes import ContactPlanes
+from pb4u.physics.contact.planes import MOTION_REACH, ContactPlanes
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
@@ -58,9 +58,6 @@ _ROUGHLY = 0.1
 
 LARGEST_MOTION = 0.15
 """How far the body under the cloth may move in one implicit step [m]: less than a limb is thick."""
-
-_NEAR = 0.05
-"""Distance [m] from the body within which its motion concerns the cloth."""
 
 # Share of the compressive curvature and extra mass, from most damped to exact: an iteration starts one damping level
 # above the last and falls back while the curvature is negative. The extra mass holds back vertices about to buckle.
@@ -158,9 +155,9 @@ class Solver:
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
         # What was asked for may cross, where contact between cloths has no finite energy to compare.
         lifted = lifted_off_the_body(potential.without_cloth(), start)
-        potential, start = _reached(potential, lifted.positions)
+        potential, start = _reached(potential, lifted)
         cloth = potential.contacts.cloth
-        contact = TrackedContact(potential, start, lifted)
+        contact = TrackedContact(potential, start)
         x, inner, iteration, damping_level = start, 0, 0, -1
         while True:
             frozen = contact.potential_at(x).with_cloth(cloth)
@@ -355,7 +352,7 @@ def substep_count(step: TimeStep) -> int:
     planes, bodies = step.contacts.now, step.bodies
     if planes is None or bodies is None:
         return 1
-    near = planes.touchable & (planes.distance < _NEAR)
+    near = planes.touchable & (planes.distance < MOTION_REACH)
     if not bool(near.any()):
         return 1
     motion = planes.interpolated(bodies.motion, bodies.colliders.contact_faces)[near]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
-from pb4u.physics.contact.planes import ContactSet, PlaneSearch, nearest_planes
+from pb4u.physics.contact.planes import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
 
@@ -74,7 +74,7 @@ class TimeStep:
     @cached_property
     def contacts(self) -> ContactSet:
         """Contacts at the start of the step with the exact surface of the bodies, looked up when first asked for."""
-        return self.contacts_by(nearest_planes)
+        return self.contacts_by(partial(nearest_planes, within=MOTION_REACH))
 
     def contacts_by(self, search: PlaneSearch) -> ContactSet:
         """Contacts at the start of the step that `search` finds with the bodies; none without a body."""

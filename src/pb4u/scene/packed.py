@@ -19,6 +19,7 @@ from torch import Tensor
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
+from pb4u.geometry.proximity.nearest_points import Found
 from pb4u.geometry.proximity.surface_tree import SurfaceTree
 
 
@@ -205,6 +206,14 @@ class PackedColliders:
             made.append(torch.cat([own, torch.arange(start, stop, device=own.device)]))
         return tuple(made)
 
+    @cached_property
+    def searched_faces(self) -> tuple[np.ndarray, ...]:
+        """The same of the faces that the surface of each world searches, in its order; none without a surface."""
+        return tuple(
+            names.cpu().numpy()[:0] if surface is None else names.cpu().numpy()[surface.names]
+            for names, surface in zip(self.world_contact_faces, self.surfaces, strict=True)
+        )
+
     def _caps(self, world: int) -> Tensor:
         surface = self.surfaces[world]
         return self.faces[:0] if surface is None else torch.from_numpy(surface.caps).to(self.faces.device)
@@ -236,10 +245,14 @@ class ColliderPose:
     Args:
         colliders: static quantities of the bodies.
         positions: (vertices, 3) [m].
+
+    Attributes:
+        found: what was last looked up here for the vertices of a pack of garments, which may serve again.
     """
 
     def __init__(self, colliders: PackedColliders, positions: Tensor) -> None:
         self.colliders, self.positions = colliders, positions
+        self.found: dict[PackedGarments, Found] = {}
 
     @cached_property
     def surfaces(self) -> tuple[PosedSurface | None, ...]:

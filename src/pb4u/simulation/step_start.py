@@ -59,7 +59,7 @@ class CarriedStart(StepStart):
         energies = torch.stack([frozen.energies(free + share * missing).per_world(garments) for share in shares])
         best = shares[energies.argmin(dim=0)]
         start = free + best[garments.vertex_world, None] * missing
-        return lifted_off_the_body(potential, start).positions - free
+        return lifted_off_the_body(potential, start) - free
 
 
 def start_of(network: GraphNetwork) -> StepStart:

@@ -13,6 +13,7 @@ import torch
 
 from pb4u.errors import InputError
 from pb4u.graph.features import ADVANCE
+from pb4u.nn.acceleration_model import require_propagation_steps
 from pb4u.physics.contact.response import Contact, NoContact
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution
@@ -28,6 +29,9 @@ from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.step_start import FreeFlight, StepStart, start_of
 from pb4u.simulation.timeline import Timeline
+
+_ANY_EDGE_LENGTH = 0.015
+"""Mean edge length [m] at which a network is asked whether it has propagation steps at all."""
 
 
 class StepwiseSimulator(Simulator):
@@ -128,7 +132,8 @@ class NetworkSimulator(StepwiseSimulator):
         potential: the energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
         precision: data type of the network's products.
 
-    Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next.
+    Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next, and for
+    a number of propagation steps out of range.
     """
 
     def __init__(
@@ -150,6 +155,8 @@ class NetworkSimulator(StepwiseSimulator):
         self.contact, self.first_frame = contact or NoContact(), first_frame or OneLongStep()
         self.device = torch.device(device)
         network = checkpoint.model.network
+        if propagation_steps is not None and network.propagation_steps(_ANY_EDGE_LENGTH):
+            require_propagation_steps(propagation_steps)
         self.passes = network.passes if passes is None else passes
         if self.passes < 1:
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
@@ -157,12 +164,11 @@ class NetworkSimulator(StepwiseSimulator):
             raise InputError(
                 f"The network {checkpoint.name} was made for one pass a step; leave --passes out, or give 1."
             )
-        if next(checkpoint.model.parameters()).device != self.device:
-            checkpoint = replace(checkpoint, model=copy.deepcopy(checkpoint.model).to(self.device))
+        model = checkpoint.model
+        if next(model.parameters()).device != self.device:
+            model = copy.deepcopy(model).to(self.device)
         self.precision = precision
-        if precision != torch.float32:
-            checkpoint = replace(checkpoint, model=checkpoint.model.with_products_in(precision))
-        self.checkpoint = checkpoint
+        self.checkpoint = replace(checkpoint, model=model.for_inference(precision))
 
     def settings(self) -> dict[str, Any]:
         return {

@@ -124,8 +124,10 @@ def _split(
 
 
 @compiled
-def boxes_of(vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margin: float) -> np.ndarray:
-    """Boxes (elements, 12) of elements, wider by `margin` on every side.
+def boxes_of(
+    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margin: float, room: float = 0.0
+) -> np.ndarray:
+    """Boxes (elements, 12) of elements, wider by `margin` on every side, and at the end of the move by `room` more.
 
     Lowest and highest position of the corners; then the same with the lowest and highest move added. In between the
     bounds change linearly, for two boxes in the same measure, so that they need be compared at the ends alone.
@@ -140,7 +142,7 @@ def boxes_of(vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margi
                 low, high = min(low, position), max(high, position)
                 slowest, fastest = min(slowest, move), max(fastest, move)
             box[axis], box[3 + axis] = low - margin, high + margin
-            box[6 + axis], box[9 + axis] = low - margin + slowest, high + margin + fastest
+            box[6 + axis], box[9 + axis] = low - margin - room + slowest, high + margin + room + fastest
     return boxes
 
 
@@ -197,12 +199,16 @@ def _include(box: np.ndarray, other: np.ndarray) -> None:
 
 
 @compiled
-def boxes_meet(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two boxes (12,) may come together: on no axis is one beyond the other at both ends of their moves."""
+def boxes_meet(ones: np.ndarray, one: int, others: np.ndarray, other: int) -> bool:
+    """Whether two boxes, rows of `ones` and of `others` (boxes, 12), may come together.
+
+    They do where on no axis one is beyond the other at both ends of their moves.
+    """
+    # By number: a row on its own is an array, which costs more to make than to compare.
     for axis in range(3):
-        if one[axis] > other[3 + axis] and one[6 + axis] > other[9 + axis]:
+        if ones[one, axis] > others[other, 3 + axis] and ones[one, 6 + axis] > others[other, 9 + axis]:
             return False
-        if other[axis] > one[3 + axis] and other[6 + axis] > one[9 + axis]:
+        if others[other, axis] > ones[one, 3 + axis] and others[other, 6 + axis] > ones[one, 9 + axis]:
             return False
     return True
 
@@ -234,7 +240,7 @@ def meeting_leaves(
                     stack[depth + 2, 0], stack[depth + 2, 1] = left, right
                     depth += 3
                     continue
-            elif not boxes_meet(node_boxes[a], node_boxes[b]):
+            elif not boxes_meet(node_boxes, a, node_boxes, b):
                 continue
             elif inner_a or inner_b:
                 if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):

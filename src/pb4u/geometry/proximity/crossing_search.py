@@ -68,7 +68,7 @@ def _touching_faces(
             f = order[i]
             for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                 g = order[j]
-                if not boxes_meet(face_boxes[f], face_boxes[g]):
+                if not boxes_meet(face_boxes, f, face_boxes, g):
                     continue
                 shared = _shared(faces[f], faces[g], side, other_side)
                 if shared == 0:

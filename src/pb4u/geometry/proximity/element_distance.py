@@ -36,6 +36,11 @@ def compiled_with_fused_products(function: Compiled) -> Compiled:
     return _compiled(function, {"contract"})
 
 
+def compiled_with_free_sums(function: Compiled) -> Compiled:
+    """As `compiled_with_fused_products`, and sums over columns taken in any order, many columns at once."""
+    return _compiled(function, {"contract", "reassoc"})
+
+
 def _compiled(function: Compiled, freedom: set[str]) -> Compiled:
     if numba is None:
         return function

@@ -1,10 +1,12 @@
 """Nearest points of a posed surface, each with the direction in which the distance grows; compiled by Numba.
 
-The tree of boxes is built once for a surface and fitted to each of its poses. The nearest face of one point bounds the
-search for the next: vertices of cloth come in an order in which neighbours mostly follow each other.
+What was found for a point at this pose before serves again: exactly where the point is where it was, as a bound on the
+search where it moved, and as proof that it is far from the surface where it was farther than it moved.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,134 +19,210 @@ _AT = 1e-9
 """Distance [m] up to which a point lies on the surface, where the way to it has no direction."""
 
 _DEEPEST = 512
-"""Entries of the stack of a search: a median split halves, so that 2^60 faces would not fill it."""
+"""Entries of the stack of a search: at most seven a level are left waiting, so that 8^70 faces would not fill it."""
+
+_ROUNDING = 1.0 + 1e-9
+"""Factor on a squared bound, within which the face that it was measured to is found again."""
 
 
-@compiled
-def fitted(
-    vertices: np.ndarray, faces: np.ndarray, order: np.ndarray, children: np.ndarray, ranges: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (faces, 9) [m] of the faces in the order of a tree; lowest and highest corner (nodes, 6) of its nodes."""
-    corners, boxes = np.empty((len(order), 9)), np.empty((len(children), 6))
-    for place in range(len(order)):
-        for corner in range(3):
-            for axis in range(3):
-                corners[place, 3 * corner + axis] = vertices[faces[order[place], corner], axis]
-    for node in range(len(children) - 1, -1, -1):
-        left, right = children[node, 0], children[node, 1]
-        for axis in range(3):
-            if left >= 0:
-                boxes[node, axis] = min(boxes[left, axis], boxes[right, axis])
-                boxes[node, 3 + axis] = max(boxes[left, 3 + axis], boxes[right, 3 + axis])
-                continue
-            low, high = np.inf, -np.inf
-            for place in range(ranges[node, 0], ranges[node, 1]):
-                for corner in range(axis, 9, 3):
-                    low, high = min(low, corners[place, corner]), max(high, corners[place, corner])
-            boxes[node, axis], boxes[node, 3 + axis] = low, high
-    return corners, boxes
+class Found(NamedTuple):
+    """What was found for some points; arrays that a search writes into.
+
+    Args:
+        at: (points, 3) [m] where each point was when it was looked up; not a number for one that never was.
+        triangle: (points,) int64 face.
+        barycentric: (points, 3) coordinates of the nearest point in that face.
+        positions: (points, 3) nearest points [m]; of a point that never was looked up any point of the surface that is
+            near, which bounds the search, or not a number.
+        normals: (points, 3) unit direction in which the signed distance grows.
+        distances: (points,) signed [m], at `at`.
+        beyond: (points,) bool, nearest to the border of the surface.
+    """
+
+    at: np.ndarray
+    triangle: np.ndarray
+    barycentric: np.ndarray
+    positions: np.ndarray
+    normals: np.ndarray
+    distances: np.ndarray
+    beyond: np.ndarray
+
+    @staticmethod
+    def nothing(count: int, near: np.ndarray | None = None) -> Found:
+        """Of `count` points that were never looked up; `near` (points, 3) [m] are points of the surface, if known."""
+        return Found(
+            at=np.full((count, 3), np.nan),
+            triangle=np.zeros(count, dtype=np.int64),
+            barycentric=np.zeros((count, 3)),
+            positions=np.full((count, 3), np.nan) if near is None else np.ascontiguousarray(near),
+            normals=np.zeros((count, 3)),
+            distances=np.full(count, np.inf),
+            beyond=np.ones(count, dtype=np.bool_),
+        )
+
+    def rows(self, first: int, stop: int) -> Found:
+        """What was found for the points from `first` to before `stop`; the same memory."""
+        return Found(*(values[first:stop] for values in self))
+
+    def among(self, rows: np.ndarray) -> Found:
+        """What was found for the points of `rows` (points,) bool, in memory of its own."""
+        return Found(*(values[rows] for values in self))
+
+    def copy(self) -> Found:
+        """The same in memory of its own."""
+        return Found(*(values.copy() for values in self))
 
 
-@compiled
-def nearest_points(
-    vertices: np.ndarray, faces: np.ndarray, fans: tuple, fitted: tuple, tree: tuple, points: np.ndarray
-) -> tuple:
-    """Face (points,), barycentric coordinates and position (points, 3) of the nearest point to each of the `points`.
-
-    Then the unit normal (points, 3), the signed distance (points,) and whether the point is on the border (points,).
+class Searched(NamedTuple):
+    """A posed surface as a search sees it.
 
     Args:
         vertices: (vertices, 3) [m].
-        faces: (faces, 3).
+        faces: (faces, 3) int64.
         fans: begin of each vertex' faces (vertices + 1,), these faces, and which vertices are on the border.
-        fitted: corners and boxes of the tree at these vertices.
-        tree: order, children and ranges of its nodes.
-        points: (points, 3) [m].
+        order: (faces,) int64 of the tree.
+        children: (nodes,) int64 of the tree.
+        bottoms: number of its nodes whose children are faces.
+        corners: (faces, 9) [m] in the order of the tree.
+        boxes: (nodes, 6, 8) [m].
     """
-    (order, children, ranges), (corners, boxes) = tree, fitted
-    count = len(points)
-    face_of, barycentric, positions = np.empty(count, dtype=np.int64), np.empty((count, 3)), np.empty((count, 3))
-    normals, distances = np.empty((count, 3)), np.empty(count)
-    beyond = np.zeros(count, dtype=np.bool_)
-    stack, waiting = np.empty(_DEEPEST, dtype=np.int64), np.empty(_DEEPEST)
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    fans: tuple
+    order: np.ndarray
+    children: np.ndarray
+    bottoms: int
+    corners: np.ndarray
+    boxes: np.ndarray
+
+
+@compiled
+def look_up(
+    surface: Searched,
+    names: np.ndarray,
+    points: np.ndarray,
+    within: float,
+    patience: float,
+    only_nearer: bool,
+    found: Found,
+) -> int:
+    """Bring `found` up to date for `points` (points, 3) [m], and return how many had to be searched for.
+
+    A point is left as it is that moved by at most `patience` [m] since it was found, or that is still at least `within`
+    [m] from the surface: a distance changes by no more than the way. So is one for which `only_nearer` faces are asked
+    for than its position in `found`, where there are none. `names` (faces,) are what faces are called.
+    """
+    vertices, faces, fans, order, children, bottoms, corners, boxes = surface
+    at, triangle, barycentric, positions, normals, distances, beyond = found
+    stack, waiting, lanes = np.empty(_DEEPEST, dtype=np.int64), np.empty(_DEEPEST), np.empty(8)
     weights, one = np.empty(4), np.empty(3)
-    place = 0
-    for row in range(count):
-        point = points[row]
-        place = _nearest_face(corners, boxes, children, ranges, point, place, stack, waiting)
-        best = face_of[row] = order[place]
+    place, searched = 0, 0
+    for row in range(len(points)):
+        moved, bound = 0.0, 0.0
+        for axis in range(3):
+            moved += (points[row, axis] - at[row, axis]) ** 2
+            bound += (points[row, axis] - positions[row, axis]) ** 2
+        moved = np.sqrt(moved)
+        # Of a point that was never looked up neither is true.
+        if moved <= patience or distances[row] - moved >= within:
+            continue
+        searched += 1
+        near = -1
+        if bound < np.inf:
+            near = _nearest_face(children, bottoms, corners, boxes, points, row, bound, place, stack, waiting, lanes)
+        if near < 0 and only_nearer:
+            continue
+        if near < 0:
+            near = _nearest_face(children, bottoms, corners, boxes, points, row, np.inf, place, stack, waiting, lanes)
+        place, best = near, order[near]
         a, b, c = faces[best]
-        vertex_face_weights(point, vertices[a], vertices[b], vertices[c], weights)
+        vertex_face_weights(points[row], vertices[a], vertices[b], vertices[c], weights)
         zeros = 0
         for corner in range(3):
             barycentric[row, corner] = -weights[1 + corner]
             zeros += barycentric[row, corner] <= _ON_BORDER
         for axis in range(3):
+            at[row, axis] = points[row, axis]
             positions[row, axis] = (
                 barycentric[row, 0] * vertices[a, axis]
                 + barycentric[row, 1] * vertices[b, axis]
                 + barycentric[row, 2] * vertices[c, axis]
             )
-        normal = normals[row]
+        normal, outside = normals[row], False
         if zeros == 0:
             _unit_normal(vertices, faces[best], normal)
         else:
-            beyond[row] = _feature_normal(vertices, faces, fans, best, barycentric[row], normal, one)
+            outside = _feature_normal(vertices, faces, fans, best, barycentric[row], normal, one)
         length, along = 0.0, 0.0
         for axis in range(3):
-            offset = point[axis] - positions[row, axis]
+            offset = points[row, axis] - positions[row, axis]
             length += offset * offset
             along += offset * normal[axis]
         length = np.sqrt(length)
-        sign = -1.0 if along < 0.0 and not beyond[row] else 1.0
-        distances[row] = sign * length
+        sign = -1.0 if along < 0.0 and not outside else 1.0
+        triangle[row], distances[row], beyond[row] = names[best], sign * length, outside
         if zeros > 0 and length > _AT:
             for axis in range(3):
-                normal[axis] = (point[axis] - positions[row, axis]) * sign / length
-    return face_of, barycentric, positions, normals, distances, beyond
+                normal[axis] = (points[row, axis] - positions[row, axis]) * sign / length
+    return searched
 
 
 @compiled
 def _nearest_face(
+    children: np.ndarray,
+    bottoms: int,
     corners: np.ndarray,
     boxes: np.ndarray,
-    children: np.ndarray,
-    ranges: np.ndarray,
-    point: np.ndarray,
+    points: np.ndarray,
+    row: int,
+    bound: float,
     guess: int,
     stack: np.ndarray,
     waiting: np.ndarray,
+    lanes: np.ndarray,
 ) -> int:
-    """Place in the order of the face nearest to a point (3,); a `guess` nearby makes it quicker.
+    """Place in the order of the face nearest to a row of the points; -1 where none lies within a squared `bound` [m^2].
 
-    `stack` and `waiting` are room.
+    Where there is no bound, a `guess` nearby makes it quicker. `stack`, `waiting` and `lanes` (8,) are room.
     """
-    x, y, z = point[0], point[1], point[2]
-    best, least = guess, _squared_distance(x, y, z, corners, guess)
-    stack[0], waiting[0] = 0, 0.0
+    x, y, z = points[row, 0], points[row, 1], points[row, 2]
+    best, least = -1, bound * _ROUNDING + _AT * _AT
+    if not bound < np.inf:
+        best, least = guess, _squared_distance(x, y, z, corners, guess)
+    stack[0], waiting[0] = len(children) - 1, 0.0
     depth = 1
     while depth > 0:
         depth -= 1
         if waiting[depth] >= least:
             continue
         node = stack[depth]
-        near, far = children[node, 0], children[node, 1]
-        if near < 0:
-            for place in range(ranges[node, 0], ranges[node, 1]):
-                distance = _squared_distance(x, y, z, corners, place)
-                if distance < least:
-                    best, least = place, distance
+        box, first = boxes[node], children[node]
+        # The number of lanes is left open to the compiler, which else unrolls them one by one.
+        for lane in range(len(lanes)):
+            dx = max(max(box[0, lane] - x, x - box[3, lane]), 0.0)
+            dy = max(max(box[1, lane] - y, y - box[4, lane]), 0.0)
+            dz = max(max(box[2, lane] - z, z - box[5, lane]), 0.0)
+            lanes[lane] = dx * dx + dy * dy + dz * dz
+        if node < bottoms:
+            for lane in range(len(lanes)):
+                if lanes[lane] < least:
+                    distance = _squared_distance(x, y, z, corners, first + lane)
+                    if distance < least:
+                        best, least = first + lane, distance
             continue
-        near_distance, far_distance = _box_distance(x, y, z, boxes, near), _box_distance(x, y, z, boxes, far)
-        if near_distance > far_distance:
-            near, far, near_distance, far_distance = far, near, far_distance, near_distance
-        # The nearer one is looked at first.
-        if far_distance < least:
-            stack[depth], waiting[depth] = far, far_distance
-            depth += 1
-        if near_distance < least:
-            stack[depth], waiting[depth] = near, near_distance
-            depth += 1
+        nearest = depth
+        for lane in range(len(lanes)):
+            if lanes[lane] < least:
+                stack[depth], waiting[depth] = first + lane, lanes[lane]
+                if lanes[lane] < waiting[nearest]:
+                    nearest = depth
+                depth += 1
+        if nearest < depth:
+            # The nearest one is looked at first.
+            last = depth - 1
+            stack[nearest], stack[last] = stack[last], stack[nearest]
+            waiting[nearest], waiting[last] = waiting[last], waiting[nearest]
     return best
 
 
@@ -215,15 +293,6 @@ def _angle(at: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
     vx, vy, vz = other[0] - at[0], other[1] - at[1], other[2] - at[2]
     across = (uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2
     return np.arctan2(np.sqrt(across), ux * vx + uy * vy + uz * vz)
-
-
-@compiled
-def _box_distance(x: float, y: float, z: float, boxes: np.ndarray, node: int) -> float:
-    """Squared distance [m^2] of a point to the box of a node."""
-    dx = max(boxes[node, 0] - x, x - boxes[node, 3], 0.0)
-    dy = max(boxes[node, 1] - y, y - boxes[node, 4], 0.0)
-    dz = max(boxes[node, 2] - z, z - boxes[node, 5], 0.0)
-    return dx * dx + dy * dy + dz * dz
 
 
 @compiled

@@ -17,8 +17,8 @@ from pb4u.geometry.proximity.box_tree import EVERY, BoxTree, boxes_meet, boxes_o
 from pb4u.geometry.proximity.element_distance import compiled, fastest_approach, gather, nearest
 from pb4u.threads import of_parts
 
-_ROOM = 1.5e-3
-"""How far [m] a vertex may go from where it was before what is near it is searched again."""
+_ROOM = 0.08
+"""How far a vertex may go, in mean edge lengths at rest, before what is near it is searched again."""
 
 _MOST_LEAVING = 0.1
 """Share of the vertices that may leave their room before the whole surface is searched again."""
@@ -32,19 +32,53 @@ _HALVED = 2
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
-    """Pairs of elements that may come within a reach while no corner goes further than a room from where it was.
+    """Pairs of elements that may come within a reach on a move, and after it while no corner goes out of its room.
+
+    They are all there are for another move from the same start, too, that ends within the room of the first one's end.
 
     Args:
-        vertices: (vertices, 3) [m] where they were.
+        start: (vertices, 3) [m] where the move began.
+        end: (vertices, 3) [m] where it led.
         reach: distance [m].
-        vertex_faces: (pairs, 4) int64 the vertex and the face's corners.
-        edge_edges: (pairs, 4) int64 the ends of both edges.
+        room: how far [m] a vertex may go from the end.
+        corners: (pairs, 4) int64, as those of `ElementPairs`.
+        vertex_faces: number of pairs of a vertex and a face, which come first.
+        distances: (pairs,) [m] between them at the end.
     """
 
-    vertices: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
     reach: float
-    vertex_faces: np.ndarray
-    edge_edges: np.ndarray
+    room: float
+    corners: np.ndarray
+    vertex_faces: int
+    distances: np.ndarray
+
+    def left(self, vertices: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far (vertices,) [m] vertices get from the end, and which (vertices,) what was found does not serve.
+
+        Args:
+            vertices: (vertices, 3) [m].
+            moves: (vertices, 3) [m] from there, linear.
+        """
+        away, last = _away(self.end, vertices, moves)
+        same = np.array_equal(self.start, vertices)
+        return away, (last if same else away) > self.room
+
+    def near(
+        self, vertices: np.ndarray, moves: np.ndarray, away: np.ndarray, left: np.ndarray, reach: float
+    ) -> tuple[np.ndarray, int]:
+        """Corners of its pairs that may come within `reach` [m], and the number of those of a vertex and a face.
+
+        Args:
+            vertices: (vertices, 3) [m].
+            moves: (vertices, 3) [m] from there, linear.
+            away: (vertices,) [m] as `left` gives it.
+            left: (vertices,) the same; no pair with one of these.
+            reach: distance [m].
+        """
+        rows = _stay_near(vertices, moves, self.corners, self.vertex_faces, self.distances, away, left, reach)
+        return self.corners[rows], int(rows[: self.vertex_faces].sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +143,10 @@ class SurfaceTree:
         self.vertex_world = np.asarray(world, dtype=np.int64)[self.part]
         self.boxes = BoxTree.over(centres, face_part, np.asarray(world))
         self._vertices = np.arange(len(self.rest))[:, None]
+        lengths = np.linalg.norm(self.rest[self.edges[:, 0]] - self.rest[self.edges[:, 1]], axis=1)
+        self._room = _ROOM * float(lengths.mean()) if len(lengths) else 0.0
         self._owned_vertices, self._owned_edges = _owners(self.faces, self.edges, len(self.rest))
+        self._around = _pairs_around(self.faces, self.edges, self._owned_vertices, self._owned_edges, len(self.rest))
 
     @cached_property
     def _still(self) -> np.ndarray:
@@ -125,6 +162,7 @@ class SurfaceTree:
         reach: float,
         moves: np.ndarray | None = None,
         known: ElementPairs | None = None,
+        lasting: bool = False,
     ) -> ElementPairs:
         """Pairs that may come within `reach` of one another, a superset of those that do.
 
@@ -135,51 +173,54 @@ class SurfaceTree:
             reach: distance [m].
             moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
             known: pairs of positions a little before these, where there are such: only what went far since is searched.
+            lasting: whether to look further than asked, so that the result serves as the next `known`.
         """
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
-        neighbourhood, leaving = None, self._everywhere
-        if known is not None:
-            neighbourhood, leaving = self._neighbourhood(vertices, reach, moving, known.neighbourhood)
-        found: Sequence[np.ndarray] = self._search(vertices, moving, 0.5 * reach, leaving)
-        if neighbourhood is not None:
-            stayed = (p[~_any_corner(p, leaving)] for p in (neighbourhood.vertex_faces, neighbourhood.edge_edges))
-            found = [np.concatenate(parts) for parts in zip(stayed, found, strict=True)]
-        # Boxes of long edges across each other meet long before the edges do.
-        vertex_faces, edge_edges = (
-            corners[_mayboxes_meet(vertices, moving, corners, kind, reach)]
-            for corners, kind in zip(found, (True, False), strict=True)
-        )
-        corners = np.concatenate([vertex_faces, edge_edges])
-        rest = _rest_distances(self.rest, self.part, corners, len(vertex_faces))
-        return ElementPairs(corners, len(vertex_faces), rest, neighbourhood)
+        neighbourhood = None if known is None else known.neighbourhood
+        if neighbourhood is not None and neighbourhood.reach >= reach:
+            away, left = neighbourhood.left(vertices, moving)
+            if np.count_nonzero(left) <= _MOST_LEAVING * len(vertices):
+                stayed = neighbourhood.near(vertices, moving, away, left, reach)
+                found = _near(self._search(vertices, moving, 0.5 * reach, left), vertices, moving, reach)
+                return self._pairs((stayed, found), neighbourhood)
+        if not lasting:
+            found = _near(self._search(vertices, moving, 0.5 * reach, self._everywhere), vertices, moving, reach)
+            return self._pairs((found,), None)
+        candidates = self._search(vertices, moving, 0.5 * reach, self._everywhere, self._room)
+        neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reach)
+        found = neighbourhood.corners[rows], int(rows[: neighbourhood.vertex_faces].sum())
+        return self._pairs((found,), neighbourhood)
 
     def _neighbourhood(
-        self, vertices: np.ndarray, reach: float, moves: np.ndarray, known: Neighbourhood | None
-    ) -> tuple[Neighbourhood | None, np.ndarray]:
-        """The `known` neighbourhood, a new one or none, and which vertices (vertices,) leave their room in it."""
-        most = _MOST_LEAVING * len(vertices)
-        if known is not None and known.reach == reach:
-            leaving = _leaving(known.vertices, vertices, moves)
-            if leaving.sum() <= most:
-                return known, leaving
-        leaving = _leaving(vertices, vertices, moves)
-        if leaving.sum() > most:
-            return None, self._everywhere
-        found = self._search(vertices, self._still, 0.5 * reach + _ROOM, self._everywhere)
-        return Neighbourhood(vertices.copy(), reach, *found), leaving
+        self, candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reach: float
+    ) -> tuple[Neighbourhood, np.ndarray]:
+        """Those of the `candidates` that come near, or do so after the move; and which (pairs,) do on it."""
+        kinds = [
+            _lasting(vertices, moves, corners, kind, reach + 2.0 * self._room)
+            for corners, kind in zip(candidates, (True, False), strict=True)
+        ]
+        corners, distances, least = (np.concatenate(parts) for parts in zip(*kinds, strict=True))
+        made = Neighbourhood(vertices.copy(), vertices + moves, reach, self._room, corners, len(kinds[0][0]), distances)
+        return made, least <= reach
+
+    def _pairs(self, parts: Sequence[tuple[np.ndarray, int]], neighbourhood: Neighbourhood | None) -> ElementPairs:
+        """All `parts` as one: corners, of which the first so many are of a vertex and a face."""
+        faces, edges = [c[:first] for c, first in parts], [c[first:] for c, first in parts]
+        corners, first = np.concatenate([*faces, *edges]), sum(first for _, first in parts)
+        return ElementPairs(corners, first, _rest_distances(self.rest, self.part, corners, first), neighbourhood)
 
     def _search(
-        self, vertices: np.ndarray, moves: np.ndarray, margin: float, among: np.ndarray
+        self, vertices: np.ndarray, moves: np.ndarray, margin: float, among: np.ndarray, room: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
         """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
 
-        Whose boxes meet that are wider by `margin` [m] on every side.
+        Whose boxes meet that are wider by `margin` [m] on every side, and at the end of the move by `room` [m] more.
         """
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
         face_boxes, edge_boxes, vertex_boxes = (
-            boxes_of(vertices, moves, corners, margin) for corners in (self.faces, self.edges, self._vertices)
+            boxes_of(vertices, moves, corners, margin, room) for corners in (self.faces, self.edges, self._vertices)
         )
         boxes = (self.boxes.fitted(face_boxes), face_boxes, edge_boxes, vertex_boxes)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
@@ -188,6 +229,8 @@ class SurfaceTree:
         whole = np.count_nonzero(among) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         found = of_parts(lambda part: _search(boxes, tree, elements, asked, part), parts)
+        # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
+        found.append(_search_around(boxes, elements, asked, *self._around))
         vertex_faces, edge_edges = (np.concatenate(pairs) for pairs in zip(*found, strict=True))
         return vertex_faces, edge_edges
 
@@ -225,6 +268,111 @@ def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np
     return own.reshape(-1, 3), own_edges.reshape(-1, 3)
 
 
+def _near(
+    candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reach: float
+) -> tuple[np.ndarray, int]:
+    """Corners of the `candidates` that may come within `reach`, and the number of those of a vertex and a face."""
+    # Boxes of long edges across each other meet long before the edges do.
+    vertex_faces, edge_edges = (
+        corners[_may_meet(vertices, moves, corners, kind, reach)] if len(corners) else corners
+        for corners, kind in zip(candidates, (True, False), strict=True)
+    )
+    return np.concatenate([vertex_faces, edge_edges]), len(vertex_faces)
+
+
+def _pairs_around(
+    faces: np.ndarray, edges: np.ndarray, owned_vertices: np.ndarray, owned_edges: np.ndarray, vertex_count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of a vertex and a face, and of two edges, without a common vertex, whose faces have one.
+
+    (pairs, 2) int64 each, the second element given by its number; each pair once.
+    """
+    by_vertex = np.argsort(faces.reshape(-1), kind="stable")
+    starts = np.searchsorted(faces.reshape(-1)[by_vertex], np.arange(vertex_count + 1))
+    return _listed_around(faces, edges, owned_vertices, owned_edges, by_vertex // 3, starts)
+
+
+@compiled
+def _share_a_vertex(faces: np.ndarray, one: int, other: int) -> bool:
+    """Whether two of the `faces` (faces, 3) have a vertex in common."""
+    a, b, c = faces[one, 0], faces[one, 1], faces[one, 2]
+    d, e, f = faces[other, 0], faces[other, 1], faces[other, 2]
+    first, second, third = (
+        (a == d) | (a == e) | (a == f),
+        (b == d) | (b == e) | (b == f),
+        (c == d) | (c == e) | (c == f),
+    )
+    return first | second | third
+
+
+@compiled
+def _listed_around(
+    faces: np.ndarray,
+    edges: np.ndarray,
+    owned_vertices: np.ndarray,
+    owned_edges: np.ndarray,
+    ring: np.ndarray,
+    starts: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `_pairs_around`; `ring` holds the faces around each vertex, from `starts` (vertices + 1,) of it on."""
+    near_faces, near_edges = np.empty((1024, 2), dtype=np.int64), np.empty((1024, 2), dtype=np.int64)
+    face_count, edge_count = 0, 0
+    met = np.full(len(faces), -1)
+    for f in range(len(faces)):
+        for corner in range(3):
+            for place in range(starts[faces[f, corner]], starts[faces[f, corner] + 1]):
+                g = ring[place]
+                if g == f or met[g] == f:
+                    continue
+                met[g] = f
+                for k in range(3):
+                    v = owned_vertices[f, k]
+                    if v >= 0 and v != faces[g, 0] and v != faces[g, 1] and v != faces[g, 2]:
+                        near_faces = with_room(near_faces, face_count)
+                        near_faces[face_count, 0], near_faces[face_count, 1] = v, g
+                        face_count += 1
+                    p = owned_edges[f, k]
+                    if p < 0 or g < f:
+                        continue
+                    for m in range(3):
+                        q = owned_edges[g, m]
+                        if q < 0 or edges[p, 0] == edges[q, 0] or edges[p, 0] == edges[q, 1]:
+                            continue
+                        if edges[p, 1] == edges[q, 0] or edges[p, 1] == edges[q, 1]:
+                            continue
+                        near_edges = with_room(near_edges, edge_count)
+                        near_edges[edge_count, 0], near_edges[edge_count, 1] = p, q
+                        edge_count += 1
+    return near_faces[:face_count].copy(), near_edges[:edge_count].copy()
+
+
+@compiled
+def _search_around(
+    boxes: tuple, elements: tuple, asked: tuple, vertex_faces: np.ndarray, edge_edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `_search`, of the pairs `vertex_faces` and `edge_edges` (pairs, 2) that `_pairs_around` lists."""
+    _, face_boxes, edge_boxes, vertex_boxes = boxes
+    faces, edges = elements[0], elements[1]
+    among, _, asked_faces, asked_edges = asked
+    near_faces, near_edges = np.empty((64, 4), dtype=np.int64), np.empty((64, 4), dtype=np.int64)
+    face_count, edge_count = 0, 0
+    for pair in range(len(vertex_faces)):
+        v, f = vertex_faces[pair, 0], vertex_faces[pair, 1]
+        if (among[v] or asked_faces[f]) and boxes_meet(vertex_boxes, v, face_boxes, f):
+            near_faces = with_room(near_faces, face_count)
+            near_faces[face_count, 0] = v
+            copy_row(faces[f], near_faces[face_count, 1:])
+            face_count += 1
+    for pair in range(len(edge_edges)):
+        p, q = edge_edges[pair, 0], edge_edges[pair, 1]
+        if (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes, p, edge_boxes, q):
+            near_edges = with_room(near_edges, edge_count)
+            copy_row(edges[p], near_edges[edge_count, :2])
+            copy_row(edges[q], near_edges[edge_count, 2:])
+            edge_count += 1
+    return near_faces[:face_count], near_edges[:edge_count]
+
+
 @compiled
 def _asked(
     tree: tuple, faces: np.ndarray, edges: np.ndarray, among: np.ndarray
@@ -250,7 +398,7 @@ def _search(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corners (pairs, 4) of vertex and face, and of two edges, with one `asked` for and boxes that meet.
 
-    Of the elements in the pairs of nodes `parts` (parts, 2).
+    Of the elements in the pairs of nodes `parts` (parts, 2), of faces that share no vertex.
     """
     order, children, ranges = tree
     faces, edges, owned_vertices, owned_edges = elements
@@ -265,29 +413,25 @@ def _search(
             f = order[i]
             for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                 g = order[j]
-                if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes[f], face_boxes[g]):
+                if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes, f, face_boxes, g):
+                    continue
+                if _share_a_vertex(faces, f, g):
                     continue
                 for one, two in ((f, g), (g, f)):
                     for k in range(3):
                         v = owned_vertices[one, k]
-                        if v < 0 or v == faces[two, 0] or v == faces[two, 1] or v == faces[two, 2]:
-                            continue
-                        if (among[v] or asked_faces[two]) and boxes_meet(vertex_boxes[v], face_boxes[two]):
+                        if v >= 0 and (among[v] or asked_faces[two]) and boxes_meet(vertex_boxes, v, face_boxes, two):
                             near_faces = with_room(near_faces, face_count)
                             near_faces[face_count, 0] = v
                             copy_row(faces[two], near_faces[face_count, 1:])
                             face_count += 1
                 for k in range(3):
                     p = owned_edges[f, k]
-                    if p < 0 or not boxes_meet(edge_boxes[p], face_boxes[g]):
+                    if p < 0 or not boxes_meet(edge_boxes, p, face_boxes, g):
                         continue
                     for m in range(3):
                         q = owned_edges[g, m]
-                        if q < 0 or edges[p, 0] == edges[q, 0] or edges[p, 0] == edges[q, 1]:
-                            continue
-                        if edges[p, 1] == edges[q, 0] or edges[p, 1] == edges[q, 1]:
-                            continue
-                        if (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes[p], edge_boxes[q]):
+                        if q >= 0 and (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes, p, edge_boxes, q):
                             near_edges = with_room(near_edges, edge_count)
                             copy_row(edges[p], near_edges[edge_count, :2])
                             copy_row(edges[q], near_edges[edge_count, 2:])
@@ -306,27 +450,88 @@ def _any_corner(elements: np.ndarray, among: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _leaving(before: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Whether each of the `vertices` (vertices, 3) [m] is, or gets by its move, out of its room around `before`."""
-    leaving = np.empty(len(vertices), dtype=np.bool_)
+def _away(end: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far (vertices,) [m] each vertex is from its `end` at most on its move, and when it has moved."""
+    away, last = np.empty(len(vertices)), np.empty(len(vertices))
     for row in range(len(vertices)):
-        first, last = 0.0, 0.0
+        before, after = 0.0, 0.0
         for axis in range(3):
-            way = vertices[row, axis] - before[row, axis]
-            first += way * way
-            last += (way + moves[row, axis]) ** 2
-        leaving[row] = max(first, last) > _ROOM * _ROOM
-    return leaving
+            way = vertices[row, axis] - end[row, axis]
+            before += way * way
+            after += (way + moves[row, axis]) ** 2
+        last[row] = np.sqrt(after)
+        away[row] = max(last[row], np.sqrt(before))
+    return away, last
 
 
 @compiled
-def _mayboxes_meet(
+def _lasting(
+    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_face: bool, within: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Those of the `corners` (pairs, 4) that may come `within` a distance [m] on their moves.
+
+    With their distances (pairs,) [m] after the moves, and bounds (pairs,) [m] that they stay beyond on them.
+    """
+    points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
+    kept, distances, least = np.empty((64, 4), dtype=np.int64), np.empty(len(corners)), np.empty(len(corners))
+    count = 0
+    for pair in range(len(corners)):
+        gather(vertices, corners[pair], points)
+        gather(moves, corners[pair], way)
+        bound = nearest(points, vertex_face, weights, between)
+        for corner in range(4):
+            for axis in range(3):
+                points[corner, axis] += way[corner, axis]
+        bound -= fastest_approach(way, vertex_face)
+        if bound > within:
+            continue
+        kept = with_room(kept, count)
+        copy_row(corners[pair], kept[count])
+        distances[count], least[count] = nearest(points, vertex_face, weights, between), bound
+        count += 1
+    return kept[:count], distances[:count], least[:count]
+
+
+@compiled
+def _may_meet(
     vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_face: bool, reach: float
 ) -> np.ndarray:
     """Whether each pair (pairs,) is no further apart than `reach` and what it may approach by the moves."""
     points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     near = np.empty(len(corners), dtype=np.bool_)
     for pair in range(len(corners)):
+        gather(vertices, corners[pair], points)
+        gather(moves, corners[pair], way)
+        near[pair] = nearest(points, vertex_face, weights, between) <= reach + fastest_approach(way, vertex_face)
+    return near
+
+
+@compiled
+def _stay_near(
+    vertices: np.ndarray,
+    moves: np.ndarray,
+    corners: np.ndarray,
+    vertex_faces: int,
+    distances: np.ndarray,
+    away: np.ndarray,
+    left: np.ndarray,
+    reach: float,
+) -> np.ndarray:
+    """Whether each pair (pairs,) that has none of its corners `left` is no further apart than it may approach.
+
+    Most are told by what was between them, `distances` (pairs,) [m], and how far `away` (vertices,) [m] they got.
+    """
+    points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
+    near = np.zeros(len(corners), dtype=np.bool_)
+    for pair in range(len(corners)):
+        a, b, c, d = corners[pair, 0], corners[pair, 1], corners[pair, 2], corners[pair, 3]
+        vertex_face = pair < vertex_faces
+        if vertex_face:
+            gone = away[a] + max(away[b], max(away[c], away[d]))
+        else:
+            gone = max(away[a], away[b]) + max(away[c], away[d])
+        if distances[pair] - gone > reach or left[a] or left[b] or left[c] or left[d]:
+            continue
         gather(vertices, corners[pair], points)
         gather(moves, corners[pair], way)
         near[pair] = nearest(points, vertex_face, weights, between) <= reach + fastest_approach(way, vertex_face)

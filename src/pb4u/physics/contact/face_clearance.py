@@ -15,10 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from pb4u.geometry.triangle_mesh import area_weighted_normals
-from pb4u.physics.contact.planes import clearances, nearest_planes
+from pb4u.geometry.nearest_surface import PosedSurface
+from pb4u.geometry.proximity.element_distance import compiled
+from pb4u.geometry.proximity.nearest_points import Found
+from pb4u.physics.contact.planes import MOTION_REACH, ContactPlanes, nearest_planes
 from pb4u.physics.contact.self_contact import as_array
 from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH, SkinCover
 from pb4u.scene.packed import ColliderPose, PackedGarments
@@ -52,126 +53,252 @@ class FaceClearance:
             state: to be lifted.
             pose: the bodies at the state's frame.
         """
-        if not len(pose.colliders.faces):
+        x, worlds = as_array(state.positions).copy(), range(min(garments.world_count, len(pose.surfaces)))
+        if all(pose.surfaces[world] is None for world in worlds):
             return state
-        x = state.positions
-        elements, skin = self._near(garments, pose, x), list(_skin(garments, pose, x))
+        planes = nearest_planes(pose, garments, state.positions, MOTION_REACH)
+        elements = [part for world in worlds for part in self._near(garments, pose, planes, x, world)]
+        skin = [_skin(pose.surfaces[world], x, slice(*garments.world_offsets[world : world + 2])) for world in worlds]
+        lift = _Lift(np.zeros_like(x), np.zeros(len(x)))
         for _ in range(self.passes):
-            lift = _Lift(x)
-            elements = [self._lift_middles(lift, garments, pose, corners) for corners in elements]
+            moved, lift = lift.size, _Lift(np.zeros_like(x), np.zeros(len(x)))
+            elements = [self._lift_middles(lift, x, part) for part in elements]
             for world, places in enumerate(skin):
-                skin[world] = self._cover(lift, garments, world, places)
-            moves = lift.displacements(garments.pinned, self.largest_push)
-            if not bool(moves.any()):
+                skin[world] = self._cover(lift, garments, x, moved, world, places)
+            if not _move(x, *lift, garments.pinned.numpy(), self.largest_push):
                 break
-            x = x + moves
-        return replace(state, positions=x)
+        return replace(state, positions=torch.from_numpy(x).to(state.positions))
 
-    def _near(self, garments: PackedGarments, pose: ColliderPose, x: Tensor) -> list[Tensor]:
-        """Vertices, edges and faces (elements, corners) whose middle may be too near to the body."""
-        distance = nearest_planes(pose, garments, x).distance
-        vertices = torch.arange(len(x), device=x.device)[:, None]
-        kept = []
-        for corners in (vertices, garments.edges, garments.faces):
-            at = x[corners]
-            # A distance changes by no more than the way.
-            least = (distance[corners] - (at - at.mean(1, keepdim=True)).norm(dim=2)).amax(1)
-            kept.append(corners[least < self._wanted(garments, corners, x)])
+    def _near(
+        self, garments: PackedGarments, pose: ColliderPose, planes: ContactPlanes, x: np.ndarray, world: int
+    ) -> Iterator[_Middles]:
+        """Vertices, edges and faces of a world whose middle may be too near to its body."""
+        surface, points = pose.surfaces[world], as_array(planes.points)
+        if surface is None:
+            return
+        # Of what is out of reach no more is known than that.
+        distances = np.minimum(as_array(planes.distance), MOTION_REACH)
+        of_world = garments.vertex_world.numpy() == world
+        lengths = np.array(garments.mean_edge_lengths)[garments.vertex_garment.numpy()]
+        vertices = np.arange(len(x))[:, None]
+        for corners in (vertices, garments.edges.numpy(), garments.faces.numpy()):
+            sag = lengths**2 / (32.0 * self.smallest_radius) if corners.shape[1] > 1 else 0.0
+            wanted = np.where(of_world, self.clearance + sag, -np.inf)
+            kept = corners[_may_be_near(x, corners, distances, wanted)]
+            # What is nearest to a corner bounds what is nearest to the middle.
+            near = Found.nothing(len(kept), points[kept[:, 0]])
+            yield _Middles(surface, len(pose.colliders.world_faces[world]), kept, wanted[kept[:, 0]], near)
+
+    def _lift_middles(self, lift: _Lift, x: np.ndarray, middles: _Middles) -> _Middles:
+        """Lift elements whose middle is too near to the body, and give back those."""
+        if not len(middles.corners):
+            return middles
+        found = middles.found
+        middles.surface.look_up(x[middles.corners].mean(axis=1), found)
+        # Where a region is left out of contact there is no skin, nor is the cap of one.
+        skin = ~found.beyond & (found.triangle < middles.skin_faces)
+        low = skin & (found.distances < middles.wanted)
+        kept = middles._replace(corners=middles.corners[low], wanted=middles.wanted[low], found=found.among(low))
+        shares = np.full(kept.corners.shape, 1.0 / kept.corners.shape[1])
+        _add(*lift, kept.corners, shares, kept.wanted - kept.found.distances, kept.found.normals)
         return kept
 
-    def _wanted(self, garments: PackedGarments, corners: Tensor, x: Tensor) -> Tensor:
-        """Distances (elements,) [m] that the middles of elements (elements, corners) keep from the body."""
-        lengths = x.new_tensor(garments.mean_edge_lengths)
-        sag = lengths.square() / (32.0 * self.smallest_radius) if corners.shape[1] > 1 else torch.zeros_like(lengths)
-        return self.clearance + sag[garments.vertex_garment[corners[:, 0]]]
+    def _cover(
+        self, lift: _Lift, garments: PackedGarments, x: np.ndarray, moved: np.ndarray, world: int, skin: _Skin
+    ) -> _Skin:
+        """Lift the faces that skin shows through; the skin that has cloth of its own near it is given back.
 
-    def _lift_middles(self, lift: _Lift, garments: PackedGarments, pose: ColliderPose, corners: Tensor) -> Tensor:
-        """Lift elements (elements, corners) whose middle is too near to the body, and give back those."""
-        if not len(corners):
-            return corners
-        wanted, world = self._wanted(garments, corners, lift.x), garments.vertex_world[corners[:, 0]]
-        distance, normals = clearances(pose, lift.x[corners].mean(1), world)
-        low = distance < wanted
-        shares = lift.x.new_full((int(low.sum()), corners.shape[1]), 1.0 / corners.shape[1])
-        lift.add(corners[low], shares, (wanted - distance)[low], normals[low])
-        return corners[low]
-
-    def _cover(self, lift: _Lift, garments: PackedGarments, world: int, skin: _Skin) -> _Skin:
-        """Lift the faces that skin shows through; the skin that has cloth of its own near it is given back."""
+        Cloth is looked for anew where it `moved` (vertices,) [m] since the pass before.
+        """
         if not len(skin.places):
             return skin
         first, stop = garments.world_offsets[world : world + 2]
-        surface = garments.surfaces[world]
-        cover = SkinCover.at(skin.places, skin.normals, surface.at(as_array(lift.x[first:stop])))
-        low = cover.belongs & (cover.distances < SKIN_OVER_CLOTH) & (cover.heights < self.clearance)
-        lift.add(
-            torch.from_numpy(surface.faces[cover.faces[low]] + first).to(lift.x.device),
-            torch.from_numpy(cover.barycentric[low]).to(lift.x),
-            torch.from_numpy(self.clearance - cover.heights[low]).to(lift.x),
-            torch.from_numpy(skin.normals[low]).to(lift.x),
-        )
-        near = cover.distances < SKIN_OVER_CLOTH
-        return _Skin(skin.places[near], skin.normals[near])
+        cloth, found = garments.surfaces[world].at(x[first:stop].copy()), skin.found
+        faces = cloth.surface.faces
+        went = (moved[faces + first] > 0.0).any(axis=1)
+        if not skin.new:
+            # Where the nearest cloth went bounds what is nearest now.
+            _carry(found, went, x[first:stop], faces)
+            cloth.look_up(skin.places, found)
+        cloth.look_up_nearer(skin.places, found, None if skin.new else went)
+        near = np.abs(found.distances) < SKIN_OVER_CLOTH
+        cover = SkinCover.of(found, skin.places, skin.normals, cloth)
+        low = cover.belongs & near & (cover.heights < self.clearance)
+        heights = self.clearance - cover.heights[low]
+        _add(*lift, faces[found.triangle[low]] + first, found.barycentric[low], heights, skin.normals[low])
+        if near.all():
+            return skin._replace(new=False)
+        return _Skin(skin.places[near], skin.normals[near], found.among(near), new=False)
+
+
+class _Middles(NamedTuple):
+    """Elements of the cloth of one world whose middles may be too near to its body.
+
+    Args:
+        surface: of the body.
+        skin_faces: number of its faces that are skin; those after them are caps.
+        corners: (elements, corners) int64.
+        wanted: (elements,) [m] distance that each keeps.
+        found: of the body, for each middle.
+    """
+
+    surface: PosedSurface
+    skin_faces: int
+    corners: np.ndarray
+    wanted: np.ndarray
+    found: Found
 
 
 class _Skin(NamedTuple):
-    """Places (places, 3) on the skin of one world [m], and outward unit normals there."""
+    """Places on the skin of one world.
+
+    Args:
+        places: (places, 3) [m].
+        normals: (places, 3) outward unit normals.
+        found: of the cloth, for each place.
+        new: whether that is a place at the end of their reach yet, and no cloth.
+    """
 
     places: np.ndarray
     normals: np.ndarray
+    found: Found
+    new: bool = True
 
 
-def _skin(garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Iterator[_Skin]:
-    """The body's vertices around the cloth of each world that may be touched."""
-    for world, surface in enumerate(pose.surfaces):
-        first, stop = garments.world_offsets[world : world + 2]
-        if surface is None or first == stop:
-            yield _Skin(np.zeros((0, 3)), np.zeros((0, 3)))
-            continue
-        body, cloth = surface.vertices.numpy(force=True), as_array(x[first:stop])
-        faces = surface.surface.region_faces
-        low, high = cloth.min(axis=0) - SKIN_OVER_CLOTH, cloth.max(axis=0) + SKIN_OVER_CLOTH
-        inside = ((body >= low) & (body <= high)).all(axis=1)
-        # Their normals need the faces around them alone.
-        faces = faces[inside[faces].any(axis=1)]
-        used = np.zeros(len(body), dtype=bool)
-        used[faces.ravel()] = True
-        around = np.flatnonzero(used & inside)
-        yield _Skin(body[around], area_weighted_normals(body, faces)[around])
-
-
-class _Lift:
+class _Lift(NamedTuple):
     """Displacements gathered over one pass.
 
     Args:
-        x: (vertices, 3) [m] at its beginning.
+        direction: (vertices, 3) [m] all lifts of a vertex summed.
+        size: (vertices,) [m] the largest of them.
     """
 
-    def __init__(self, x: Tensor) -> None:
-        self.x = x
-        self._direction, self._size = torch.zeros_like(x), x.new_zeros(len(x))
+    direction: np.ndarray
+    size: np.ndarray
 
-    def add(self, corners: Tensor, shares: Tensor, heights: Tensor, normals: Tensor) -> None:
-        """Lift points of the cloth, each by the least displacement of its corners.
 
-        Args:
-            corners: (points, corners) int64 vertices between which each point lies.
-            shares: (points, corners) with which their positions sum to it.
-            heights: (points,) [m] by which it has to be lifted.
-            normals: (points, 3) unit directions.
-        """
-        moves = heights[:, None] * shares / shares.square().sum(1, keepdim=True)
-        for corner, move in zip(corners.T, moves.T, strict=True):
-            self._direction.index_add_(0, corner, move[:, None] * normals)
-            self._size.scatter_reduce_(0, corner, move, "amax")
+def _skin(surface: PosedSurface | None, x: np.ndarray, own: slice) -> _Skin:
+    """The body's vertices around the cloth of a world, rows `own` of `x` (vertices, 3) [m], that may be touched."""
+    cloth = x[own]
+    if surface is None or not len(cloth):
+        return _Skin(np.zeros((0, 3)), np.zeros((0, 3)), Found.nothing(0))
+    low, high = cloth.min(axis=0) - SKIN_OVER_CLOTH, cloth.max(axis=0) + SKIN_OVER_CLOTH
+    places, normals = _within(as_array(surface.vertices), surface.surface.region_faces, low, high)
+    return _Skin(places, normals, Found.nothing(len(places), places + SKIN_OVER_CLOTH * normals))
 
-    def displacements(self, pinned: Tensor, largest: float) -> Tensor:
-        """Displacements (vertices, 3) [m] by the largest lift of each vertex, along all of them summed.
 
-        Args:
-            pinned: (vertices,) bool, those that do not move.
-            largest: length of the longest [m].
-        """
-        length = self._direction.norm(dim=1, keepdim=True).clamp_min(torch.finfo(self.x.dtype).tiny)
-        size = self._size.clamp_max(largest)
-        return torch.where(pinned[:, None], 0.0, size[:, None] * self._direction / length)
+@compiled
+def _within(
+    vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (places, 3) [m] of the `faces` (faces, 3) in a box from `low` to `high` (3,) [m], and their normals.
+
+    Unit normals (places, 3), weighted by area.
+    """
+    inside = np.empty(len(vertices), dtype=np.bool_)
+    for row in range(len(vertices)):
+        inside[row] = True
+        for axis in range(3):
+            inside[row] &= low[axis] <= vertices[row, axis] <= high[axis]
+    sums, used = np.zeros(vertices.shape), np.zeros(len(vertices), dtype=np.bool_)
+    for face in range(len(faces)):
+        a, b, c = faces[face]
+        if not (inside[a] or inside[b] or inside[c]):
+            continue
+        for axis in range(3):
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            across = (vertices[b, i] - vertices[a, i]) * (vertices[c, j] - vertices[a, j])
+            across -= (vertices[b, j] - vertices[a, j]) * (vertices[c, i] - vertices[a, i])
+            sums[a, axis] += across
+            sums[b, axis] += across
+            sums[c, axis] += across
+        used[a] = used[b] = used[c] = True
+    rows = np.flatnonzero(inside & used)
+    places, normals = vertices[rows], sums[rows]
+    for row in range(len(rows)):
+        length = np.sqrt(normals[row, 0] ** 2 + normals[row, 1] ** 2 + normals[row, 2] ** 2)
+        for axis in range(3):
+            normals[row, axis] /= max(length, 1e-30)
+    return places, normals
+
+
+@compiled
+def _may_be_near(x: np.ndarray, corners: np.ndarray, distances: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Whether the middle of each element (elements, corners) may be nearer to the body than `wanted` of its first one.
+
+    `distances` (vertices,) [m] are those of the vertices; a distance changes by no more than the way.
+    """
+    near = np.empty(len(corners), dtype=np.bool_)
+    count = corners.shape[1]
+    for row in range(len(corners)):
+        far = -np.inf
+        for k in range(count):
+            squared = 0.0
+            for axis in range(3):
+                middle = 0.0
+                for other in range(count):
+                    middle += x[corners[row, other], axis]
+                squared += (x[corners[row, k], axis] - middle / count) ** 2
+            far = max(far, distances[corners[row, k]] - np.sqrt(squared))
+        near[row] = far < wanted[corners[row, 0]]
+    return near
+
+
+@compiled
+def _carry(found: Found, went: np.ndarray, x: np.ndarray, faces: np.ndarray) -> None:
+    """Forget what was `found` of the `faces` (faces, 3) that `went` (faces,); keep where it lies on them now.
+
+    `x` (vertices, 3) [m] are their vertices.
+    """
+    at, triangle, barycentric, positions = found.at, found.triangle, found.barycentric, found.positions
+    for row in range(len(at)):
+        if not went[triangle[row]]:
+            continue
+        a, b, c = faces[triangle[row]]
+        for axis in range(3):
+            at[row, axis] = np.nan
+            positions[row, axis] = (
+                barycentric[row, 0] * x[a, axis] + barycentric[row, 1] * x[b, axis] + barycentric[row, 2] * x[c, axis]
+            )
+
+
+@compiled
+def _add(
+    direction: np.ndarray,
+    size: np.ndarray,
+    corners: np.ndarray,
+    shares: np.ndarray,
+    heights: np.ndarray,
+    normals: np.ndarray,
+) -> None:
+    """Lift points of the cloth by `heights` (points,) [m] along unit `normals` (points, 3).
+
+    Each by the least displacement of its `corners` (points, corners), whose positions sum to it with `shares` (points,
+    corners). What is added to is that of `_Lift`.
+    """
+    for row in range(len(corners)):
+        squared = 0.0
+        for k in range(corners.shape[1]):
+            squared += shares[row, k] ** 2
+        for k in range(corners.shape[1]):
+            vertex, move = corners[row, k], heights[row] * shares[row, k] / squared
+            size[vertex] = max(size[vertex], move)
+            for axis in range(3):
+                direction[vertex, axis] += move * normals[row, axis]
+
+
+@compiled
+def _move(x: np.ndarray, direction: np.ndarray, size: np.ndarray, pinned: np.ndarray, largest: float) -> bool:
+    """Move vertices `x` (vertices, 3) [m] that are not `pinned` (vertices,) by a `_Lift`, at most by `largest` [m].
+
+    Returns whether any moved.
+    """
+    moved = False
+    for row in range(len(x)):
+        length = np.sqrt(direction[row, 0] ** 2 + direction[row, 1] ** 2 + direction[row, 2] ** 2)
+        if pinned[row] or length == 0.0:
+            continue
+        for axis in range(3):
+            x[row, axis] += min(size[row], largest) * direction[row, axis] / length
+        moved = moved or size[row] > 0.0
+    return moved

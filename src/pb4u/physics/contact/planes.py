@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
+from pb4u.geometry.proximity.nearest_points import Found
+from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth, as_array
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
 
 
@@ -19,7 +21,8 @@ class ContactPlanes:
     Args:
         points: (vertices, 3) nearest points of the body [m].
         normals: (vertices, 3) outward unit normals.
-        distance: (vertices,) distance [m] of the position used for the lookup, signed for exact planes.
+        distance: (vertices,) distance [m] of the position used for the lookup, signed for exact planes; of a vertex out
+            of reach that may be an earlier position.
         touchable: (vertices,) bool, False where the vertex has no body or is nearest to a region left out of contact.
         triangle: (vertices,) int64 among the contact faces of the packed colliders.
         barycentric: (vertices, 3) of the point in that face.
@@ -115,27 +118,40 @@ class ContactSet:
 PlaneSearch = Callable[[ColliderPose, PackedGarments, Tensor], ContactPlanes]
 """Finds the plane of each vertex; called with the pose of the bodies, the garments and positions (vertices, 3) [m]."""
 
+CONTACT_REACH = 0.01
+"""Distance [m] from the body from which on the plane of a vertex concerns no energy: five times where that begins."""
+
+MOTION_REACH = 0.05
+"""Distance [m] from the body from which on its motion over a step does not concern a vertex."""
+
+UNMOVED = 1e-9
+"""Way [m] up to which a vertex counts as unmoved since it was looked up: sums in another order end so far apart."""
+
 
 def nearest_planes(
     pose: ColliderPose,
     garments: PackedGarments,
     x: Tensor,
-    among: Tensor | None = None,
-    otherwise: ContactPlanes | None = None,
+    within: float = CONTACT_REACH,
+    patience: float = UNMOVED,
 ) -> ContactPlanes:
     """Planes through the exact nearest points of the bodies of each vertex's world.
+
+    A vertex keeps the plane that it had at this pose before where it did not move, or is known to be out of reach yet:
+    its distance changes by no more than its way. The first look-up at a pose is exact for all.
 
     Args:
         pose: the bodies at one instant.
         garments: pack whose vertices are looked up.
         x: (vertices, 3) [m].
-        among: (vertices,) bool, the vertices to look up; the rest keep the planes of `otherwise`.
-        otherwise: planes looked up before.
+        within: distance [m] from which on a vertex need only be known to be so far.
+        patience: way [m] that a vertex may have gone since it was looked up.
     """
-    planes = _blank(x) if otherwise is None else _copy(otherwise)
-    for world, surface in enumerate(pose.surfaces):
-        rows = _rows(garments, world, among, x.device)
-        if surface is None or not len(rows):
+    if all(surface is None or surface.compiled for surface in pose.surfaces):
+        return _of_found(_renewed(pose, garments, x, within, patience), x)
+    planes = _blank(x)
+    for world, (surface, rows) in enumerate(zip(pose.surfaces, _worlds(garments), strict=False)):
+        if surface is None or rows.start == rows.stop:
             continue
         nearest = surface.nearest(x.detach()[rows])
         planes.points[rows] = nearest.positions
@@ -145,6 +161,35 @@ def nearest_planes(
         planes.triangle[rows] = pose.colliders.world_contact_faces[world][nearest.triangle]
         planes.barycentric[rows] = nearest.barycentric
     return planes
+
+
+def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: float, patience: float) -> Found:
+    """What was found at the pose, brought up to date for `x`; the same object where nothing had to be searched for."""
+    points, known, searched = as_array(x), pose.found.get(garments), 0
+    found = Found.nothing(len(points)) if known is None else known.copy()
+    for world, rows in enumerate(_worlds(garments)):
+        part, surface = found.rows(rows.start, rows.stop), pose.surfaces[world] if world < len(pose.surfaces) else None
+        if surface is not None:
+            names = pose.colliders.searched_faces[world]
+            searched += surface.look_up(points[rows], part, within, patience, names)
+        elif known is None:
+            part.positions[:] = points[rows]
+    if known is None or searched:
+        pose.found[garments] = known = found
+    return known
+
+
+def _of_found(found: Found, x: Tensor) -> ContactPlanes:
+    """The planes that were found, in the data type of `x`."""
+    _, triangle, barycentric, positions, normals, distances, beyond = (torch.from_numpy(values) for values in found)
+    return ContactPlanes(
+        points=positions.to(x),
+        normals=normals.to(x),
+        distance=distances.to(x),
+        touchable=~beyond,
+        triangle=triangle,
+        barycentric=barycentric.to(x),
+    )
 
 
 def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor) -> ContactPlanes:
@@ -157,10 +202,9 @@ def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor
     """
     planes = _blank(x)
     planes.barycentric.fill_(1.0 / 3.0)
-    for world, surface in enumerate(pose.whole_surfaces):
+    for world, (surface, rows) in enumerate(zip(pose.whole_surfaces, _worlds(garments), strict=False)):
         if surface is None:
             continue
-        rows = _rows(garments, world, None, x.device)
         face, distance = surface.nearest_face_centre(x[rows])
         corners = surface.vertices[torch.from_numpy(surface.surface.faces).to(surface.vertices.device)[face]]
         cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -172,32 +216,9 @@ def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor
     return planes
 
 
-def clearances(pose: ColliderPose, points: Tensor, world: Tensor) -> tuple[Tensor, Tensor]:
-    """Signed distance (points,) [m] to the bodies, and outward unit normals (points, 3).
-
-    Where there is no body, or only a region left out of contact or the cap of one, the distance is infinite.
-
-    Args:
-        pose: the bodies at one instant.
-        points: (points, 3) [m].
-        world: (points,) int64 index of the world of each.
-    """
-    distance, normals = points.new_full((len(points),), torch.inf), torch.zeros_like(points)
-    for number, surface in enumerate(pose.surfaces):
-        rows = torch.nonzero(world == number)[:, 0]
-        if surface is None or not len(rows):
-            continue
-        nearest = surface.nearest(points[rows])
-        no_skin = nearest.beyond_border | (nearest.triangle >= len(pose.colliders.world_faces[number]))
-        distance[rows] = torch.where(no_skin, torch.inf, nearest.signed_distance)
-        normals[rows] = nearest.normals
-    return distance, normals
-
-
-def _rows(garments: PackedGarments, world: int, among: Tensor | None, device: torch.device) -> Tensor:
-    first, stop = garments.world_offsets[world : world + 2]
-    rows = torch.arange(first, stop, device=device)
-    return rows if among is None else rows[among[rows]]
+def _worlds(garments: PackedGarments) -> list[slice]:
+    """Rows of the vertices of each world."""
+    return [slice(first, stop) for first, stop in pairwise(garments.world_offsets)]
 
 
 def _blank(x: Tensor) -> ContactPlanes:
@@ -210,7 +231,3 @@ def _blank(x: Tensor) -> ContactPlanes:
         triangle=torch.zeros(len(x), dtype=torch.int64, device=x.device),
         barycentric=torch.zeros_like(x, requires_grad=False),
     )
-
-
-def _copy(planes: ContactPlanes) -> ContactPlanes:
-    return ContactPlanes(**{name: value.clone() for name, value in vars(planes).items()})

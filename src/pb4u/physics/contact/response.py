@@ -115,11 +115,13 @@ class ContactResponse(Contact):
     ) -> tuple[Tensor, Tensor]:
         planes = nearest_planes(bodies.following, step.garments, x)
         normal, depth = planes.normals, self.clearance - planes.distance
-        came_from = nearest_planes(bodies.now, step.garments, step.state.positions, among=depth > 0)
+        if not bool((depth > 0).any()):
+            return x, v
+        came_from = nearest_planes(bodies.now, step.garments, step.state.positions)
         normal, depth = self._near_side(planes, came_from, x, bodies.following, depth)
         push = torch.where(planes.touchable & movable, depth.clamp(0.0, self.largest_push), 0.0)
         pushed = x + push[:, None] * normal
-        check = nearest_planes(bodies.following, step.garments, pushed, among=push > 0, otherwise=planes)
+        check = nearest_planes(bodies.following, step.garments, pushed)
         worse = check.touchable & (check.distance < torch.minimum(planes.distance, torch.zeros_like(planes.distance)))
         push = torch.where(worse, 0.0, push)
         touched = (push > 0)[:, None]

@@ -64,7 +64,7 @@ class ClothPairs:
             known: pairs of positions a little before these, or None.
         """
         tree, way = garments.surface_tree, None if moves is None else as_array(moves)
-        pairs = tree.pairs(as_array(x), reach, way, None if known is None else known.pairs)
+        pairs = tree.pairs(as_array(x), reach, way, None if known is None else known.pairs, lasting=True)
         gaps = smallest_gaps(pairs, as_array(before))
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.

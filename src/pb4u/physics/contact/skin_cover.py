@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pb4u.geometry.nearest_surface import PosedSurface
-from pb4u.geometry.triangle_mesh import face_cross_products
+from pb4u.geometry.proximity.element_distance import compiled
+from pb4u.geometry.proximity.nearest_points import Found
+from pb4u.physics.contact.self_contact import as_array
 
 SKIN_OVER_CLOTH = 0.02
 """Height [m] of skin over cloth up to which it has come through: what lies higher wears other cloth, or none."""
@@ -44,16 +46,55 @@ class SkinCover:
             cloth: all garments that may cover it.
         """
         near = cloth.nearest(places)
-        face = near.triangle.numpy()
-        offset = near.positions.numpy() - places
-        height, distance = np.einsum("ij,ij->i", offset, normals), np.linalg.norm(offset, axis=1)
-        faces = cloth.surface.faces[face]
-        facing = face_cross_products(cloth.vertices.numpy(force=True), faces)
-        belongs = np.einsum("ij,ij->i", facing, normals) > 0.0
-        belongs &= ~near.beyond_border.numpy() & (np.abs(height) >= _ALONG_NORMAL * distance)
-        return SkinCover(height, distance, belongs, face, near.barycentric.numpy())
+        nearest = near.triangle.numpy(), near.positions.numpy(), near.beyond_border.numpy()
+        return SkinCover._of(nearest, near.barycentric.numpy(), places, normals, cloth)
+
+    @staticmethod
+    def of(found: Found, places: np.ndarray, normals: np.ndarray, cloth: PosedSurface) -> SkinCover:
+        """The cover of some places by what was `found` of the cloth; the rest as in `at`."""
+        nearest = found.triangle, found.positions, found.beyond
+        return SkinCover._of(nearest, found.barycentric, places, normals, cloth)
+
+    @staticmethod
+    def _of(
+        nearest: tuple[np.ndarray, np.ndarray, np.ndarray],
+        barycentric: np.ndarray,
+        places: np.ndarray,
+        normals: np.ndarray,
+        cloth: PosedSurface,
+    ) -> SkinCover:
+        vertices, faces = as_array(cloth.vertices), cloth.surface.faces
+        heights, distances, belongs = _described(nearest, places, normals, vertices, faces)
+        return SkinCover(heights, distances, belongs, nearest[0], barycentric)
 
     @property
     def shown(self) -> np.ndarray:
         """Places (places,) bool that show where cloth should cover them."""
         return self.belongs & (self.heights < 0.0) & (self.distances < SKIN_OVER_CLOTH)
+
+
+@compiled
+def _described(
+    found: tuple, places: np.ndarray, normals: np.ndarray, vertices: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Heights, distances and whether the cloth belongs to the skin, as in `SkinCover`.
+
+    Of what was `found` of the cloth: nearest face, nearest point [m], and whether that is on its border.
+    """
+    triangle, nearest, beyond = found
+    heights, distances = np.empty(len(places)), np.empty(len(places))
+    belongs = np.empty(len(places), dtype=np.bool_)
+    for row in range(len(places)):
+        a, b, c = faces[triangle[row]]
+        height, squared, facing = 0.0, 0.0, 0.0
+        for axis in range(3):
+            offset = nearest[row, axis] - places[row, axis]
+            height += offset * normals[row, axis]
+            squared += offset * offset
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            across = (vertices[b, i] - vertices[a, i]) * (vertices[c, j] - vertices[a, j])
+            across -= (vertices[b, j] - vertices[a, j]) * (vertices[c, i] - vertices[a, i])
+            facing += across * normals[row, axis]
+        heights[row], distances[row] = height, np.sqrt(squared)
+        belongs[row] = facing > 0.0 and not beyond[row] and abs(height) >= _ALONG_NORMAL * distances[row]
+    return heights, distances, belongs

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.planes import ContactPlanes, nearest_planes
+from pb4u.physics.contact.planes import UNMOVED, ContactPlanes, nearest_planes
 from pb4u.physics.incremental_potential import StepPotential
 
 REACH = 0.03
 """Distance [m] from the body within which the motion of the body concerns a vertex."""
-
-_LOOKED_UP = 0.01
-"""Distance [m] from the body beyond which a vertex is not looked up again: five times where its energy begins."""
 
 _FREE_ITERATIONS = 8
 """Iterations in which every vertex that moves is looked up; most steps of a walk are solved within twice as many."""
@@ -32,20 +29,7 @@ _LIFT = 2e-3
 """Height [m] over the body that a lifted vertex gets, unless it was lower before."""
 
 
-@dataclass(frozen=True, eq=False)
-class Lifted:
-    """Where a step starts once cloth that the body passed over is lifted.
-
-    Args:
-        positions: (vertices, 3) [m].
-        planes: of the bodies at t+1 nearest to these positions, where they had to be looked up, or None.
-    """
-
-    positions: Tensor
-    planes: ContactPlanes | None = None
-
-
-def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Lifted:
+def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
     """Positions with vertices that the body passed over lifted, in every world whose energy falls.
 
     Args:
@@ -55,7 +39,7 @@ def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Lifted:
     step, planes = potential.step, potential.contacts.now
     garments, bodies = step.garments, step.bodies
     if planes is None or bodies is None:
-        return Lifted(x)
+        return x
     point = planes.transported(bodies.following).to(x)
     normal = planes.transported_normals(bodies.following).to(x)
     height = ((x - point) * normal).sum(1)
@@ -63,15 +47,14 @@ def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Lifted:
     moves = ~garments.pinned & (garments.vertex_masses > 0)
     overrun = planes.touchable & moves & (planes.distance.abs() < REACH) & (height < wanted)
     if not bool(overrun.any()):
-        return Lifted(x)
+        return x
     lifted = torch.where(overrun[:, None], x + (wanted - height)[:, None] * normal, x)
-    below = nearest_planes(bodies.following, garments, x)
-    above = nearest_planes(bodies.following, garments, lifted, overrun, below)
     before, after = (
-        potential.with_contact(found).energies(at).per_world(garments) for found, at in ((below, x), (above, lifted))
+        potential.with_contact(nearest_planes(bodies.following, garments, at)).energies(at).per_world(garments)
+        for at in (x, lifted)
     )
     better = (after < before)[garments.vertex_world]
-    return Lifted(torch.where(better[:, None], lifted, x), above.where(better, below))
+    return torch.where(better[:, None], lifted, x)
 
 
 class TrackedContact:
@@ -84,19 +67,12 @@ class TrackedContact:
     Args:
         potential: potential of the step.
         start: (vertices, 3) [m] where the iterations begin.
-        lifted: what the start comes from, the planes of which serve all vertices that still are there.
     """
 
-    def __init__(self, potential: StepPotential, start: Tensor, lifted: Lifted) -> None:
+    def __init__(self, potential: StepPotential, start: Tensor) -> None:
         self._potential = potential
-        step = potential.step
-        if lifted.planes is None or step.bodies is None:
-            self._planes = potential.contact_at(start)
-        else:
-            moved = (start != lifted.positions).any(1)
-            self._planes = nearest_planes(step.bodies.following, step.garments, start, moved, lifted.planes)
+        self._planes = potential.contact_at(start)
         self._opposite: ContactPlanes | None = None
-        self._found_at = start
         self._iteration = 0
 
     def potential_at(self, x: Tensor) -> StepPotential:
@@ -108,24 +84,20 @@ class TrackedContact:
         planes, step = self._planes, self._potential.step
         if planes is None or step.bodies is None:
             return self._potential
-        moved = (x - self._found_at).norm(dim=1)
-        # A distance changes by no more than the vertex moved, so the others are still out of reach.
-        stale = (moved > self._patience()) & (planes.distance - moved < _LOOKED_UP)
+        patience = self._patience()
         self._iteration += 1
-        if bool(stale.any()):
-            self._planes = nearest_planes(step.bodies.following, step.garments, x, stale, planes)
-            opposed = _OPPOSED if self._iteration < _FREE_ITERATIONS else _DISTINCT
-            self._opposite = _left_behind(planes, self._planes, self._opposite, x, opposed)
-            self._found_at = torch.where(stale[:, None], x, self._found_at)
+        self._planes = nearest_planes(step.bodies.following, step.garments, x, patience=patience)
+        opposed = _OPPOSED if self._iteration < _FREE_ITERATIONS else _DISTINCT
+        self._opposite = _left_behind(planes, self._planes, self._opposite, x, opposed)
         return self._potential.with_contact(self._planes, self._opposite)
 
     def _patience(self) -> float:
-        """Displacement [m] after which a vertex is looked up again; above 0 in late iterations.
+        """Displacement [m] after which a vertex is looked up again; more in late iterations.
 
         The distance to a crease has a kink, on which iterations would never end.
         """
         late = self._iteration - _FREE_ITERATIONS
-        return 0.0 if late < 0 else min(2e-5 * 1.15**late, 2e-3)
+        return UNMOVED if late < 0 else min(2e-5 * 1.15**late, 2e-3)
 
 
 def _left_behind(
