@@ -25,7 +25,7 @@ def finding(diagnosis, code):
 
 
 def test_a_sound_garment_has_nothing_to_mend(woman):
-    shirt = build_garment("tshirt", woman, 600)
+    shirt = build_garment("tshirt", woman, 1200)
     diagnosis = diagnose(PolygonMesh(shirt.vertices, tuple(shirt.faces)), woman)
     assert diagnosis.codes == ()
     assert not diagnosis.is_refused
@@ -53,7 +53,7 @@ def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
 
 
 def test_support_is_looked_for_where_the_garment_belongs(woman):
-    shirt = build_garment("tshirt", woman, 600)
+    shirt = build_garment("tshirt", woman, 1200)
     low = PolygonMesh(100.0 * (shirt.vertices - [0.0, woman.lift, 0.0]), tuple(shirt.faces))
     assert "units" in diagnose(low, woman).codes
     assert "unsupported" not in diagnose(low, woman).codes

@@ -2,11 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cloth_shapes import quad_tube, triangle_tube, tube_garment, with_open_seam
+from cloth_shapes import CLOTH, quad_tube, saved, triangle_tube, tube_garment, with_open_seam
 
 from pb4u.body.library import load_body
+from pb4u.errors import InputWarning
 from pb4u.garment.diagnosis import diagnose
 from pb4u.garment.fit import AXES, RestBody
+from pb4u.garment.garment_file import read_garment
 from pb4u.garment.repair import CLEARANCE, push_out, repair
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths
@@ -52,6 +54,17 @@ def test_faults_of_the_mesh_are_mended_without_a_body():
     assert len(mended.polygons) == 1600
     assert len(said) == 4
     np.testing.assert_array_equal(np.sort(mended.vertices, axis=0), np.sort(mesh.vertices, axis=0))
+
+
+def test_faces_turned_over_are_counted_alike_by_who_finds_and_who_turns_them(tmp_path):
+    mesh = quad_tube()
+    turned = replace(mesh, polygons=tuple(p[::-1] if 80 <= k < 160 else p for k, p in enumerate(mesh.polygons)))
+    turned = replace(turned, uvs=None, polygon_uvs=None)
+    (found,) = (each.sentence for each in diagnose(turned).findings if each.code == "orientation")
+    assert found.startswith("80 face(s) are turned over")
+    assert repair(turned)[1] == ("Turned 80 face(s) over to agree with their neighbours.",)
+    with pytest.warns(InputWarning, match="80 face.s. are turned over"):
+        read_garment(saved(tmp_path, turned), CLOTH)
 
 
 def test_a_seam_whose_weld_would_join_three_faces_stays_open():

@@ -27,8 +27,9 @@ def source_of(garment):
 def test_skirt_and_trousers_are_told_once_a_file_has_lost_their_pins(name, woman, tmp_path):
     built = build_garment(name, woman, 600)
     exported = read_source(saved(tmp_path, source_of(built)))
-    assert diagnose(exported, woman).codes == (("unsupported",) if name in FALLS else ())
-    assert diagnose(built, woman).codes == ()
+    # So few triangles are told of besides.
+    assert set(diagnose(exported, woman).codes) - {"coarse"} == ({"unsupported"} if name in FALLS else set())
+    assert set(diagnose(built, woman).codes) <= {"coarse"}
 
 
 @pytest.mark.parametrize("body", ["woman", "man"])

@@ -36,7 +36,7 @@ def woman() -> ShapedBody:
 
 def exported(name: str, body: ShapedBody, folder: Path) -> Path:
     """A built-in garment as a file, which has no pins."""
-    garment = build_garment(name, body, 600)
+    garment = build_garment(name, body, 1600)
     return saved(folder, PolygonMesh(garment.vertices, tuple(garment.faces)), f"{name}.obj")
 
 
@@ -107,14 +107,14 @@ def test_several_garments_are_worn_inner_first(woman: ShapedBody, tmp_path: Path
     file = exported("skirt", woman, tmp_path)
     loaded = build_garment("cardigan", woman, 500)
     scene = make_scene(
-        ["tanktop", file, loaded], woman, "dance", triangles=[400, None, 600], material=["silk", "denim", None],
+        ["tanktop", file, loaded], woman, "dance", triangles=[400, None, 1000], material=["silk", "denim", None],
         pins=[None, "waist", None], frames=2, lead_in=1,
     )  # fmt: skip
     assert scene.labels["garment"] == "tanktop+skirt+cardigan"
     garments = [dressed.garment for dressed in scene.garments]
     assert [garment.material for garment in garments] == [MATERIALS[n] for n in ("silk", "denim", "default")]
     assert [bool(garment.pinned.any()) for garment in garments] == [False, True, False]
-    for garment, wanted in zip(garments, (400, 600, 600), strict=True):
+    for garment, wanted in zip(garments, (400, 1600, 1000), strict=True):
         assert abs(garment.triangle_count / wanted - 1) < 0.05
     alone = make_scene("tanktop", woman, "dance", triangles=400, material="silk", frames=2, lead_in=1)
     np.testing.assert_array_equal(garments[0].vertices, alone.garments[0].garment.vertices)

@@ -13,6 +13,7 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.errors import InputError, InputWarning
+from pb4u.garment.coarseness import Coarseness
 from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, find_holder, is_held_up
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
@@ -138,6 +139,8 @@ def diagnose(
         findings += _contact_findings(surface, fit, rest, measures, mend)
         if not pinned and not any(f.code in _NOT_WORN for f in findings):
             findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
+        if not any(f.code in _NOT_WORN for f in findings):
+            findings += _coarse_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
         findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres"))
     elif len(vertices):
@@ -174,6 +177,23 @@ def require_worn(
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
     for finding in findings:
         warnings.warn(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.", InputWarning, stacklevel=3)
+
+
+def require_fine(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
+    """Refuse a garment too coarse to stay around the resting body; warn where skin may show through it.
+
+    Args:
+        garment: as it is simulated.
+        body: who wears it.
+
+    Raises:
+        InputError: its edges span too much of the way round the body.
+    """
+    for finding in _coarse_findings(garment.vertices, garment.faces, RestBody.of(body)):
+        sentence = f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}."
+        if finding.severity is Severity.REFUSED:
+            raise InputError(sentence)
+        warnings.warn(sentence, InputWarning, stacklevel=3)
 
 
 def _surface_findings(surface: SourceSurface) -> list[Finding]:
@@ -224,12 +244,10 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
         seams = bool(len(unwelded))
         fix = "weld the seams between them" if seams else "join them where they were made, or delete all but one"
         add("pieces", warning, sentence, fix, seams)
-    flip, orientable = surface.flipped
-    if flip.any():
-        polygons = surface.polygon[surface.kept[flip]]
+    if len(polygons := surface.turned_over):
         sentence = f"{len(polygons)} face(s) are turned over against their neighbours, first {_first(polygons)}."
         add("orientation", warning, sentence, "turn them", True, polygons)
-    if not orientable:
+    if not surface.flipped[1]:
         sentence = "The cloth has only one side, like a Moebius strip."
         add("one-sided", warning, sentence, "cut it open where it is twisted")
     if len(topology.edges) and len(surface.faces):
@@ -286,6 +304,20 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
         )
         findings.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {mend}", True))
     return findings + _far_finding(fit.apply(vertices), body)
+
+
+def _coarse_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> list[Finding]:
+    """A garment whose triangles are too few for the body, its (vertices, 3) where it is worn."""
+    coarse = Coarseness.of(vertices, faces, body)
+    if not coarse.is_few:
+        return []
+    spans = f"one edge in ten spans {coarse.degrees:.0f} degrees of the way round it"
+    fix = f"ask for more with `--triangles {coarse.enough}`"
+    if coarse.is_lost:
+        sentence = f"Its {coarse.triangles:,} triangles are too few to stay around the body: {spans}."
+        return [Finding("too-coarse", Severity.REFUSED, sentence, fix)]
+    sentence = f"Its {coarse.triangles:,} triangles are few for the body, so skin or a limb may come through: {spans}."
+    return [Finding("coarse", Severity.WARNING, sentence, fix)]
 
 
 def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:

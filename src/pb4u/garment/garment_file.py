@@ -168,7 +168,7 @@ def likely_unit(vertices: np.ndarray) -> str | None:
 
 
 def _warn_of_oddities(path: Path, surface: SourceSurface) -> None:
-    isolated, turned = surface.topology.isolated_vertices, int(surface.flipped[0].sum())
+    isolated, turned = surface.topology.isolated_vertices, len(surface.turned_over)
     repeated, collapsed = surface.repeated, surface.collapsed & ~surface.repeated
     uvs = surface.source.uvs
     for count, sentence in (

@@ -111,7 +111,7 @@ def _oriented(source: PolygonMesh, body: RestBody | None, said: list[str]) -> Po
     surface = SourceSurface.of(source)
     flip = surface.flipped[0]
     turn = np.zeros(len(source.polygons), dtype=bool)
-    turn[surface.polygon[surface.kept[flip]]] = True
+    turn[surface.turned_over] = True
     if turn.any():
         said.append(f"Turned {int(turn.sum())} face(s) over to agree with their neighbours.")
     faces = np.where(flip[:, None], surface.faces[:, ::-1], surface.faces)

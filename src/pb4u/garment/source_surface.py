@@ -90,6 +90,11 @@ class SourceSurface:
         """Mask (faces,) bool of kept triangles to turn over so that neighbours agree, and whether that is possible."""
         return faces_to_flip(self.topology)
 
+    @property
+    def turned_over(self) -> np.ndarray:
+        """Indices (n,) int64 of polygons to turn over so that neighbours agree, each once however it was cut."""
+        return np.unique(self.polygon[self.kept[self.flipped[0]]])
+
     @cached_property
     def piece_count(self) -> int:
         """Number of connected pieces, isolated vertices left out."""

@@ -17,7 +17,7 @@ from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.corrected_placement import CorrectedPlacement
-from pb4u.garment.diagnosis import require_worn
+from pb4u.garment.diagnosis import require_fine, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
 from pb4u.garment.fit import RestBody, find_holder
@@ -91,8 +91,8 @@ def make_scene(
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
 
     Warns:
-        InputWarning: the body does not perform the motion, or nothing holds a garment up that comes from a file and is
-            given without pins.
+        InputWarning: the body does not perform the motion, nothing holds a garment up that comes from a file and is
+            given without pins, or skin may show through a garment that is coarse for the body.
     """
     specification = SceneSpecification(
         garments=_specified(garment, triangles, material, pins),
@@ -165,6 +165,7 @@ def _load_garments(
     garments = []
     for each in specified:
         garment = _load_garment(each, body)
+        require_fine(garment, body)
         garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
     order = worn_order(garments, [each.tucked for each in specified])
     return [garments[k] for k in order], [specified[k] for k in order]
