@@ -210,6 +210,7 @@ def test_a_pickle_in_large_pieces_is_refused_before_they_are_read(
     protocol: int, fits: int, large: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pb4u.reading_limits.HEADROOM", 2**20)
+    monkeypatch.setattr("pb4u.pickle_limits.HEADROOM", 2**20)
     path = tmp_path / "large.pkl"
     content = {"poses": np.zeros(fits), "trans": 1}
     path.write_bytes(pickle.dumps(content, protocol=protocol))

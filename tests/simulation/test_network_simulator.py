@@ -75,9 +75,8 @@ def test_the_precision_of_products_is_chosen_told_and_close(weights: Path, monke
 
 @pytest.mark.parametrize("steps", [0, 10_000])
 def test_impossible_k_is_refused(weights: Path, steps: int) -> None:
-    simulator = load_simulator(weights, propagation_steps=steps)
     with pytest.raises(InputError, match="Propagation steps"):
-        simulator.simulate(ball_scene(frames=2))
+        load_simulator(weights, propagation_steps=steps)
 
 
 def test_resolution_outside_the_range_seen_is_warned_of(weights: Path) -> None:

@@ -15,7 +15,8 @@ from tests.simulation.released_files import made_checkpoint
 from pb4u.errors import InputError
 from pb4u.simulation.checkpoint import Checkpoint, load_checkpoint
 from pb4u.simulation.network_pass import NetworkPass
-from pb4u.simulation.released_weights import METHODS, UNKNOWN_LICENCE, read_released
+from pb4u.simulation.released_methods import METHODS
+from pb4u.simulation.released_weights import UNKNOWN_LICENCE, read_released
 
 GOLDEN = {
     "pb4u": ("checkpoints/pb4u.pth", "pb4u_dress", "pb4u_skirt"),

@@ -183,6 +183,12 @@ def test_self_contact_is_refused_where_it_cannot_be(model: str) -> None:
         RunSpecification(self_contact="on")
 
 
+@pytest.mark.parametrize("steps", [0, 1_000_000])
+def test_a_senseless_number_of_propagation_steps_is_refused_before_a_scene_is_assembled(steps: int) -> None:
+    with pytest.raises(InputError, match=f"between 1 and 500, not {steps}"):
+        RunSpecification(model="pb4u-small", propagation_steps=steps).simulator()
+
+
 @pytest.mark.parametrize(("refine", "passes"), [(0, None), (5, None), (5, 2)])
 def test_the_simulator_is_as_described(refine: int, passes: int | None) -> None:
     run = RunSpecification(model="pb4u-small", refine=refine, passes=passes, propagation_steps=4, device="cpu")
