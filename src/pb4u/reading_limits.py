@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import pickletools
 import re
 import struct
 import zipfile
@@ -17,7 +16,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,20 +40,10 @@ MOST_JOINTS = 1000
 """Joints of a recorded skeleton; the largest known has some 170."""
 MOST_MEMBERS = 10_000
 """Members of an archive; its directory takes some 600 bytes for each."""
-MOST_OPCODES = 1_000_000
-"""Instructions of a pickle; each makes one object at most, of which the largest, an empty set, takes 216 bytes."""
-MOST_UNFOLDED = 4_000_000
-"""Entries of nested collections in a pickle where what is shared is counted each time it is used, as numpy would."""
 
 _MOST_TOLD = 200
 """Characters of what a library says of a file that are passed on."""
 
-_OPCODES = {opcode.code.encode("latin-1"): opcode for opcode in pickletools.opcodes}
-_LENGTHS = {
-    pickletools.TAKEN_FROM_ARGUMENT1: 1, pickletools.TAKEN_FROM_ARGUMENT4: 4,
-    pickletools.TAKEN_FROM_ARGUMENT4U: 4, pickletools.TAKEN_FROM_ARGUMENT8U: 8,
-}  # fmt: skip
-"""Bytes that hold the length of an argument, by the kind of argument."""
 _ARRAY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 _DIRECTORY_END = b"PK\x05\x06"
 _DIRECTORY_END_64 = b"PK\x06\x06"
@@ -101,14 +90,15 @@ class Allowance:
         """
         if size > self.left:
             raise InputError(
-                f"{self.path}: {what} would take {_megabytes(size + self.whole - self.left)}, and a file of "
-                f"{_megabytes(self.whole - HEADROOM)} may take {_megabytes(self.whole)} (its size and "
-                f"{_megabytes(HEADROOM)}); save it uncompressed, or in smaller parts."
+                f"{self.path}: {what} would take {megabytes(size + self.whole - self.left)}, and a file of "
+                f"{megabytes(self.whole - HEADROOM)} may take {megabytes(self.whole)} (its size and "
+                f"{megabytes(HEADROOM)}); save it uncompressed, or in smaller parts."
             )
         self.left -= size
 
 
-def _megabytes(size: int) -> str:
+def megabytes(size: int) -> str:
+    """Bytes in megabytes, for a message."""
     return f"{size / 2**20:,.0f} MB" if size >= 2**20 else f"{size:,} bytes"
 
 
@@ -125,7 +115,7 @@ def require_size(path: Path, most: int, kind: str) -> None:
         OSError: it cannot be looked at.
     """
     if (size := path.stat().st_size) > most:
-        raise InputError(f"{path} has {_megabytes(size)}, and {kind} may have {_megabytes(most)}.")
+        raise InputError(f"{path} has {megabytes(size)}, and {kind} may have {megabytes(most)}.")
 
 
 def read_text(path: Path, kind: str, most: int = MOST_TEXT, encoding: str = "utf-8", errors: str = "strict") -> str:
@@ -162,7 +152,7 @@ def parse_json(text: str | bytes, where: str | Path, most: int = MOST_TEXT) -> A
     if isinstance(text, bytes):
         text = text.decode("utf-8")
     if len(text) > most:
-        raise InputError(f"{where}: its JSON has {_megabytes(len(text))}, and may have {_megabytes(most)}.")
+        raise InputError(f"{where}: its JSON has {megabytes(len(text))}, and may have {megabytes(most)}.")
     depth = 0
     for match in re.finditer(r'"(?:[^"\\]|\\.)*"|[\[{]|[\]}]', text):
         depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(match.group(), 0)
@@ -209,9 +199,7 @@ def read_lines(path: Path, kind: str) -> Iterator[str]:
         while line := stream.readline(MOST_LINE + 1):
             number += 1
             if len(line) > MOST_LINE:
-                raise InputError(
-                    f"{path}: line {number} has over {_megabytes(MOST_LINE)}, which no line of {kind} has."
-                )
+                raise InputError(f"{path}: line {number} has over {megabytes(MOST_LINE)}, which no line of {kind} has.")
             yield from line.decode("latin-1").splitlines() or [""]
 
 
@@ -391,90 +379,6 @@ def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, allowance: Al
         raise DamagedArchiveError(allowance.path, error) from error
 
 
-def require_plain_pickle(stream: BinaryIO, path: Path) -> None:
-    """Refuse a pickle that would make too many objects, or nest what it shares so that comparing it never ends.
-
-    The instructions are followed without making what they make: on the stack stands the number of entries of each
-    object, counted anew wherever a shared one is used.
-
-    Args:
-        stream: the pickle, read to its end mark.
-        path: its file, for the message.
-
-    Raises:
-        InputError: it holds too much.
-        ValueError: it is damaged.
-    """
-    memo: dict[int, int] = {}
-    stack: list[int | None] = []
-    texts = 0
-    for count, (opcode, argument, size) in enumerate(_instructions(stream)):
-        if count > MOST_OPCODES:
-            raise InputError(f"{path}: a pickle of more than {MOST_OPCODES:,} instructions; store arrays, not lists.")
-        name = opcode.name
-        # A text is turned into bytes, and those into an array, before it is let go; bytes only into an array.
-        texts += size if "UNICODE" in name else 0
-        if texts > HEADROOM // 2 or size > HEADROOM:
-            raise InputError(
-                f"{path}: a pickle with {_megabytes(max(texts, size))} in one piece, which takes over "
-                f"{_megabytes(HEADROOM)} more than the file to be read; save it with numpy.savez."
-            )
-        if "PUT" in name or name == "MEMOIZE":
-            place = len(memo) if argument is None else int(str(argument))
-            if place > MOST_OPCODES:
-                raise InputError(f"{path}: a damaged pickle, it names its object {place:,}.")
-            memo[place] = (stack[-1] if stack else None) or 0
-            continue
-        if "GET" in name:
-            stack.append(memo.get(int(str(argument)), 0))
-            continue
-        entries = sum(_taken(opcode, stack))
-        if entries > MOST_UNFOLDED:
-            raise InputError(
-                f"{path}: a pickle of collections nested in each other to over {MOST_UNFOLDED:,} entries, which no "
-                "file of plain arrays has."
-            )
-        stack += [None if kind is pickletools.markobject else 1 + entries for kind in opcode.stack_after]
-
-
-def _instructions(stream: BinaryIO) -> Iterator[tuple[pickletools.OpcodeInfo, object, int]]:
-    """Each instruction with its argument and the bytes of that; texts and bytes with their length are passed over."""
-    begin = stream.tell()
-    stream.seek(0, 2)
-    end = stream.tell()
-    stream.seek(begin)
-    while code := stream.read(1):
-        opcode = _OPCODES.get(code)
-        if opcode is None:
-            raise ValueError(f"no pickle has an instruction {code!r}")
-        if opcode.arg is None or opcode.arg.n not in _LENGTHS:
-            start = stream.tell()
-            argument = None if opcode.arg is None else opcode.arg.reader(stream)
-            yield opcode, argument, stream.tell() - start
-        else:
-            length = int.from_bytes(stream.read(_LENGTHS[opcode.arg.n]), "little")
-            here = stream.tell()
-            if here + length > end:
-                raise ValueError("it is cut short")
-            stream.seek(here + length)
-            yield opcode, None, length
-        if opcode.name == "STOP":
-            return
-    raise ValueError("it has no end mark")
-
-
-def _taken(opcode: pickletools.OpcodeInfo, stack: list[int | None]) -> Iterator[int]:
-    """Numbers of entries of what an instruction takes from the stack."""
-    before = list(opcode.stack_before)
-    if pickletools.markobject in before:
-        while stack and (entries := stack.pop()) is not None:
-            yield entries
-        before = before[: before.index(pickletools.markobject)]
-    for _ in before:
-        if stack:
-            yield stack.pop() or 0
-
-
 def require_small_header(path: Path) -> None:
     """Refuse a safetensors file whose header is too large or too deep to be parsed.
 
@@ -488,5 +392,5 @@ def require_small_header(path: Path) -> None:
         if length > path.stat().st_size:
             raise ValueError("it is cut short, or of another kind")
         if length > MOST_TEXT:
-            raise InputError(f"{path}: its header has {_megabytes(length)}, and may have {_megabytes(MOST_TEXT)}.")
+            raise InputError(f"{path}: its header has {megabytes(length)}, and may have {megabytes(MOST_TEXT)}.")
         parse_json(stream.read(length), path)
