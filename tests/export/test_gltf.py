@@ -18,6 +18,7 @@ from pb4u.errors import InputWarning
 from pb4u.export.gltf import write_glb
 from pb4u.export.registry import export
 from pb4u.export.selection import on_source, select_frames
+from pb4u.export.shading import garment_colours
 from pb4u.scene.trajectory import Trajectory
 
 _VALIDATE = """
@@ -49,6 +50,19 @@ def test_blends_reproduce_every_frame_of_both_surfaces(trajectory: Trajectory, t
         np.testing.assert_allclose(blended[0], expected[0], atol=2e-6)
     times = glb.array(glb.json["animations"][0]["samplers"][0]["input"])
     np.testing.assert_allclose(times[:, 0], np.arange(12) / 25, atol=1e-6)
+
+
+def test_each_garment_has_a_colour_of_its_own(trajectory: Trajectory, tmp_path: Path) -> None:
+    upper = trajectory.positions[0][:, 1] > 0.9
+    outfit = replace(trajectory, header=replace(trajectory.header, vertex_garment=upper.astype(np.int32)))
+    glb = Glb(export(outfit, tmp_path / "outfit.glb"))
+    one, other = glb.json["meshes"][0]["primitives"]
+    assert one["attributes"] == other["attributes"]
+    assert one["targets"] == other["targets"]
+    colours = [glb.json["materials"][k["material"]]["pbrMetallicRoughness"]["baseColorFactor"] for k in (one, other)]
+    np.testing.assert_allclose(np.array(colours)[:, :3] ** (1 / 2.2), garment_colours(2), atol=2e-3)
+    counts = [glb.json["accessors"][k["indices"]]["count"] // 3 for k in (one, other)]
+    assert counts == np.bincount(upper[trajectory.faces[:, 0]]).tolist()
 
 
 def test_normals_follow_the_surface(trajectory: Trajectory, tmp_path: Path) -> None:

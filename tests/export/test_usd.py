@@ -10,6 +10,7 @@ import pytest
 
 from pb4u.export.registry import export
 from pb4u.export.selection import on_source
+from pb4u.export.shading import garment_colours
 from pb4u.scene.trajectory import Trajectory
 
 pxr = pytest.importorskip("pxr", reason='the "usd" extra is not installed')
@@ -49,6 +50,15 @@ def test_a_stage_holds_garment_and_body_over_time(trajectory: Trajectory, tmp_pa
     expected = trajectory.header.uvs[trajectory.header.uv_faces].reshape(-1, 2)
     np.testing.assert_allclose(st.ComputeFlattened(), expected, atol=1e-6)
     assert len(garment.GetDisplayColorAttr().Get()) == 1
+
+
+def test_each_garment_has_a_colour_of_its_own(trajectory: Trajectory, tmp_path: Path) -> None:
+    upper = trajectory.positions[0][:, 1] > 0.9
+    outfit = replace(trajectory, header=replace(trajectory.header, vertex_garment=upper.astype(np.int32)))
+    stage = Usd.Stage.Open(str(export(outfit, tmp_path / "outfit.usda")))
+    shown = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Scene/Garment")).GetPrimvar("displayColor")
+    assert shown.GetInterpolation() == "uniform"
+    np.testing.assert_allclose(shown.Get(), garment_colours(2)[upper[trajectory.faces[:, 0]].astype(int)], atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

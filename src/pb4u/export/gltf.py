@@ -11,6 +11,7 @@ import json
 import shutil
 import struct
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from pb4u.errors import InputWarning
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
-from pb4u.export.shading import CLOTH, SKIN
+from pb4u.export.shading import SKIN, garment_colours
 from pb4u.export.shape_basis import fit_shapes
 from pb4u.progress import Progress, unheard
 from pb4u.scene.trajectory import Trajectory
@@ -50,10 +51,11 @@ def write_glb(trajectory: Trajectory, path: Path, progress: Progress = unheard, 
         with binary.open("wb") as file:
             document = _Document(file, trajectory)
             uv = (header.uvs, header.uv_faces)
-            document.add_surface("garment", trajectory.positions, header.faces, uv, CLOTH, _part(progress, 0, passes))
+            owner = np.asarray(header.vertex_garment)[header.faces[:, 0]]
+            document.add_surface("garment", trajectory.positions, header.faces, uv, owner, _part(progress, 0, passes))
             if body:
                 document.add_surface(
-                    "body", trajectory.body_positions, header.body_faces, (None, None), SKIN,
+                    "body", trajectory.body_positions, header.body_faces, (None, None), None,
                     _part(progress, frames, passes),
                 )  # fmt: skip
             described = document.finished()
@@ -107,7 +109,7 @@ class _Document:
         positions: np.ndarray,
         faces: np.ndarray,
         uv: tuple[np.ndarray | None, np.ndarray | None],
-        colour: tuple[float, float, float],
+        owner: np.ndarray | None,
         progress: Progress,
     ) -> None:
         """Add a node with a mesh, its morph targets and their weights over time.
@@ -117,7 +119,7 @@ class _Document:
             positions: (frames, vertices, 3) [m].
             faces: (faces, 3) int64.
             uv: UV points (uv points, 2) and UV faces (faces, 3), or None for each.
-            colour: sRGB [0 to 1].
+            owner: (faces,) int garment of each, which has a primitive and a colour of its own; None for skin.
             progress: called with (passes done, passes in all).
         """
         basis = fit_shapes(positions, faces, _TOLERANCE, _MOST_TARGETS, progress)
@@ -135,21 +137,29 @@ class _Document:
         }
         if uvs is not None:
             attributes["TEXCOORD_0"] = self._vectors(uvs)
-        primitive: dict[str, Any] = {
-            "attributes": attributes,
-            "indices": self._add(corners.reshape(-1).astype("<u4"), "SCALAR", _UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER),
-            "material": self._material(name, colour),
-        }
-        mesh: dict[str, Any] = {"name": name, "primitives": [primitive], "extras": {"largest_error": basis.error}}
+        parts = [corners] if owner is None else [corners[owner == k] for k in range(int(owner.max(initial=0)) + 1)]
+        colours = [SKIN] if owner is None else garment_colours(len(parts))
+        # The parts share their vertices; none but theirs are read of them.
+        primitives: list[dict[str, Any]] = [
+            {
+                "attributes": attributes,
+                "indices": self._add(part.reshape(-1).astype("<u4"), "SCALAR", _UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER),
+                "material": self._material(name if len(parts) == 1 else f"{name} {k + 1}", colour),
+            }
+            for k, (part, colour) in enumerate(zip(parts, colours, strict=True))
+        ]
+        mesh: dict[str, Any] = {"name": name, "primitives": primitives, "extras": {"largest_error": basis.error}}
         node = len(self._json["nodes"])
         if len(basis.shapes):
-            primitive["targets"] = [
+            targets = [
                 {
                     "POSITION": self._vectors(shape[of_vertex], bounded=True),
                     "NORMAL": self._vectors(normals[of_vertex]),
                 }
                 for shape, normals in zip(basis.shapes, basis.normal_shapes, strict=True)
             ]
+            for primitive in primitives:
+                primitive["targets"] = targets
             mesh["weights"] = [0.0] * len(basis.shapes)
             mesh["extras"]["targetNames"] = [f"shape {k}" for k in range(len(basis.shapes))]
             self._animate(node, basis.weights)
@@ -173,9 +183,9 @@ class _Document:
         self._channels.append({"sampler": len(self._samplers), "target": target})
         self._samplers.append({"input": self._times, "output": output, "interpolation": "LINEAR"})
 
-    def _material(self, name: str, colour: tuple[float, float, float]) -> int:
+    def _material(self, name: str, colour: Iterable[float]) -> int:
         # glTF colours are linear; the constants are as seen on a screen.
-        linear = [round(channel**2.2, 4) for channel in colour]
+        linear = [round(float(channel) ** 2.2, 4) for channel in colour]
         surface = {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.85}
         self._json["materials"].append({"name": name, "pbrMetallicRoughness": surface, "doubleSided": True})
         return len(self._json["materials"]) - 1

@@ -12,7 +12,7 @@ import numpy as np
 from pb4u.errors import MissingExtraError
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
-from pb4u.export.shading import CLOTH, SKIN, unit_normals
+from pb4u.export.shading import CLOTH, SKIN, garment_colours, unit_normals
 from pb4u.progress import Progress, unheard
 from pb4u.scene.author_mesh import Polygons
 from pb4u.scene.trajectory import Trajectory
@@ -89,6 +89,7 @@ def _write_binary(trajectory: Trajectory, path: Path, progress: Progress) -> Non
         stage.GetRootLayer().customLayerData = {"pb4u": {HELD_FRAMES: _ints(held)}}
     outlines = header.outlines
     garment = _AnimatedMesh(_define(stage, "/Scene/Garment", outlines, CLOTH), header.faces)
+    _colour_garments(garment.mesh, outlines, header.vertex_garment)
     _add_uvs(garment.mesh, header.uvs, outlines.uv_corners)
     skin = Polygons.of_triangles(header.body_faces, None)
     body = _AnimatedMesh(_define(stage, "/Scene/Body", skin, SKIN), header.body_faces)
@@ -133,6 +134,18 @@ def _define(stage: Usd.Stage, name: str, polygons: Polygons, colour: tuple[float
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateDisplayColorAttr(Vt.Vec3fArray([colour]))
     return mesh
+
+
+def _colour_garments(mesh: UsdGeom.Mesh, outlines: Polygons, vertex_garment: np.ndarray) -> None:
+    """Each garment in a colour of its own, polygon by polygon; a single one keeps the colour of the whole."""
+    from pxr import UsdGeom, Vt
+
+    first = outlines.corners[np.cumsum(outlines.sizes) - outlines.sizes]
+    owner = np.asarray(vertex_garment)[first]
+    if owner.max(initial=0):
+        colours = garment_colours(int(owner.max()) + 1)[owner].astype(np.float32)
+        mesh.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours))
+        UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").SetInterpolation(UsdGeom.Tokens.uniform)
 
 
 def _add_uvs(mesh: UsdGeom.Mesh, uvs: np.ndarray | None, uv_corners: np.ndarray | None) -> None:
