@@ -13,7 +13,7 @@ from tests.simulation.ball_scene import ball_scene
 
 from pb4u.errors import InputError
 from pb4u.evaluation import rollout
-from pb4u.evaluation.metrics import SLID, SLID_FRAMES, hold_shifts, slid_from
+from pb4u.evaluation.divergence import SLID, SLID_FRAMES, hold_shifts, slid_from
 from pb4u.evaluation.page import Table
 from pb4u.evaluation.planning import REFINE, EvaluationRequest, plan
 from pb4u.evaluation.protocol_run import evaluate

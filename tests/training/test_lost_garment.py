@@ -6,7 +6,8 @@ import pytest
 import torch
 from tests.training.ball_data import sheet
 
-from pb4u.evaluation.metrics import DIVERGED_DISTANCE, strain_percentile
+from pb4u.evaluation.divergence import DIVERGED_DISTANCE
+from pb4u.evaluation.metrics import strain_percentile
 from pb4u.scene.packed import pack
 from pb4u.training.validation import SUNK, drift_from, is_lost
 

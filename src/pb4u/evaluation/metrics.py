@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
+from pb4u.evaluation.divergence import first_lost
 from pb4u.evaluation.limbs import Bones, limbs_through_cloth
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
@@ -24,7 +25,7 @@ from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.progress import Progress, unheard
 from pb4u.scene.packed import ColliderFrame, PackedGarments, pack, pack_colliders
-from pb4u.scene.scene import STANDARD_GRAVITY, DressedGarment, Scene
+from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
@@ -44,26 +45,6 @@ PENETRATION_TOLERANCE = 1e-3
 
 SKIN_UNDER_CLOTH = 0.05
 """Distance [m] of cloth from skin up to which it covers it; a hem that flares covers more, which is left out."""
-
-DIVERGED_STRAIN = 0.6
-"""95th percentile of the strain beyond which a run counts as diverged: cloth tears long before."""
-
-DIVERGED_DISTANCE = 0.5
-"""Distance [m] between a garment's centre of mass and where skinning puts it beyond which it fell off: what is still
-worn swings less."""
-
-HOLD_DEPTH = 0.04
-"""Depth [m] below a garment's highest points of what holds it up: the width of a strap or a waistband."""
-
-SLID = 0.08
-"""Distance [m] from where skinning puts it beyond which what holds a garment up has slid: two widths of a strap, which
-by then lies on the arm, or two waistbands. Cloth that swings or that a raised arm lifts stays below."""
-
-SLID_FRAMES = 10
-"""Frames on end for which it has to stay so: a third of a second; a leap lifts straps for less."""
-
-_SKINNED_AT_ONCE = 64
-"""Frames of a garment that are skinned in one call; bounds the memory of long clips."""
 
 
 def measure(
@@ -97,7 +78,7 @@ def measure(
         frames.append(ruler.frame(t))
         progress(t + 1, trajectory.frame_count)
     by_garment = [frame.garments for frame in frames]
-    diverged_at = _diverged_at(trajectory, ruler.garments, by_garment, skinned)
+    diverged_at = first_lost(trajectory, ruler.garments, by_garment, skinned)
     garments = []
     for garment, rows, at in zip(ruler.garments.garments, zip(*by_garment, strict=True), diverged_at, strict=True):
         measured = _series(rows, (*ENERGIES, *STRAINS))
@@ -174,93 +155,7 @@ def first_diverged(trajectory: Trajectory, skinned: np.ndarray | None = None) ->
     """
     garments = packed_garments(trajectory)
     strains = [_strains(garments, _tensor(positions))[1] for positions in trajectory.positions]
-    return _earliest(_diverged_at(trajectory, garments, strains, skinned))
-
-
-def _diverged_at(
-    trajectory: Trajectory,
-    garments: PackedGarments,
-    frames: Sequence[list[dict[str, float]]],
-    skinned: np.ndarray | None,
-) -> list[int | None]:
-    """The first frame in which each garment had diverged, or None; `frames` hold the strains of each garment."""
-    # What is not a number has diverged too.
-    diverged = ~(np.array([[each["strain_p95"] for each in row] for row in frames]) <= DIVERGED_STRAIN)
-    if skinned is not None:
-        for g, garment in enumerate(garments.garments):
-            vertices = slice(*garments.vertex_offsets[g : g + 2])
-            share = garment.vertex_masses / garment.vertex_masses.sum()
-            centres = np.reshape(skinned, (len(skinned), -1, 3))[:, g]
-            for t, (x, centre) in enumerate(zip(trajectory.positions, centres, strict=False)):
-                distance = np.linalg.norm(share @ np.asarray(x[vertices], dtype=np.float64) - centre)
-                diverged[t, g] |= not distance <= DIVERGED_DISTANCE
-    return [int(each.argmax()) if each.any() else None for each in diverged.T]
-
-
-def skinned_centres(scene: Scene, trajectory: Trajectory) -> np.ndarray:
-    """Centres of mass of the garments where skinning alone would put them.
-
-    Args:
-        scene: what was simulated.
-        trajectory: the result, at whose (frames,) instants the centres are wanted.
-
-    Returns:
-        (frames, garments, 3) [m].
-    """
-    masses = (dressed.garment.vertex_masses for dressed in scene.garments)
-    centres = zip(scene.garments, (each / each.sum() for each in masses), strict=True)
-    return np.stack([_skinned_means(scene, trajectory, worn, share[None])[:, 0] for worn, share in centres], axis=1)
-
-
-def _skinned_means(scene: Scene, trajectory: Trajectory, worn: DressedGarment, shares: np.ndarray) -> np.ndarray:
-    """Means (frames, groups, 3) [m] of a garment's skinned vertices, by their `shares` (groups, vertices)."""
-    at = np.arange(trajectory.frame_count) * (scene.fps / trajectory.fps)
-    means = []
-    for start in range(scene.lead_in, scene.total_frames, _SKINNED_AT_ONCE):
-        block = worn.placement.positions(start, min(start + _SKINNED_AT_ONCE, scene.total_frames)).numpy()
-        means.append(np.einsum("gv,tvd->tgd", shares, block))
-    at_steps = np.concatenate(means)
-    columns = [np.interp(at, np.arange(len(at_steps)), column) for column in at_steps.reshape(len(at_steps), -1).T]
-    return np.stack(columns, axis=1).reshape(len(at), *at_steps.shape[1:])
-
-
-def hold_shifts(scene: Scene, trajectory: Trajectory) -> np.ndarray:
-    """How far what holds each garment up has moved from where skinning puts it.
-
-    A garment hangs from the uppermost `HOLD_DEPTH` of its left half and of its right half: straps, shoulders or the two
-    sides of a waist. The shift is that of the mean of those vertices, of the half that moved farther.
-
-    Args:
-        scene: what was simulated.
-        trajectory: the result.
-
-    Returns:
-        (frames, garments) [m].
-    """
-    shifts, first = [], 0
-    for worn in scene.garments:
-        rest = worn.garment.vertices
-        left = rest[:, 0] > np.median(rest[:, 0])
-        held = np.stack([side & (rest[:, 1] > rest[side, 1].max() - HOLD_DEPTH) for side in (left, ~left)])
-        shares = held / held.sum(axis=1, keepdims=True)
-        positions = np.asarray(trajectory.positions[:, first : first + len(rest)], dtype=np.float64)
-        moved = np.einsum("gv,tvd->tgd", shares, positions) - _skinned_means(scene, trajectory, worn, shares)
-        shifts.append(np.linalg.norm(moved, axis=2).max(axis=1))
-        first += len(rest)
-    return np.stack(shifts, axis=1)
-
-
-def slid_from(shifts: np.ndarray) -> int | None:
-    """The first frame from which a garment's hold stays beyond `SLID` for `SLID_FRAMES` frames, or None.
-
-    Args:
-        shifts: (frames, garments) as `hold_shifts` [m].
-    """
-    # What is not a number is not where it was.
-    beyond = ~(np.asarray(shifts) <= SLID)
-    span = min(SLID_FRAMES, len(beyond))
-    held = [at for at in range(len(beyond) - span + 1) if beyond[at : at + span].all(axis=0).any()]
-    return held[0] if held else None
+    return _earliest(first_lost(trajectory, garments, strains, skinned))
 
 
 def garments_of(trajectory: Trajectory) -> list[Garment]:

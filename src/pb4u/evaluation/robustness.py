@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pb4u.errors import Pb4uError
-from pb4u.evaluation.metrics import SLID, SLID_FRAMES
+from pb4u.evaluation.divergence import SLID, SLID_FRAMES
 from pb4u.evaluation.page import Block, Plot, Remark, Table
 from pb4u.evaluation.pictures import draw_still
 from pb4u.evaluation.summary import FAR_FROM_FLOOR, MOST_INSIDE, Row, Summary

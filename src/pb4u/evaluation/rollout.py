@@ -179,8 +179,9 @@ def run(job: RolloutJob) -> Rollout:
     Raises:
         InputError: something of it cannot be used, or changed since it was planned.
     """
+    from pb4u.evaluation.divergence import hold_shifts, skinned_centres, slid_from
     from pb4u.evaluation.limbs import Bones
-    from pb4u.evaluation.metrics import hold_shifts, measure, skinned_centres, slid_from
+    from pb4u.evaluation.metrics import measure
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.models import load_simulator
     from pb4u.simulation.simulator import RunRecord

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from pb4u.evaluation.divergence import skinned_centres
 from pb4u.evaluation.limbs import Bones, limbs_sentence
-from pb4u.evaluation.metrics import measure, skinned_centres
+from pb4u.evaluation.metrics import measure
 from pb4u.progress import Progress, unheard
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory

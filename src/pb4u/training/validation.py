@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.evaluation.metrics import DIVERGED_DISTANCE, DIVERGED_STRAIN, strain_percentile
+from pb4u.evaluation.divergence import DIVERGED_DISTANCE, DIVERGED_STRAIN
+from pb4u.evaluation.metrics import strain_percentile
 from pb4u.garment.material import MATERIALS
 from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.scene.packed import PackedGarments
