@@ -46,3 +46,7 @@ def test_a_simulation_from_python_shows_a_bar_on_a_terminal_alone(monkeypatch: p
         monkeypatch.setattr(sys, "stderr", stream)
         SkinningSimulator().simulate(scene, *([unheard] if quiet else []))
         assert ("skinning" in stream.getvalue()) is seen
+
+
+def test_parts_in_which_something_is_compiled_do_not_count_for_the_rest() -> None:
+    assert told_of(lambda k: 8.0 if k <= 3 else 0.2, 90) == []

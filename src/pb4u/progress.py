@@ -62,7 +62,7 @@ def shown(progress: Progress | None, label: str) -> AbstractContextManager[Progr
 
 
 class Estimate:
-    """Says once how long work takes, measured on its first parts; nothing where it is less than a minute.
+    """Says once how long work takes, by the quickest of its first parts; nothing where it is less than a minute.
 
     Args:
         say: called with the sentence.
@@ -73,6 +73,7 @@ class Estimate:
     def __init__(self, say: Callable[[str], None], part: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._say, self._part, self._clock = say, part, clock
         self._first: tuple[float, int] | None = None
+        self._last, self._quickest = (0.0, 0), float("inf")
         self._told = False
 
     def __call__(self, done: int, total: int) -> None:
@@ -86,13 +87,17 @@ class Estimate:
             return
         now = self._clock()
         if self._first is None:
-            self._first = now, done
+            self._first = self._last = now, done
             return
+        # What is compiled only when it is first needed falls into single parts, and comes once.
+        if done > self._last[1]:
+            self._quickest = min(self._quickest, (now - self._last[0]) / (done - self._last[1]))
+            self._last = now, done
         seconds, parts = now - self._first[0], done - self._first[1]
         if parts < _LEAST_PARTS or seconds < _LEAST_SECONDS:
             return
         self._told = True
-        each = seconds / parts
+        each = self._quickest
         left = each * (total - done)
         if left > _LONG:
             self._say(f"{total - done} more {self._part}s take about {told_time(left)}, {each:.2g} s each.")

@@ -11,7 +11,7 @@ from tests.dataset.test_dataset_run import Here
 
 pytest.importorskip("pyarrow", reason='needs the "dataset" extra')
 
-SMALL = '[fixed]\nmodel = "skinning"\ntriangles = 250\nframes = 2\nlead_in = 0\n'
+SMALL = '[fixed]\nmodel = "skinning"\ntriangles = 1000\nframes = 2\nlead_in = 0\n'
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_a_dataset_is_planned_made_and_told(pb4u: Callable, jobs: Callable[[str]
 
 
 def test_failed_clips_are_listed_and_end_with_1(pb4u: Callable, jobs: Callable[[str], Path]) -> None:
-    ended = pb4u("batch", jobs(SMALL.replace("250", "10") + "[[clips]]\n"), "--out", "set")
+    ended = pb4u("batch", jobs(SMALL.replace("1000", "10") + "[[clips]]\n"), "--out", "set")
     assert ended.code == 1
     assert "failed: tshirt in default on woman, own, seed 0: A built-in garment has between" in ended.err
     assert ended.err.splitlines()[-1].startswith("pb4u: 1 of 1 clips failed; the index lists them")

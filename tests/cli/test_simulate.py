@@ -13,8 +13,9 @@ from PIL import Image
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
+from pb4u.evaluation.divergence import skinned_centres
 from pb4u.evaluation.limbs import Bones
-from pb4u.evaluation.metrics import ENERGIES, GEOMETRY, first_diverged, measure, skinned_centres
+from pb4u.evaluation.metrics import ENERGIES, GEOMETRY, first_diverged, measure
 from pb4u.export.live_caches import PROGRESS
 from pb4u.export.selection import on_source
 from pb4u.geometry.obj_file import read_obj

@@ -30,7 +30,7 @@ from pb4u.simulation.run_specification import RunSpecification
 
 parquet = pytest.importorskip("pyarrow.parquet", reason='needs the "dataset" extra')
 
-SMALL = {"garment": "tshirt", "triangles": 250, "frames": 2, "lead_in": 0, "model": "skinning"}
+SMALL = {"garment": "tshirt", "triangles": 1000, "frames": 2, "lead_in": 0, "model": "skinning"}
 NOTED = "PB4U_TEST_CLIPS_BEGUN"
 """Names the file that workers note clips in."""
 

@@ -414,8 +414,9 @@ def _simulate(
         write_json(report, json)
         diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
+        from pb4u.evaluation.divergence import skinned_centres
         from pb4u.evaluation.limbs import Bones, limbs_through_cloth
-        from pb4u.evaluation.metrics import first_diverged, skinned_centres
+        from pb4u.evaluation.metrics import first_diverged
 
         diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
         bones = Bones.of(scene, trajectory)
