@@ -2,7 +2,8 @@
 
     python benchmarks/side_by_side.py [--triangles 2500 11000 38000] [--rivals default network ...] [--repeats 3]
         [--frames 30] [--garment tshirt] [--motion walk] [--blender-python PYTHON] [--out docs/performance.md]
-        [--json FILE]
+        [--json FILE] [--plot docs/images/scaling.png]
+    python benchmarks/side_by_side.py --again FILE.json [--out ..] [--plot ..]
 
 Every round takes each rival once, at each size, so that a machine that slows down slows all alike; times are medians
 over the rounds of means over frames, without the first frames of a run, where kernels are compiled and caches filled.
@@ -286,9 +287,53 @@ def page(found: dict[str, Any]) -> str:
             name = RIVALS[rival].title + (" (diverged)" if figures["diverged"] else "")
             lines.append(f"| {name} |" + "".join(f" {cell(figures)} |" for _, cell in COLUMNS))
         lines.append("")
+    if len(found["figures"]) > 1:
+        grown = ", ".join(f"{RIVALS[rival].title} T^{power:.2f}" for rival, power in exponents(found).items())
+        lines += [f"Growth of the time with the triangles T, fitted over all sizes: {grown}.", ""]
     if found["left_out"]:
         lines += ["Left out: " + "; ".join(f"{name} ({why})" for name, why in found["left_out"].items()) + ".", ""]
     return "\n".join(lines)
+
+
+def _times(found: dict[str, Any]) -> dict[str, tuple[list[float], list[float]]]:
+    """Triangles and milliseconds a frame of each rival, in the order of the sizes."""
+    times: dict[str, tuple[list[float], list[float]]] = {}
+    for rows in found["figures"].values():
+        for rival, figures in rows.items():
+            sizes, spent = times.setdefault(rival, ([], []))
+            sizes.append(figures["triangles"])
+            spent.append(figures["wall_ms"])
+    return times
+
+
+def exponents(found: dict[str, Any]) -> dict[str, float]:
+    """Power of the triangles that each rival's time grows with: slope of a line through the logarithms."""
+    return {
+        rival: float(np.polyfit(np.log(sizes), np.log(spent), 1)[0])
+        for rival, (sizes, spent) in _times(found).items()
+        if len(sizes) > 1
+    }
+
+
+def plot(found: dict[str, Any], target: Path) -> None:
+    """Time a frame against triangles, both in logarithms, as a picture."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(7, 4.5))
+    powers = exponents(found)
+    for rival, (sizes, spent) in _times(found).items():
+        grown = f", T^{powers[rival]:.2f}" if rival in powers else ""
+        axes.loglog(sizes, spent, marker="o", label=RIVALS[rival].title + grown)
+    axes.set_xlabel("triangles")
+    axes.set_ylabel("milliseconds a frame, by the wall")
+    axes.set_title(f"{found['machine']['processor']}, {found['machine']['cores']} cores", fontsize=9)
+    axes.grid(True, which="both", linewidth=0.3)
+    axes.legend(frameon=False)
+    figure.tight_layout()
+    figure.savefig(target, dpi=120)
 
 
 def absent(rival: str, blender_python: str) -> str | None:
@@ -316,12 +361,17 @@ def main() -> None:
     parser.add_argument("--blender-python", default=sys.executable, help="a Python that has bpy")
     parser.add_argument("--out", type=Path, help="page to write")
     parser.add_argument("--json", type=Path, help="file for the figures")
+    parser.add_argument("--plot", type=Path, help="picture of times against triangles")
+    parser.add_argument("--again", type=Path, help="page and picture of figures that --json kept; nothing is run")
     parser.add_argument("--one", choices=RIVALS, help=argparse.SUPPRESS)
     parser.add_argument("--into", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--measure", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
         simulate_one(options.one, options, options.into)
+        return
+    if options.again:
+        show(json.loads(options.again.read_text()), options)
         return
     reasons = {rival: absent(rival, options.blender_python) for rival in options.rivals}
     left_out = {RIVALS[rival].title: why for rival, why in reasons.items() if why}
@@ -339,9 +389,16 @@ def main() -> None:
     }
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n")
+    show(found, options)
+
+
+def show(found: dict[str, Any], options: argparse.Namespace) -> None:
+    """Print the page; write it and the picture where asked to."""
     print(page(found))
     if options.out:
         options.out.write_text(page(found))
+    if options.plot:
+        plot(found, options.plot)
 
 
 if __name__ == "__main__":

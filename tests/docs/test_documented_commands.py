@@ -26,7 +26,7 @@ from pb4u.simulation.run_specification import RunSpecification, tomllib
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
 _FENCE = re.compile(r"^```(?P<language>\w*)\n(?P<text>.*?)^```", re.MULTILINE | re.DOTALL)
-SMALL = {"--triangles": "300", "--frames": "3", "--lead-in": "1"}
+SMALL = {"--triangles": "450", "--frames": "3", "--lead-in": "1"}
 
 
 @dataclass(frozen=True)
@@ -159,11 +159,11 @@ def small_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     def small(*arguments: Any, **options: Any) -> Any:
         garment = arguments[0] if arguments else options.get("garment")
         built_in = not isinstance(garment, pb4u.Garment) and not Path(str(garment)).suffix
-        small_mesh = {"triangles": 300} if built_in else {}
+        small_mesh = {"triangles": 450} if built_in else {}
         return make_scene(*arguments, **{**options, **small_mesh, "frames": 3, "lead_in": 1})
 
     monkeypatch.setattr(pb4u, "make_scene", small, raising=False)
-    tiny = lambda name, body, **_: build_garment(name, body, triangles=300)  # noqa: E731
+    tiny = lambda name, body, **_: build_garment(name, body, triangles=450)  # noqa: E731
     monkeypatch.setattr(pb4u, "build_garment", tiny, raising=False)
 
 
