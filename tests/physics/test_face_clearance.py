@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from ball_scene import ball_scene
+from test_hooked import pierced
 
 from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import area_weighted_normals
@@ -94,3 +95,33 @@ def test_pins_do_not_move() -> None:
     lifted = FaceClearance().lift(garments, state, timeline.pose(0))
     assert torch.equal(lifted.positions[pinned], state.positions[pinned])
     assert not torch.equal(lifted.positions, state.positions)
+
+
+def test_skin_that_only_torn_cloth_would_cover_stays_bare() -> None:
+    timeline, state = sheet_wrapped_round_the_ball()
+    clear = FaceClearance(passes=4).lift(timeline.garments, state, timeline.pose(0))
+    centre = np.array([0.0, 0.5, 0.0])
+    body = timeline.body(0).numpy().copy()
+    # A thorn higher than an edge is long, the foot of which the cloth lies around.
+    body[body[:, 1].argmax()] += [0.0, 0.019, 0.0]
+    pose, edges = timeline.colliders.pose(torch.from_numpy(body)), timeline.garments.edges
+
+    def longest(state: State) -> float:
+        a, b = state.positions[edges].unbind(1)
+        return float(((a - b).norm(dim=1) / timeline.garments.edge_lengths).max())
+
+    assert longest(clear) < 1.2
+    most = 1.0 + 0.9 * (longest(FaceClearance(most_stretch=9.0).lift(timeline.garments, clear, pose)) - 1.0)
+    assert most > longest(clear)
+    assert longest(FaceClearance(most_stretch=most).lift(timeline.garments, clear, pose)) <= most
+
+
+def test_the_lift_takes_no_vertex_deeper_into_a_limb_that_is_through_the_cloth() -> None:
+    step, x = pierced(0.0, 0.0)
+    x[:, 0] += 0.01
+    assert step.bodies is not None
+    pose = step.bodies.following
+    lifted = FaceClearance(most_stretch=9.0).lift(step.garments, replace(step.state, positions=x), pose).positions
+    before, after = (pose.surfaces[0].nearest(positions).signed_distance for positions in (x, lifted))
+    assert float((after - before.clamp_max(0.0)).min()) > -1e-9
+    assert not torch.equal(lifted, x)

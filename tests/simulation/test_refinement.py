@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import torch
 from ball_scene import ball_scene
+from test_hooked import pierced
 
 from pb4u.geometry.principal_stretch import face_strains
+from pb4u.physics.contact.hooked import newly_hooked
 from pb4u.physics.contact.response import ContactResponse
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solver, free_flight
@@ -54,3 +56,13 @@ def test_a_prediction_that_iterations_leave_torn_is_made_anew() -> None:
     solved, energies = ImplicitSteps(potential=POTENTIAL).refine(step, step.state), POTENTIAL.of(step).energies
     over = [float(energies(x.positions).total - energies(solved.positions).total) for x in (refined, result)]
     assert over[1] < 0.05 * over[0]
+
+
+def test_a_prediction_that_iterations_leave_hooked_is_made_anew() -> None:
+    made: list[int] = []
+    step, _ = pierced(-0.08, 0.0)
+    refined = SolverRefinement(1, potential=POTENTIAL).refine(step, step.state)
+    assert newly_hooked(step, refined.positions) > 0
+    result = SafeguardedRefinement(1, POTENTIAL, lambda: made.append(1)).refine(step, step.state)
+    assert made == [1]
+    assert newly_hooked(step, result.positions) == 0

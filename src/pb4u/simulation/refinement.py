@@ -9,6 +9,7 @@ from dataclasses import replace
 from torch import Tensor
 
 from pb4u.geometry.principal_stretch import face_strains
+from pb4u.physics.contact.hooked import newly_hooked
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution, Solver, implicit_steps
@@ -132,7 +133,7 @@ class ImplicitSteps(SolverRefinement):
 
 
 class SafeguardedRefinement(SolverRefinement):
-    """Refines a prediction, and makes the step anew by the solver where that leaves it torn and far from balance.
+    """Refines a prediction, and makes the step anew by the solver where that leaves it hooked, or torn out of balance.
 
     Cloth that a prediction left on two sides of a limb stays hooked there, however many iterations follow. The step is
     then solved from where the body carries the garment, to a rough tolerance.
@@ -156,12 +157,14 @@ class SafeguardedRefinement(SolverRefinement):
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
-        if refined.residual <= _BALANCED or not _torn(step, refined.positions):
+        hooked = newly_hooked(step, refined.positions)
+        if not hooked and (refined.residual <= _BALANCED or not _torn(step, refined.positions)):
             return step.reached(refined.positions)
         state, solved = self.anew.solved(step)
         if self.made_anew:
             self.made_anew()
-        return state if solved.residual < refined.residual else step.reached(refined.positions)
+        better = (newly_hooked(step, state.positions), solved.residual) < (hooked, refined.residual)
+        return state if better else step.reached(refined.positions)
 
 
 def _torn(step: TimeStep, x: Tensor) -> bool:

@@ -26,6 +26,13 @@ from pb4u.scene.packed import ColliderPose, PackedGarments
 from pb4u.scene.state import State
 
 
+_HALVINGS = 8
+"""Times that a lift which would tear cloth is cut back before it is given up."""
+
+_ROUNDING = 1.0 + 1e-9
+"""Factor on a squared length within which it is the same."""
+
+
 @dataclass(frozen=True)
 class FaceClearance:
     """Moves cloth along the body's normal until its vertices, the middles of its edges and faces, and skin are clear.
@@ -38,12 +45,15 @@ class FaceClearance:
         largest_push: largest displacement of a vertex in one pass [m].
         passes: most passes, since a lifted vertex lifts what is beside it too; clothes of 2,500 and 11,000 triangles
             need two to six.
+        most_stretch: length over the length at rest up to which an edge is stretched by it. The straps of a dress
+            of 2,500 triangles need 1.55; what asks for more has a limb through it, and is not covered by pulling.
     """
 
     clearance: float = 3e-4
     smallest_radius: float = 0.03
     largest_push: float = 5e-3
     passes: int = 6
+    most_stretch: float = 1.6
 
     def lift(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
         """State with its cloth lifted out of the bodies.
@@ -67,7 +77,28 @@ class FaceClearance:
                 skin[world] = self._cover(lift, garments, x, moved, world, places)
             if not _move(x, *lift, garments.pinned.numpy(), self.largest_push):
                 break
+        x = self._without_harm(garments, pose, as_array(state.positions), x, planes)
         return replace(state, positions=torch.from_numpy(x).to(state.positions))
+
+    def _without_harm(
+        self, garments: PackedGarments, pose: ColliderPose, before: np.ndarray, lifted: np.ndarray, planes: ContactPlanes
+    ) -> np.ndarray:
+        """Positions (vertices, 3) [m] between those `before` and those `lifted`.
+
+        What the lift would take into another part of the body, or tear, stays where it was, or half way.
+        """
+        shares = np.ones(len(before))
+        moved = np.abs(lifted - before).max(axis=1) > self.clearance
+        distances = as_array(planes.distance)
+        for world, surface in enumerate(pose.surfaces[: garments.world_count]):
+            rows = np.flatnonzero(moved & (garments.vertex_world.numpy() == world))
+            if surface is None or not len(rows):
+                continue
+            found = Found.nothing(len(rows), as_array(planes.points)[rows])
+            surface.look_up(lifted[rows], found)
+            shares[rows[~found.beyond & (found.distances < np.minimum(distances[rows], 0.0))]] = 0.0
+        longest = self.most_stretch * garments.edge_lengths.numpy()
+        return _cut_back(before, lifted, shares, garments.edges.numpy(), longest)
 
     def _near(
         self, garments: PackedGarments, pose: ColliderPose, planes: ContactPlanes, x: np.ndarray, world: int
@@ -285,6 +316,40 @@ def _add(
             size[vertex] = max(size[vertex], move)
             for axis in range(3):
                 direction[vertex, axis] += move * normals[row, axis]
+
+
+@compiled
+def _cut_back(
+    before: np.ndarray, lifted: np.ndarray, shares: np.ndarray, edges: np.ndarray, longest: np.ndarray
+) -> np.ndarray:
+    """Positions (vertices, 3) [m] some shares of the way from `before` to `lifted`; `shares` (vertices,) are changed.
+
+    Ends of edges (edges, 2) that would be stretched beyond `longest` (edges,) [m], and beyond what they were, go half
+    as far, and so on.
+    """
+    x = np.empty(before.shape)
+    for halving in range(_HALVINGS + 1):
+        for row in range(len(x)):
+            for axis in range(3):
+                x[row, axis] = before[row, axis] + shares[row] * (lifted[row, axis] - before[row, axis])
+        torn = False
+        for edge in range(len(edges)):
+            a, b = edges[edge]
+            if shares[a] == 0.0 and shares[b] == 0.0:
+                continue
+            was, now = 0.0, 0.0
+            for axis in range(3):
+                was += (before[a, axis] - before[b, axis]) ** 2
+                now += (x[a, axis] - x[b, axis]) ** 2
+            if now > max(longest[edge] ** 2, was * _ROUNDING):
+                torn = True
+                # In the last round nothing is left of it.
+                left = 0.5 if halving < _HALVINGS - 1 else 0.0
+                shares[a] *= left
+                shares[b] *= left
+        if not torn:
+            break
+    return x
 
 
 @compiled
