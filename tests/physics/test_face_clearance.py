@@ -100,7 +100,6 @@ def test_pins_do_not_move() -> None:
 def test_skin_that_only_torn_cloth_would_cover_stays_bare() -> None:
     timeline, state = sheet_wrapped_round_the_ball()
     clear = FaceClearance(passes=4).lift(timeline.garments, state, timeline.pose(0))
-    centre = np.array([0.0, 0.5, 0.0])
     body = timeline.body(0).numpy().copy()
     # A thorn higher than an edge is long, the foot of which the cloth lies around.
     body[body[:, 1].argmax()] += [0.0, 0.019, 0.0]
@@ -122,6 +121,8 @@ def test_the_lift_takes_no_vertex_deeper_into_a_limb_that_is_through_the_cloth()
     assert step.bodies is not None
     pose = step.bodies.following
     lifted = FaceClearance(most_stretch=9.0).lift(step.garments, replace(step.state, positions=x), pose).positions
-    before, after = (pose.surfaces[0].nearest(positions).signed_distance for positions in (x, lifted))
+    surface = pose.surfaces[0]
+    assert surface is not None
+    before, after = (surface.nearest(positions).signed_distance for positions in (x, lifted))
     assert float((after - before.clamp_max(0.0)).min()) > -1e-9
     assert not torch.equal(lifted, x)

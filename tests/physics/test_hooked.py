@@ -29,8 +29,10 @@ def test_a_bar_that_ends_between_vertices_hooks_the_edges_across_it() -> None:
     assert step.bodies is not None
     # Contact at vertices sees nothing of it.
     assert float(nearest_planes(step.bodies.following, step.garments, x).distance.min()) > 0.004
-    middles = x[step.garments.edges].mean(1)
-    deep = step.bodies.following.surfaces[0].nearest(middles).signed_distance < -0.5 * step.garments.mean_edge_lengths[0]
+    surface = step.bodies.following.surfaces[0]
+    assert surface is not None
+    middles = surface.nearest(x[step.garments.edges].mean(1))
+    deep = middles.signed_distance < -0.5 * step.garments.mean_edge_lengths[0]
     assert newly_hooked(step, x) == int(deep.sum()) > 5
 
 

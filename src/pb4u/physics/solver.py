@@ -18,7 +18,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.hooked import newly_hooked
 from pb4u.physics.contact.planes import MOTION_REACH, ContactPlanes
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
@@ -374,8 +373,7 @@ def implicit_steps(
 ) -> tuple[State, Solution]:
     """The state at the end of `step`, and the solution of its last implicit step.
 
-    A body that moves far in the step is moved along straight lines in several implicit steps; in twice and four times
-    as many where cloth is hooked on it otherwise.
+    A body that moves far in the step is moved along straight lines in several implicit steps.
 
     Args:
         potential: the energies.
@@ -386,29 +384,7 @@ def implicit_steps(
 
     Raises DivergedError when the state is not finite.
     """
-    fewest = substep_count(step)
-    taken = _in_parts(potential, solver, step, fewest, iterations, start)
-    hooked = newly_hooked(step, taken[0].positions)
-    for count in (2 * fewest, 4 * fewest):
-        if not hooked:
-            break
-        finer = _in_parts(potential, solver, step, count, iterations, start)
-        left = newly_hooked(step, finer[0].positions)
-        if left < hooked:
-            taken, hooked = finer, left
-    return taken
-
-
-def _in_parts(
-    potential: IncrementalPotential,
-    solver: Solver,
-    step: TimeStep,
-    count: int,
-    iterations: int | None,
-    start: Callable[[TimeStep], Tensor],
-) -> tuple[State, Solution]:
-    """What `implicit_steps` gives, by `count` implicit steps."""
-    state = step.state
+    count, state = substep_count(step), step.state
     for k in range(count):
         part = step if count == 1 else step.part(k, count, state)
         solution = solver.minimise(potential.of(part), start(part), iterations)

@@ -25,7 +25,6 @@ from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH, SkinCover
 from pb4u.scene.packed import ColliderPose, PackedGarments
 from pb4u.scene.state import State
 
-
 _HALVINGS = 8
 """Times that a lift which would tear cloth is cut back before it is given up."""
 
@@ -81,7 +80,12 @@ class FaceClearance:
         return replace(state, positions=torch.from_numpy(x).to(state.positions))
 
     def _without_harm(
-        self, garments: PackedGarments, pose: ColliderPose, before: np.ndarray, lifted: np.ndarray, planes: ContactPlanes
+        self,
+        garments: PackedGarments,
+        pose: ColliderPose,
+        before: np.ndarray,
+        lifted: np.ndarray,
+        planes: ContactPlanes,
     ) -> np.ndarray:
         """Positions (vertices, 3) [m] between those `before` and those `lifted`.
 
