@@ -10,7 +10,8 @@ from tests.physics.shapes import sheet, tube
 
 from pb4u.garment.garment import Garment
 from pb4u.geometry.proximity.crossings import self_crossings
-from pb4u.geometry.proximity.surface_tree import ElementPairs, SurfaceTree
+from pb4u.geometry.proximity.element_pairs import ElementPairs
+from pb4u.geometry.proximity.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology
 
 

@@ -11,7 +11,7 @@ from tests.physics.shapes import sheet
 
 from pb4u.geometry.proximity.collision_free import SMALLEST_GAP, collision_free, free_shares, smallest_gaps
 from pb4u.geometry.proximity.element_distance import free_share, nearest
-from pb4u.geometry.proximity.surface_tree import ElementPairs
+from pb4u.geometry.proximity.element_pairs import ElementPairs
 
 PROMISED_GAP = 5e-5
 SURFACES = {

@@ -7,7 +7,7 @@ import pytest
 from tests.geometry.crossing_free_states import Surface, folded, nested, stack
 
 from pb4u.geometry.proximity.element_distance import nearest
-from pb4u.geometry.proximity.surface_tree import ElementPairs
+from pb4u.geometry.proximity.element_pairs import ElementPairs
 
 SURFACES = {
     "stack": stack(3, 2e-3),

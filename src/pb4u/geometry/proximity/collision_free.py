@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from pb4u.geometry.proximity.element_distance import compiled, free_share, gather, nearest
-from pb4u.geometry.proximity.surface_tree import ElementPairs, SurfaceTree
+from pb4u.geometry.proximity.element_pairs import ElementPairs
+from pb4u.geometry.proximity.surface_tree import SurfaceTree
 
 SMALLEST_GAP = 1e-4
 """Distance [m] that no two elements come within: rounding to float32 at two metres moves a vertex by 1e-7 m."""

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pb4u.geometry.proximity.collision_free import collision_free, free_shares, smallest_gaps
 from pb4u.geometry.proximity.element_distance import crossing_shares
-from pb4u.geometry.proximity.surface_tree import ElementPairs
+from pb4u.geometry.proximity.element_pairs import ElementPairs
 from pb4u.scene.packed import PackedGarments
 
 _SHARE_OF_REST = 0.5
