@@ -26,7 +26,7 @@ from pb4u.scene.packed import ColliderPose, PackedGarments
 from pb4u.scene.state import State
 
 _DEEPER = 1e-3
-"""Depth [m] by which a lift counts as taking a vertex into the body: less is not seen, and half an edge is let go for it."""
+"""Depth [m] by which a lift counts as taking a vertex into the body: less is not seen, and undone it bares skin."""
 
 _HALVINGS = 8
 """Times that a lift which would tear cloth is cut back before it is given up."""
