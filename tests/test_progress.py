@@ -13,11 +13,11 @@ from pb4u.progress import Estimate, unheard
 from pb4u.simulation.simulator import SkinningSimulator
 
 
-def told_of(seconds: Callable[[int], float], total: int) -> list[str]:
+def told_of(seconds: Callable[[int], float], total: int, alike: bool = True) -> list[str]:
     """What an estimate says of work whose parts 1, 2, .. take so long [s]."""
     told: list[str] = []
     now = 0.0
-    estimate = Estimate(told.append, "step", clock=lambda: now)
+    estimate = Estimate(told.append, "step", alike, clock=lambda: now)
     for done in range(1, total + 1):
         now += seconds(done)
         estimate(done, total)
@@ -28,6 +28,13 @@ def test_long_work_is_estimated_once_and_without_its_first_part() -> None:
     # Parts after the first take 2 s; that loads for a minute.
     assert told_of(lambda k: 60.0 if k == 1 else 2.0, 200) == ["196 more steps take about 7 minutes, 2 s each."]
     assert told_of(lambda _: 30.0, 1000) == ["996 more steps take about 8.3 hours, 30 s each."]
+
+
+def test_work_of_parts_that_differ_is_estimated_by_the_mean_of_more() -> None:
+    # Every other part takes 9 s, the rest 1 s.
+    assert told_of(lambda k: 9.0 if k % 2 else 1.0, 200, alike=False) == [
+        "195 more steps take about 16 minutes, 5 s each."
+    ]
 
 
 @pytest.mark.parametrize(("each", "total"), [(0.1, 300), (10.0, 4), (30.0, 3)])

@@ -17,6 +17,10 @@ _LEAST_PARTS, _LEAST_SECONDS = 3, 2.0
 """Measured before the rest is estimated: parts after the first, which also loads and compiles, and their time [s]."""
 
 
+_LEAST_SECONDS_OF_MANY = 20.0
+"""The same time [s] where parts differ: garments and rollouts of all kinds come in turn."""
+
+
 def unheard(done: int, total: int) -> None:
     """Ignore a progress report.
 
@@ -62,16 +66,23 @@ def shown(progress: Progress | None, label: str) -> AbstractContextManager[Progr
 
 
 class Estimate:
-    """Says once how long work takes, by the quickest of its first parts; nothing where it is less than a minute.
+    """Says once how long work takes, by its first parts; nothing where it is less than a minute.
 
     Args:
         say: called with the sentence.
         part: what a part is called, such as "step".
+        alike: whether parts take about as long as each other: the quickest then counts, and else the mean of more.
         clock: the time [s].
     """
 
-    def __init__(self, say: Callable[[str], None], part: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self._say, self._part, self._clock = say, part, clock
+    def __init__(
+        self,
+        say: Callable[[str], None],
+        part: str,
+        alike: bool = True,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._say, self._part, self._alike, self._clock = say, part, alike, clock
         self._first: tuple[float, int] | None = None
         self._last, self._quickest = (0.0, 0), float("inf")
         self._told = False
@@ -94,10 +105,10 @@ class Estimate:
             self._quickest = min(self._quickest, (now - self._last[0]) / (done - self._last[1]))
             self._last = now, done
         seconds, parts = now - self._first[0], done - self._first[1]
-        if parts < _LEAST_PARTS or seconds < _LEAST_SECONDS:
+        if parts < _LEAST_PARTS or seconds < (_LEAST_SECONDS if self._alike else _LEAST_SECONDS_OF_MANY):
             return
         self._told = True
-        each = self._quickest
+        each = self._quickest if self._alike else seconds / parts
         left = each * (total - done)
         if left > _LONG:
             self._say(f"{total - done} more {self._part}s take about {told_time(left)}, {each:.2g} s each.")
@@ -113,3 +124,23 @@ def told_time(seconds: float) -> str:
     if minutes < 90:
         return f"{minutes} minute{'s' if minutes > 1 else ''}"
     return f"{seconds / 3600.0:.1f} hours"
+
+
+@contextmanager
+def announced(label: str, part: str, say: Callable[[str], None], alike: bool = True) -> Iterator[Progress]:
+    """A bar with the time left, and before work of over a minute a sentence that says how long it takes.
+
+    Args:
+        label: what is being done.
+        part: what a part of it is called, such as "step".
+        say: called with the sentence.
+        alike: whether parts take about as long as each other.
+    """
+    estimate = Estimate(say, part, alike)
+    with progress_bar(label) as bar:
+
+        def told(done: int, total: int) -> None:
+            bar(done, total)
+            estimate(done, total)
+
+        yield told

@@ -369,3 +369,17 @@ def test_validation_clips_are_spread_over_garments_sizes_and_bodies() -> None:
     assert sorted(outfits[sample.outfit].garment.name for sample in chosen) == 3 * ["apron"] + 3 * ["cape"]
     assert len({sample.outfit for sample in chosen}) == 6
     assert {outfits[sample.outfit].garment.triangle_count for sample in chosen} == {32, 72, 128}
+
+
+def test_minutes_are_those_of_training_and_not_of_its_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = Trainer(TINY, Budget(steps=3, minutes=0.02), ball_data(), ALONE, None, Listener())
+    gather = trainer.gather_statistics
+
+    def slowly() -> None:
+        gather()
+        trainer.began -= 60.0
+
+    monkeypatch.setattr(trainer, "gather_statistics", slowly)
+    trainer.run()
+    assert trainer.counters.step > 0
+    assert trainer.counters.seconds < 60.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,7 +11,7 @@ import typer
 
 from pb4u.cli.console import Switch, check_json_target, keep_inputs, say, write_json
 from pb4u.errors import InputError, Pb4uError
-from pb4u.progress import progress_bar
+from pb4u.progress import announced
 
 if TYPE_CHECKING:
     from pb4u.jobs.worker_pool import WorkerPool
@@ -107,7 +108,8 @@ def evaluate(
         return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
 
     folder = out or Path(f"evaluate_{protocol}")
-    results = run(request, folder, pool, retry, say=say, progress=progress_bar)
+    progress = partial(announced, part="rollout", say=say, alike=False)
+    results = run(request, folder, pool, retry, say=say, progress=progress)
     if plots is not None:
         plots.mkdir(parents=True, exist_ok=True)
         for picture in (folder / PLOTS).iterdir():

@@ -35,7 +35,7 @@ from pb4u.cli.picture_flags import (
 )
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError, unknown_name
 from pb4u.export.registry import check_target, export, is_drawn
-from pb4u.progress import Estimate, progress_bar
+from pb4u.progress import announced, progress_bar
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 from pb4u.simulation.run_specification import Device, FirstFrameChoice, Precision, RunSpecification
 
@@ -472,13 +472,7 @@ def _trajectory(
         targets.remove(file)
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with ExitStack() as opened:
-        bar = opened.enter_context(progress_bar(f"{count:,} triangles, {simulator.name}"))
-        estimate = Estimate(say, "step")
-
-        def told(done: int, total: int) -> None:
-            bar(done, total)
-            estimate(done, total)
-
+        told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say))
         if live is None:
             return run.roll_out(simulator, scene, file, record, told, kept)
         header = simulator.header(scene)

@@ -26,7 +26,7 @@ def train(
     ] = None,
     minutes: Annotated[
         float | None,
-        typer.Option(help="Wall time in minutes in all, instead of steps, or besides: whichever ends first."),
+        typer.Option(help="Minutes of training in all, beyond the making of its data; instead of steps, or besides."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="New folder to keep the training in; this or --resume is needed.")

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.progress import Progress, unheard
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.validation import Score
 
@@ -139,20 +138,6 @@ class Journal:
     def say(self, sentence: str) -> None:
         """Report a sentence on an incident."""
         self.reporter.said(sentence)
-
-
-@contextmanager
-def collecting() -> Iterator[Progress]:
-    """Progress bar for the making of training data, where standard error is a terminal."""
-    if not sys.stderr.isatty():
-        yield unheard
-        return
-    from rich.console import Console
-    from rich.progress import Progress as ProgressBar
-
-    with ProgressBar(console=Console(stderr=True)) as bar:
-        task = bar.add_task("making garments and clips", total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from types import FrameType
 from typing import Any
 
 from pb4u.errors import InputError
+from pb4u.progress import announced
 from pb4u.simulation.checkpoint import built_in_models, from_pretrained, training_record_from_json
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import (
@@ -21,7 +22,7 @@ from pb4u.training.configuration import (
     with_settings,
 )
 from pb4u.training.distribution import Workers, workers
-from pb4u.training.journal import Reporter, collecting, draw_curve, reporter
+from pb4u.training.journal import Reporter, draw_curve, reporter
 from pb4u.training.packed_data import TrainingData, load_training_data, save_training_data
 from pb4u.training.presets import DEFAULT_STEPS, training_preset
 from pb4u.training.run_folder import CURVE, RunFolder
@@ -146,10 +147,14 @@ def _origin(name: str | None) -> dict[str, Any] | None:
 def _data(request: Request, configuration: TrainingConfiguration) -> TrainingData:
     if request.pack is not None:
         return load_training_data(request.pack)
+    return _collected(configuration, request.recordings)
+
+
+def _collected(configuration: TrainingConfiguration, recordings: Path | None) -> TrainingData:
     from pb4u.training.collection import collect
 
-    with collecting() as progress:
-        return collect(configuration.data, request.recordings, configuration.seed, progress)
+    with announced("making garments and clips", "garment", Reporter().said, alike=False) as progress:
+        return collect(configuration.data, recordings, configuration.seed, progress)
 
 
 def _opened(request: Request) -> tuple[RunFolder, TrainingConfiguration, Budget, TrainingData]:
@@ -176,10 +181,7 @@ def _make_anew(folder: RunFolder, configuration: TrainingConfiguration, record: 
         raise InputError(
             f"{folder.path} has lost its data, which came from a pack or recordings; start the training anew."
         )
-    from pb4u.training.collection import collect
-
-    with collecting() as progress:
-        save_training_data(collect(configuration.data, None, configuration.seed, progress), folder.data)
+    save_training_data(_collected(configuration, None), folder.data)
 
 
 def _restore(trainer: Trainer, folder: RunFolder) -> None:

@@ -93,10 +93,11 @@ class Trainer:
 
     def run(self) -> str:
         """Train until the budget is spent, validation is flat or a stop is asked for; says which."""
-        self.began = time.monotonic() - self.counters.seconds
         if self.counters.window == 0:
             self.gather_statistics()
             self.recovery.keep(self.counters)
+        # Neither the data nor their statistics are training, and on a busy machine they take minutes.
+        self.began = time.monotonic() - self.counters.seconds
         while (ending := self._ending()) is None:
             begun = self.recovery.snapshot(self.counters)
             end = self.train_round()
