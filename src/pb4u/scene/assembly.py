@@ -28,6 +28,7 @@ from pb4u.garment.layering import layered, worn_order
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
+from pb4u.garment.repair import push_out
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.remeshing import remesh
 from pb4u.motion.as_recorded import RecordingAsItIs
@@ -344,6 +345,8 @@ def _load_garment(specification: GarmentSpecification, body: ShapedBody | Vertex
         return _worn(_remeshed(read_dictionary_garment(entry, cloth), triangles), body)
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
+        if triangles is not None:
+            loaded = _outside_as_made(loaded, RestBody.of(body))
         if specification.pins is None:
             loaded = _held(loaded, body)
         require_worn(loaded, body, garment, pins_given=specification.pins is not None)
@@ -366,6 +369,16 @@ def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
             return garment  # its file says how this body wears it
     require_worn(garment, body, garment.name, pins_given=bool(garment.pinned.any()))
     return garment
+
+
+def _outside_as_made(garment: Garment, body: RestBody) -> Garment:
+    """A remeshed garment out of the body, where its author's mesh is: the chords of a coarser one dip into the skin."""
+    source = garment.source
+    if source is None or not body.is_closed or (body.signed_distances(source.source.vertices) < 0.0).any():
+        return garment
+    if (body.signed_distances(garment.vertices) >= 0.0).all():
+        return garment
+    return replace(garment, vertices=push_out(garment.vertices, garment.topology, body))
 
 
 def _held(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
