@@ -61,7 +61,8 @@ def main() -> None:
             try:
                 mended, said = repair(replace(source, vertices=vertices), body)
                 off = np.linalg.norm(mended.vertices - worn, axis=1)
-                verdict = "put back" if off.mean() <= NEAR else "wrong in silence"
+                told = any(sentence.startswith("Left where it is") for sentence in said)
+                verdict = "put back" if off.mean() <= NEAR else "left and told" if told else "wrong in silence"
                 row = {"verdict": verdict, "mean_off": float(off.mean()), "most_off": float(off.max()), "said": said}
             except InputError as error:
                 row = {"verdict": "refused", "said": [str(error)]}

@@ -11,6 +11,7 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.garment.diagnosis import Severity, diagnose, require_worn
 from pb4u.garment.library import build_garment
 from pb4u.garment.pins import resolve_pins
+from pb4u.garment.repair import repair
 from pb4u.geometry.mesh_file import PolygonMesh
 
 
@@ -214,3 +215,15 @@ def test_a_garment_that_cannot_be_untangled_is_refused():
 
 def test_an_open_seam_crosses_nothing():
     assert "self-crossing" not in diagnose(with_open_seam(triangle_tube(low=0.6, high=1.0, radius=0.22))).codes
+
+
+def test_a_wide_garment_that_fits_closer_elsewhere_is_left_and_told():
+    man = load_body("man")
+    skirt = build_garment("skirt", man, 1600)
+    source = PolygonMesh(skirt.vertices, tuple(skirt.faces))
+    (finding,) = [each for each in diagnose(source, man).findings if each.code == "closer"]
+    assert finding.severity is Severity.NOTE
+    assert "Left where it is, though it fits a little closer moved by -" in finding.sentence
+    mended, said = repair(source, man)
+    assert said == (finding.sentence,)
+    np.testing.assert_array_equal(mended.vertices, source.vertices)

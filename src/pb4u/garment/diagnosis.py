@@ -269,7 +269,9 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
 def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str) -> list[Finding]:
     """Units, axes and place of (vertices, 3); `mend` is the command to mend them."""
     if fit.is_identity:
-        return _far_finding(vertices, body)
+        fix = "look whether it sits where it should, and move it in the program it comes from"
+        doubt = [] if fit.doubt is None else [Finding("closer", Severity.NOTE, fit.doubt, fix)]
+        return [*_far_finding(vertices, body), *doubt]
     if fit.is_unsure:
         sentence = (
             "It cannot be told where on the body the garment belongs: it fits about as well in "

@@ -52,6 +52,7 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     used = np.unique(np.concatenate(source.polygons))
     fit = find_fit(source.vertices[used], body)
     if fit.is_identity:
+        said += [] if fit.doubt is None else [fit.doubt]
         return source
     if fit.is_unsure:
         said.append("Left where it is: it cannot be told where on the body it belongs.")
