@@ -43,8 +43,8 @@ def later_frame_files(path: Path, frames: int) -> tuple[Path, ...]:
     """
     numbered = re.compile(re.escape(path.stem) + r"_(\d{4,})" + re.escape(path.suffix))
     found = [(file, numbered.fullmatch(file.name)) for file in path.parent.iterdir()]
-    later = [file for file, match in found if match and int(match.group(1)) >= frames and is_own(file)]
-    return tuple(sorted(later))
+    numbers = [(file, int(match.group(1))) for file, match in found if match]
+    return tuple(sorted(file for file, number in numbers if number >= frames and _is_frame(file, number)))
 
 
 def is_own(mesh: Path) -> bool:
@@ -53,6 +53,15 @@ def is_own(mesh: Path) -> bool:
         return False
     with mesh.open("rb") as file:
         return file.read(len(SIGNATURE)) == SIGNATURE.encode()
+
+
+def _is_frame(mesh: Path, number: int) -> bool:
+    """Whether an OBJ file is this frame of a sequence; the mesh of a cache called walk_0006.pc2 says frame 0."""
+    if not is_own(mesh):
+        return False
+    with mesh.open("rb") as file:
+        head = re.match(rb": frame (\d+)\b", file.readline(200)[len(SIGNATURE) :])
+    return head is not None and int(head.group(1)) == number
 
 
 def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
