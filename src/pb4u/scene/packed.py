@@ -93,6 +93,12 @@ class PackedGarments:
         return self.garment_world[self.vertex_garment]
 
     @cached_property
+    def vertex_edge_lengths(self) -> Tensor:
+        """Mean rest edge length (vertices,) float64 [m] of the garment that each vertex is of."""
+        lengths = torch.tensor(self.mean_edge_lengths, dtype=torch.float64, device=self.vertex_garment.device)
+        return lengths[self.vertex_garment]
+
+    @cached_property
     def world_offsets(self) -> tuple[int, ...]:
         """First packed vertex of each world, and the total."""
         firsts = [self.vertex_offsets[self.worlds.index(world)] for world in range(self.world_count)]

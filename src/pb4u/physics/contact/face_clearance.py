@@ -119,7 +119,7 @@ class FaceClearance:
         # Of what is out of reach no more is known than that.
         distances = np.minimum(as_array(planes.distance), MOTION_REACH)
         of_world = garments.vertex_world.numpy() == world
-        lengths = np.array(garments.mean_edge_lengths)[garments.vertex_garment.numpy()]
+        lengths = garments.vertex_edge_lengths.numpy()
         vertices = np.arange(len(x))[:, None]
         for corners in (vertices, garments.edges.numpy(), garments.faces.numpy()):
             sag = lengths**2 / (32.0 * self.smallest_radius) if corners.shape[1] > 1 else 0.0

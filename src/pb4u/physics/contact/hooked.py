@@ -47,7 +47,7 @@ def newly_hooked(step: TimeStep, x: Tensor) -> int:
 def _may_be(planes: ContactPlanes, garments: PackedGarments) -> Tensor:
     """Edges (edges,) bool whose ends lie by the body, where it faces different ways."""
     a, b = garments.edges.T
-    near = planes.touchable & (planes.distance < _mean_lengths(garments)[garments.vertex_garment])
+    near = planes.touchable & (planes.distance < garments.vertex_edge_lengths)
     return near[a] & near[b] & ((planes.normals[a] * planes.normals[b]).sum(1) < _TURNED)
 
 
@@ -61,11 +61,6 @@ def _through(pose: ColliderPose, garments: PackedGarments, x: Tensor, edges: Ten
         if surface is None or not len(rows):
             continue
         nearest = surface.nearest(middles[rows])
-        limit = _DEPTH * _mean_lengths(garments)[garments.edge_garment[edges[rows]]]
+        limit = _DEPTH * garments.vertex_edge_lengths[ends[rows, 0]]
         deep[rows] = ~nearest.beyond_border & (nearest.signed_distance < -limit)
     return deep
-
-
-def _mean_lengths(garments: PackedGarments) -> Tensor:
-    """Mean edge length (garments,) [m] of each garment."""
-    return torch.tensor(garments.mean_edge_lengths, dtype=torch.float64)
