@@ -7,7 +7,8 @@ they wait they keep the processors busy. So a step is taken with one of them, an
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from itertools import count
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from threadpoolctl import ThreadpoolController
 
 Part = TypeVar("Part")
+Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
@@ -84,3 +86,31 @@ def of_parts(function: Callable[[Part], Result], parts: Sequence[Part]) -> list[
     if failures:
         raise failures[0]
     return [results[number] for number in range(len(parts))]
+
+
+def while_the_next_is_made(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """`function` of each of the `items`, in their order, each on another thread while the next item is made.
+
+    With one thread alone each is made before the next item.
+
+    Args:
+        function: touches nothing that making an item changes.
+        items: made one after another.
+    """
+    if thread_count() < 2:
+        yield from map(function, items)
+        return
+    with ThreadPoolExecutor(1) as thread:
+        behind: Future[Result] | None = None
+        for item in items:
+            begun = thread.submit(_with_one_torch_thread, function, item)
+            if behind is not None:
+                yield behind.result()
+            behind = begun
+        if behind is not None:
+            yield behind.result()
+
+
+def _with_one_torch_thread(function: Callable[[Item], Result], item: Item) -> Result:
+    with one_torch_thread():
+        return function(item)

@@ -18,13 +18,14 @@ from pb4u.physics.bending import Bending
 from pb4u.physics.gravity import Gravity
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.inertia import Inertia
-from pb4u.physics.linear_solver import PatchBasis, TwoLevelPreconditioner, conjugate_gradient
+from pb4u.physics.linear_solver import PRECISION, PatchBasis, TwoLevelPreconditioner, conjugate_gradient
 from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.physics.solver import Iteration, Solver, implicit_steps, substep_count
 from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.stretch import Stretch
 from pb4u.physics.time_step import DivergedError, TimeStep, integrate, require_finite
 from pb4u.scene.packed import PackedGarments
+from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 
 
@@ -90,6 +91,21 @@ def test_refine_makes_the_iterations_asked_for() -> None:
     refined = Solver().minimise(step, start + noise, 3)
     assert refined.iterations == 3
     assert float(refined.energies.total) < 0.05 * before
+
+
+def test_a_settled_iteration_is_the_last() -> None:
+    garments, step, start = dressed_capsule(24, 12)
+    noise = 0.003 * torch.randn(start.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    solved = Solver(1e-5).minimise(step, start + noise)
+    weight = STANDARD_GRAVITY * float(garments.vertex_masses.sum())
+    for height in (1e-3, 1e-5):
+        seen: list[Iteration] = []
+        settled = Solver(1e-5, settled=height).minimise(step, start + noise, watch=seen.append)
+        assert 0 < settled.iterations < solved.iterations
+        assert not settled.converged
+        freed = [before.total - after.total for before, after in pairwise(seen)]
+        assert freed[-1] <= height * weight < min(freed[:-1])
+        assert 0 <= float(settled.energies.total - solved.energies.total) < height * weight
 
 
 def test_free_fall_is_found() -> None:
@@ -187,7 +203,9 @@ def test_integrator() -> None:
     assert acceleration.grad[:2].tolist() == [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
 
 
-def system() -> tuple[Stiffness, PairStiffness, TwoLevelPreconditioner, np.ndarray]:
+def system(
+    precision: type[np.floating] = np.float64,
+) -> tuple[Stiffness, PairStiffness, TwoLevelPreconditioner, np.ndarray]:
     """A shaken sheet with two pinned corners: its stiffness, contacts, preconditioner and a right side."""
     garments, step, start = hanging_sheet(8)
     x = start + 0.01 * torch.randn(start.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
@@ -196,7 +214,8 @@ def system() -> tuple[Stiffness, PairStiffness, TwoLevelPreconditioner, np.ndarr
     stiffness, rng = compiled.stiffness(x, pattern), np.random.default_rng(4)
     contacts = PairStiffness(rng.integers(garments.vertex_count, size=(5, 4)), 3.0 * rng.normal(size=(5, 4, 3)))
     pairs = PairStiffness.summed([contacts], pattern.free)
-    preconditioner = TwoLevelPreconditioner(PatchBasis(garments, pattern.free), stiffness.matrix(), pairs, pattern.free)
+    basis = PatchBasis(garments, pattern.free)
+    preconditioner = TwoLevelPreconditioner(basis, stiffness.matrix(), pairs, pattern.free, precision)
     return stiffness, pairs, preconditioner, rng.normal(size=x.shape) * pattern.free[:, None]
 
 
@@ -289,6 +308,19 @@ def test_conjugate_gradient_solves_and_notices_negative_curvature(share: float) 
     else:
         assert solved.negative is None
         np.testing.assert_allclose(whole @ solved.solution.reshape(-1), right.reshape(-1), atol=1e-5)
+
+
+def test_linear_solves_in_single_precision_come_as_near_as_newton_asks() -> None:
+    stiffness, pairs, exact, right = system()
+    single = system(PRECISION)[2]
+    for share in (0.0, 0.3):
+        expected = conjugate_gradient(stiffness.matrix(share), pairs, right, exact, 1e-3, 300)
+        solved = conjugate_gradient(stiffness.matrix(share, precision=PRECISION), pairs, right, single, 1e-3, 300)
+        assert solved.solution.dtype == np.float64
+        assert abs(solved.iterations - expected.iterations) <= 1
+        assert (solved.negative is None) == (expected.negative is None)
+        missed = np.abs(solved.solution - expected.solution).max()
+        assert missed < 1e-2 * np.abs(expected.solution).max()
 
 
 def test_tangents_have_the_force_of_where_a_step_leads() -> None:

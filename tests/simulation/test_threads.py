@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from threading import Event
+from threading import Event, current_thread
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ import torch
 from ball_scene import ball_scene
 
 import pb4u
+import pb4u.threads
+from pb4u.threads import while_the_next_is_made
 
 THREADS = 2
 
@@ -68,3 +70,42 @@ def test_many_short_lived_packs_in_two_threads_are_measured_as_in_one() -> None:
 
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(measured, range(2))) == [True, True]
+
+
+def use_threads(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pb4u.threads, "thread_count", lambda: count)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_items_come_out_in_order_one_behind_the_next(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_threads(count, monkeypatch)
+    made: list[int] = []
+
+    def items() -> Iterator[int]:
+        for item in range(5):
+            made.append(item)
+            yield item
+
+    results = while_the_next_is_made(lambda item: (item, current_thread()), items())
+    for item, (result, thread) in enumerate(results):
+        assert result == item
+        assert made == list(range(min(item + count, 5)))
+        assert (thread is current_thread()) == (count == 1)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_failure_behind_is_raised_where_its_result_is_asked_for(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_threads(count, monkeypatch)
+    results = while_the_next_is_made(lambda item: 1 // item, iter([1, 0, 1]))
+    assert next(results) == 1
+    with pytest.raises(ZeroDivisionError):
+        next(results)
+
+
+def test_a_run_gives_the_same_frames_on_one_thread_and_on_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = []
+    for count in (1, 2):
+        use_threads(count, monkeypatch)
+        frames.append(pb4u.load_simulator("auto").simulate(ball_scene(frames=4, lead_in=2, cells=16)).positions)
+    assert len(frames[0]) == 4
+    np.testing.assert_array_equal(*frames)

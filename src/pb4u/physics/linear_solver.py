@@ -3,12 +3,16 @@
 The preconditioner has 3x3 diagonal blocks and affine motions of patches. The diagonal blocks deal with what is stiff
 locally; the patches with what moves together over long distances, which is what makes plain iterations slower on finer
 meshes. Patches do not depend on the resolution.
+
+All of it is in float32, half the bytes of float64: Newton's method asks for a direction to a few percent. Forces and
+energies, which decide where it ends, stay in float64.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,6 +33,9 @@ _AGED, _FEW = 1.3, 5
 
 Functions = tuple[np.ndarray, np.ndarray, np.ndarray]
 """A sparse matrix as first entries of its rows, columns and values of its entries."""
+
+PRECISION = np.float32
+"""Data type of the linear solves."""
 
 _SMOOTHING_STEPS = 2
 """Averagings over neighbours that take the jumps at the patches' borders out of their motions."""
@@ -63,7 +70,7 @@ def conjugate_gradient(
     Source: Nocedal and Wright, Numerical Optimization, algorithm 7.1.
 
     Args:
-        matrix: (3 vertices, 3 vertices) [N/m].
+        matrix: (3 vertices, 3 vertices) [N/m]; it is solved in its precision, which is that of the preconditioner.
         pairs: contacts between cloth elements, added to the matrix.
         right: (vertices, 3) [N].
         preconditioner: gives an approximate solution for a residual.
@@ -71,19 +78,20 @@ def conjugate_gradient(
         max_iterations: products after which it stops.
         start: (vertices, 3) [m] a solution of a system near this one; 0 by default.
     """
-    solution = np.zeros_like(right) if start is None else start.copy()
-    direction = np.empty_like(right)
+    precision = matrix.blocks.dtype
+    solution = np.zeros(right.shape, precision) if start is None else start.astype(precision)
+    direction = np.empty(right.shape, precision)
     iterations, negative = _iterate(
-        (matrix.starts, matrix.columns, matrix.blocks, pairs.corners, pairs.rows),
+        (matrix.starts, matrix.columns, matrix.blocks, pairs.corners, pairs.rows.astype(precision)),
         preconditioner.parts,
-        right,
+        right.astype(precision),
         tolerance,
         max_iterations,
         start is not None,
         solution,
         direction,
     )
-    return LinearSolution(solution, iterations, direction if negative else None)
+    return LinearSolution(solution.astype(right.dtype), iterations, direction.astype(right.dtype) if negative else None)
 
 
 class PatchBasis:
@@ -96,7 +104,6 @@ class PatchBasis:
     Attributes:
         functions: sparse matrix (vertices, functions) of values that each vertex has along each axis.
         by_vertex: its rows as arrays.
-        by_function: its columns as arrays.
     """
 
     def __init__(self, garments: PackedGarments, free: np.ndarray) -> None:
@@ -118,9 +125,12 @@ class PatchBasis:
         for _ in range(_SMOOTHING_STEPS):
             functions = functions / 3.0 + average @ functions * (2.0 / 3.0)
         self.functions = (diags(free.astype(np.float64)) @ functions).tocsr()
-        by_vertex, by_function = self.functions, self.functions.T.tocsr()
-        self.by_vertex = by_vertex.indptr, by_vertex.indices, by_vertex.data
-        self.by_function = by_function.indptr, by_function.indices, by_function.data
+        self.by_vertex = _arrays(self.functions)
+
+
+def _arrays(matrix: Any) -> Functions:
+    """A sparse matrix by rows as arrays."""
+    return matrix.indptr, matrix.indices, matrix.data
 
 
 class TwoLevelPreconditioner:
@@ -131,13 +141,23 @@ class TwoLevelPreconditioner:
         matrix: stiffness.
         pairs: contacts between cloth elements, added to the matrix.
         free: (vertices,) bool, vertices that move.
+        precision: data type that it is applied in.
 
     Attributes:
         basis: patch motions.
     """
 
-    def __init__(self, basis: PatchBasis, matrix: SymmetricBlocks, pairs: PairStiffness, free: np.ndarray) -> None:
-        self.basis, self._free = basis, free
+    def __init__(
+        self,
+        basis: PatchBasis,
+        matrix: SymmetricBlocks,
+        pairs: PairStiffness,
+        free: np.ndarray,
+        precision: type[np.floating] = PRECISION,
+    ) -> None:
+        self.basis, self._free, self._precision = basis, free, precision
+        functions = basis.functions.astype(precision)
+        self._by_function, self._by_vertex = _arrays(functions.T.tocsr()), _arrays(functions)
         self.refresh_patches(matrix, pairs)
         self.refresh_diagonal(matrix, pairs)
 
@@ -154,24 +174,25 @@ class TwoLevelPreconditioner:
 
             root = (pairs.root(len(self._free)) @ kron(functions, eye(3))).tocsr()
             coarse += (root.T @ root).toarray()
-        self._coarse_inverse = _inverse(coarse)
+        self._coarse_inverse = _inverse(coarse).astype(self._precision)
 
     def refresh_diagonal(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
         """Recompute the fine part from the diagonal blocks of the `matrix` and the `pairs`, positive definite."""
         diagonal = matrix.diagonal
         diagonal[~self._free] = np.eye(3)
         pairs.add_diagonal(diagonal)
-        self._fine_inverse = torch.linalg.inv(torch.from_numpy(diagonal)).numpy()
+        self._fine_inverse = np.empty(diagonal.shape, self._precision)
+        _invert(diagonal, self._fine_inverse)
 
     @property
     def parts(self) -> tuple[np.ndarray, np.ndarray, Functions, Functions]:
         """Inverses (vertices, 3, 3) and (coarse, coarse) [m/N]; the functions by function, and by vertex."""
-        return self._fine_inverse, self._coarse_inverse, self.basis.by_function, self.basis.by_vertex
+        return self._fine_inverse, self._coarse_inverse, self._by_function, self._by_vertex
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         """Approximate solution (vertices, 3) [m] for `residual` (vertices, 3) [N]."""
-        result = np.empty_like(residual)
-        _precondition(*self.parts, residual, result)
+        result = np.empty(residual.shape, self._precision)
+        _precondition(*self.parts, residual.astype(self._precision), result)
         return result
 
 
@@ -266,10 +287,10 @@ def _precondition(
 ) -> None:
     """Fill `result` (vertices, 3) [m] with the preconditioner of these `parts` times `residual` (vertices, 3) [N]."""
     starts, indices, values = to_patches
-    restricted = np.empty(len(coarse))
+    restricted, zero = np.empty(len(coarse), coarse.dtype), coarse.dtype.type(0.0)
     for function in range(len(starts) - 1):
         # Two sums each, since an addition waits for the one before it.
-        x0, y0, z0, x1, y1, z1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        x0, y0, z0, x1, y1, z1 = zero, zero, zero, zero, zero, zero
         first, stop = starts[function], starts[function + 1]
         if (stop - first) % 2:
             row = indices[first]
@@ -351,7 +372,7 @@ def _iterate(
         curvature = _inner(direction, product)
         if not curvature > 0.0:
             return iteration, True
-        step = measure / curvature
+        step = right.dtype.type(measure / curvature)
         for row in range(len(right)):
             for axis in range(3):
                 solution[row, axis] += step * direction[row, axis]
@@ -360,12 +381,27 @@ def _iterate(
         new_measure = _inner(residual, conditioned)
         if new_measure <= target:
             return iteration, False
-        share = new_measure / measure
+        share = right.dtype.type(new_measure / measure)
         for row in range(len(right)):
             for axis in range(3):
                 direction[row, axis] = conditioned[row, axis] + share * direction[row, axis]
         measure = new_measure
     return max_iterations, False
+
+
+@compiled_with_fused_products
+def _invert(blocks: np.ndarray, inverses: np.ndarray) -> None:
+    """Fill `inverses` with those of symmetric `blocks` (blocks, 3, 3), by their cofactors."""
+    for block in range(len(blocks)):
+        a, b, c = blocks[block, 0]
+        d, e, f = blocks[block, 1, 1], blocks[block, 1, 2], blocks[block, 2, 2]
+        first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
+        scale = 1.0 / (a * first + b * second + c * third)
+        inverses[block, 0, 0], inverses[block, 1, 1] = scale * first, scale * (a * f - c * c)
+        inverses[block, 2, 2] = scale * (a * d - b * b)
+        inverses[block, 0, 1] = inverses[block, 1, 0] = scale * second
+        inverses[block, 0, 2] = inverses[block, 2, 0] = scale * third
+        inverses[block, 1, 2] = inverses[block, 2, 1] = scale * (b * c - a * e)
 
 
 @compiled_with_fused_products

@@ -56,7 +56,7 @@ class PairStiffness:
 def add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, product: np.ndarray) -> None:
     """Add the matrix of `PairStiffness` times `vector` (vertices, 3) [m] to `product` (vertices, 3) [N]."""
     for row in range(len(corners)):
-        total = 0.0
+        total = product.dtype.type(0.0)
         for corner in range(4):
             for axis in range(3):
                 total += rows[row, corner, axis] * vector[corners[row, corner], axis]

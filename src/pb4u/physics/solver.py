@@ -22,7 +22,13 @@ from pb4u.physics.contact.planes import MOTION_REACH, ContactPlanes
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
-from pb4u.physics.linear_solver import AgeingPreconditioner, LinearSolution, PatchBasis, conjugate_gradient
+from pb4u.physics.linear_solver import (
+    PRECISION,
+    AgeingPreconditioner,
+    LinearSolution,
+    PatchBasis,
+    conjugate_gradient,
+)
 from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.physics.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import DivergedError, TimeStep
@@ -112,14 +118,19 @@ class Solver:
         tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
         max_iterations: Newton iterations after which it stops in any case.
         forcing: relative tolerance of the linear solves.
+        settled: height [m] to which the energy that an iteration promised and freed would lift the garments of each
+            world, at or below which that iteration is the last.
     """
 
-    def __init__(self, tolerance: float = 1e-3, max_iterations: int = 100, forcing: float = 0.05) -> None:
-        self.tolerance, self.max_iterations, self.forcing = tolerance, max_iterations, forcing
+    def __init__(
+        self, tolerance: float = 1e-3, max_iterations: int = 100, forcing: float = 0.05, settled: float = 0.0
+    ) -> None:
+        self.tolerance, self.max_iterations, self.forcing, self.settled = tolerance, max_iterations, forcing, settled
         self._garments: PackedGarments | None = None
         self._pattern: StiffnessPattern
         self._preconditioner: AgeingPreconditioner
         self._free: Tensor
+        self._weight: Tensor
 
     def minimise(
         self,
@@ -158,7 +169,7 @@ class Solver:
         potential, start = _reached(potential, lifted)
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
-        x, inner, iteration, damping_level = start, 0, 0, -1
+        x, inner, iteration, damping_level, settled = start, 0, 0, -1, False
         while True:
             frozen = contact.potential_at(x).with_cloth(cloth)
             energies, gradient = frozen.energies_and_gradient(x)
@@ -168,7 +179,7 @@ class Solver:
                 raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
             if watch is not None:
                 watch(Iteration(iteration, total, residual))
-            if residual <= self.tolerance or iteration >= limit:
+            if residual <= self.tolerance or iteration >= limit or settled:
                 solved = residual <= self.tolerance
                 return Solution(x, energies, residual, iteration, inner, solved, frozen.contacts.next)
             highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
@@ -177,7 +188,8 @@ class Solver:
             moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
                 return Solution(x, energies, residual, iteration, inner, False, frozen.contacts.next)
-            x, cloth = moved
+            x, cloth, freed = moved
+            settled = bool((freed <= self.settled * self._weight).all())
             iteration += 1
 
     def _prepare(self, potential: StepPotential) -> None:
@@ -191,6 +203,7 @@ class Solver:
             basis = PatchBasis(garments, self._pattern.free)
             self._preconditioner = AgeingPreconditioner(basis, self._pattern.free)
             self._free = torch.from_numpy(self._pattern.free)
+            self._weight = STANDARD_GRAVITY * _sums(garments.vertex_masses[:, None], garments)
             self._garments = garments
 
     def _residual(self, garments: PackedGarments, gradient: Tensor) -> float:
@@ -222,7 +235,7 @@ class Solver:
             nonlocal damping_level, negative, spent
             while True:
                 compression, extra_mass = _DAMPING_LEVELS[damping_level]
-                matrix = stiffness.matrix(compression, extra_mass * mass)
+                matrix = stiffness.matrix(compression, extra_mass * mass, PRECISION)
                 solved = conjugate_gradient(matrix, pairs, -slope, preconditioner.current, forcing, 300, start)
                 spent += solved.iterations
                 if solved.negative is None or damping_level == 0:
@@ -248,11 +261,12 @@ class Solver:
 
     def _line_search(
         self, frozen: StepPotential, x: Tensor, gradient: Tensor, energies: Tensor, solved: LinearSolution
-    ) -> tuple[Tensor, ClothPairs | None] | None:
+    ) -> tuple[Tensor, ClothPairs | None, Tensor] | None:
         """Positions at which the energy is low enough along the direction, then along the buckling one; or None.
 
-        With the pairs of cloth elements that feel each other there. Each world decides by its own energy: the
-        `energies` (worlds,) [J] are those at `x` (vertices, 3) [m]. None where no world accepts a step.
+        With the pairs of cloth elements that feel each other there, and the energy (worlds,) [J] that was promised or
+        freed, whichever is more. Each world decides by its own energy: the `energies` (worlds,) [J] are those at `x`
+        (vertices, 3) [m]. None where no world accepts a step.
         """
         garments = frozen.step.garments
         world = garments.vertex_world
@@ -265,6 +279,8 @@ class Solver:
 
         direction = torch.from_numpy(solved.solution)
         direction = direction * each_vertex(_factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0))
+        # A Newton step halves the slope by the time that it ends.
+        promised = -0.5 * _sums(gradient * direction, garments)
         wanted = x + direction
         frozen, free = frozen.reached(x, wanted)
         slope, length = _sums(gradient * direction, garments), torch.ones(garments.world_count, dtype=x.dtype)
@@ -288,7 +304,7 @@ class Solver:
             candidate = torch.where(each_vertex(accepted), candidate, x)
             reached = energies_at(candidate)
         if solved.negative is None:
-            return candidate, frozen.contacts.cloth
+            return candidate, frozen.contacts.cloth, torch.maximum(energies - reached, promised)
         buckling = torch.from_numpy(solved.negative)
         buckling = buckling * each_vertex(_factors(buckling, _BUCKLING_MOVE, garments))
         buckling = buckling * each_vertex(torch.where(_sums(gradient * buckling, garments) > 0, -1.0, 1.0))
@@ -305,7 +321,7 @@ class Solver:
                 break
             result = torch.where(each_vertex(falling), further, result)
             reached, size = torch.where(falling, lower, reached), 2.0 * size
-        return result, frozen.contacts.cloth
+        return result, frozen.contacts.cloth, torch.maximum(energies - reached, promised)
 
 
 def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, Tensor]:

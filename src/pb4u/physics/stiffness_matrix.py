@@ -81,14 +81,23 @@ class Stiffness:
     positive: np.ndarray
     compressive: np.ndarray
 
-    def matrix(self, share: float = 0.0, extra: np.ndarray | None = None) -> SymmetricBlocks:
-        """The matrix with a `share` of the compressive part and `extra` (vertices,) [N/m] on its diagonal."""
+    def matrix(
+        self, share: float = 0.0, extra: np.ndarray | None = None, precision: type[np.floating] = np.float64
+    ) -> SymmetricBlocks:
+        """The matrix with a `share` of the compressive part and `extra` (vertices,) [N/m] on its diagonal.
+
+        Args:
+            share: of the compressive part.
+            extra: (vertices,) [N/m].
+            precision: data type that the sums are rounded to.
+        """
         blocks = self.positive
-        if share or extra is not None:
+        if share or extra is not None or precision is not np.float64:
             shift = share * self.compressive
             if extra is not None:
                 shift[self.pattern.starts[:-1]] += extra
-            blocks = _shifted(blocks, shift)
+            blocks = np.empty(blocks.shape, precision)
+            _shift(self.positive, shift, blocks)
         return SymmetricBlocks(self.pattern.starts, self.pattern.columns, blocks)
 
 
@@ -136,15 +145,12 @@ def _pair_keys(elements: Tensor, count: int) -> Tensor:
 
 
 @compiled_with_fused_products
-def _shifted(blocks: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Copy of `blocks` (blocks, 3, 3) with multiples `shift` (blocks,) of the identity added."""
-    result = np.empty_like(blocks)
+def _shift(blocks: np.ndarray, shift: np.ndarray, result: np.ndarray) -> None:
+    """Fill `result` with the `blocks` (blocks, 3, 3), multiples `shift` (blocks,) of the identity added."""
     for block in range(len(blocks)):
         for i in range(3):
             for j in range(3):
-                result[block, i, j] = blocks[block, i, j]
-            result[block, i, i] += shift[block]
-    return result
+                result[block, i, j] = blocks[block, i, j] + (shift[block] if i == j else 0.0)
 
 
 @compiled_with_fused_products

@@ -270,6 +270,13 @@ class ColliderPose:
         """Surface of each world's bodies, regions left out of contact included; None for a world without any."""
         return self._posed(self.colliders.whole_surfaces)
 
+    def apart(self) -> ColliderPose:
+        """This pose for another thread: it shares what is built, and keeps to itself what is looked up there."""
+        other = ColliderPose(self.colliders, self.positions)
+        other.found = dict(self.found)
+        other.__dict__["surfaces"] = self.surfaces
+        return other
+
     def _posed(self, surfaces: tuple[TriangleSurface | None, ...]) -> tuple[PosedSurface | None, ...]:
         rows = self.colliders.world_vertices
         return tuple(

@@ -18,7 +18,7 @@ from pb4u.physics.contact.response import Contact, NoContact
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution
 from pb4u.physics.time_step import DivergedError, require_finite
-from pb4u.scene.packed import PackedGarments, pack
+from pb4u.scene.packed import ColliderPose, PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
@@ -29,6 +29,7 @@ from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.step_start import FreeFlight, StepStart, start_of
 from pb4u.simulation.timeline import Timeline
+from pb4u.threads import while_the_next_is_made
 
 _ANY_EDGE_LENGTH = 0.015
 """Mean edge length [m] at which a network is asked whether it has propagation steps at all."""
@@ -55,25 +56,35 @@ class StepwiseSimulator(Simulator):
     def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
         timeline = Timeline.of(scene)
         method = self.method(timeline, record)
+
+        def written(made: tuple[State, ColliderPose]) -> State:
+            state, pose = made
+            return state if state.frame < scene.lead_in else _presented(timeline.garments, state, pose, method)
+
+        # A frame is made ready for writing while the step from it is taken.
+        yield from while_the_next_is_made(written, self._states(scene, timeline, method, record))
+
+    def _states(
+        self, scene: Scene, timeline: Timeline, method: StepMethod, record: RunRecord
+    ) -> Iterator[tuple[State, ColliderPose]]:
+        """The states of a run, with the bodies there; ends where one is not finite, and notes it."""
         made = 0
         try:
             for state in islice(self.first_frame.states(timeline, method), scene.total_frames):
-                yield _written(scene, timeline, require_finite(state), method)
+                yield require_finite(state), timeline.pose(state.frame).apart()
                 made += 1
             for frame in range(made, scene.total_frames):
                 made = frame
                 state = require_finite(take(timeline.step_from(state), method))
-                yield _written(scene, timeline, state, method)
+                yield state, timeline.pose(state.frame).apart()
         except DivergedError:
             record.failed_at = made - scene.lead_in
 
 
-def _written(scene: Scene, timeline: Timeline, state: State, method: StepMethod) -> State:
-    """The state as it is written; frames of the lead-in are not, and are left as they are."""
-    if state.frame < scene.lead_in:
-        return state
-    shown = method.contact.present(timeline.garments, state, timeline.pose(state.frame))
-    return replace(shown, positions=method.self_contact.carried(timeline.garments, state.positions, shown.positions))
+def _presented(garments: PackedGarments, state: State, pose: ColliderPose, method: StepMethod) -> State:
+    """The state as it is written: lifted off the skin, as far as cloth can go there."""
+    shown = method.contact.present(garments, state, pose)
+    return replace(shown, positions=method.self_contact.carried(garments, state.positions, shown.positions))
 
 
 class SolverSimulator(StepwiseSimulator):
