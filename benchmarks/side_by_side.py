@@ -1,8 +1,8 @@
 """Rivals on one scene, side by side: each in its own process and in turn, measured by the same means.
 
     python benchmarks/side_by_side.py [--triangles 2500 11000 38000] [--rivals default network ...] [--repeats 3]
-        [--frames 30] [--garment tshirt] [--motion walk] [--blender-python PYTHON] [--out docs/performance.md]
-        [--json FILE] [--plot docs/images/scaling.png]
+        [--frames 30] [--lead-in 30] [--garment tshirt] [--motion walk] [--blender-python PYTHON]
+        [--out docs/performance.md] [--json FILE] [--plot docs/images/scaling.png]
     python benchmarks/side_by_side.py --again FILE.json [--out ..] [--plot ..]
 
 Every round takes each rival once, at each size, so that a machine that slows down slows all alike; times are medians
@@ -72,7 +72,12 @@ def simulate_one(rival: str, options: argparse.Namespace, target: Path) -> None:
     from pb4u.scene.assembly import make_scene
 
     scene = make_scene(
-        options.garment, options.body, options.motion, triangles=options.triangles[0], frames=options.frames
+        options.garment,
+        options.body,
+        options.motion,
+        triangles=options.triangles[0],
+        frames=options.frames,
+        lead_in=options.lead_in,
     )
     run = _blender if RIVALS[rival].options is None else _own
     began, busy, own = time.perf_counter(), machine_seconds(), sum(os.times()[:4])
@@ -208,7 +213,8 @@ def rounds(options: argparse.Namespace, rivals: list[str]) -> Iterator[tuple[int
                 with tempfile.TemporaryDirectory() as folder:
                     command = [
                         sys.executable, __file__, "--one", rival, "--into", folder, "--triangles", str(triangles),
-                        "--frames", str(options.frames), "--garment", options.garment, "--body", options.body,
+                        "--frames", str(options.frames), "--lead-in", str(options.lead_in),
+                        "--garment", options.garment, "--body", options.body,
                         "--motion", options.motion, "--blender-python", options.blender_python,
                         *(["--measure"] if repeat == 0 else []),
                     ]  # fmt: skip
@@ -260,9 +266,9 @@ def page(found: dict[str, Any]) -> str:
         "# Performance, side by side",
         "",
         f"Made by `python benchmarks/side_by_side.py`: {asked['garment']} on {asked['body']}, {asked['motion']}, "
-        f"{asked['frames']} frames after the lead-in, medians of rounds: {asked['repeats']}, every rival in a process "
-        "of its own and in turn. Energies (without gravity, of our materials), strain, penetration and crossing "
-        "triangles are `pb4u.measure`'s for all; Blender keeps its own stiffnesses.",
+        f"{asked['frames']} frames after {asked['lead_in']} of lead-in, medians of rounds: {asked['repeats']}, "
+        "every rival in a process of its own and in turn. Energies (without gravity, of our materials), strain, "
+        "penetration and crossing triangles are `pb4u.measure`'s for all; Blender keeps its own stiffnesses.",
         "",
         ", ".join(f"{name}: {value}" for name, value in of.items()) + ".",
         "",
@@ -355,6 +361,7 @@ def main() -> None:
     parser.add_argument("--rivals", nargs="+", choices=RIVALS, default=list(RIVALS))
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--frames", type=int, default=30, help="frames to write, after the lead-in")
+    parser.add_argument("--lead-in", type=int, default=30, help="frames simulated before; few of them set in abruptly")
     parser.add_argument("--garment", default="tshirt")
     parser.add_argument("--body", default="woman")
     parser.add_argument("--motion", default="walk")
@@ -380,7 +387,7 @@ def main() -> None:
     runs: dict[int, dict[str, list[dict[str, Any]]]] = {}
     for triangles, rival, figures in rounds(options, rivals):
         runs.setdefault(triangles, {}).setdefault(rival, []).append(figures)
-    asked = {name: getattr(options, name) for name in ("garment", "body", "motion", "frames", "repeats")}
+    asked = {name: getattr(options, name) for name in ("garment", "body", "motion", "frames", "lead_in", "repeats")}
     found = {
         "machine": at_start,
         "asked": asked,

@@ -21,7 +21,7 @@ FIGURES = {
 
 
 def found(**changes: Any) -> dict[str, Any]:
-    asked = {"garment": "tshirt", "body": "woman", "motion": "walk", "frames": 4, "repeats": 1}
+    asked = {"garment": "tshirt", "body": "woman", "motion": "walk", "frames": 4, "lead_in": 30, "repeats": 1}
     rows = {"network": FIGURES | changes}
     return {"machine": {"cores": 2}, "asked": asked, "left_out": {"Blender cloth": "why"}, "figures": {1200: rows}}
 

@@ -388,6 +388,6 @@ def _model(name: str, label: str, device: str) -> ModelRecord:
     if not isinstance(simulator, NetworkSimulator):
         return ModelRecord(name, label)
     # Whether there are steps at all does not depend on the length of the edges [m].
-    adapts = simulator.checkpoint.model.network.propagation_steps(0.015) > 0
+    adapts = simulator.checkpoint.model.network.propagates
     with weights_file(name) as path:
         return ModelRecord(name, label, digest(path), adapts)

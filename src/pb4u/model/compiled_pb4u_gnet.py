@@ -34,6 +34,8 @@ class CompiledPb4uGNet(GraphNetwork):
         precision: of the products, float32 or bfloat16.
     """
 
+    propagates = True
+
     @staticmethod
     def takes(network: Pb4uGNet, precision: torch.dtype) -> bool:
         """Whether this processor multiplies in `precision` in kernels, and they cover the network's form and width."""

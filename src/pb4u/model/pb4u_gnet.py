@@ -48,6 +48,8 @@ class Pb4uGNet(EncodeProcessDecode):
         configuration: width, columns, propagation and blocks.
     """
 
+    propagates = True
+
     def __init__(self, configuration: Pb4uConfiguration) -> None:
         super().__init__(configuration)
         self.configuration = configuration

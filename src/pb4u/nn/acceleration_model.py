@@ -6,7 +6,7 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -114,7 +114,12 @@ class GraphNetwork(nn.Module, ABC):
 
     Args:
         configuration: the columns read, the world edges and the number of passes in a step.
+
+    Attributes:
+        propagates: whether it has propagation steps, whose number can be set.
     """
+
+    propagates: ClassVar[bool] = False
 
     def __init__(self, configuration: NetworkConfiguration) -> None:
         super().__init__()

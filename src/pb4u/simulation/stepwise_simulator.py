@@ -31,9 +31,6 @@ from pb4u.simulation.step_start import FreeFlight, StepStart, start_of
 from pb4u.simulation.timeline import Timeline
 from pb4u.threads import while_the_next_is_made
 
-_ANY_EDGE_LENGTH = 0.015
-"""Mean edge length [m] at which a network is asked whether it has propagation steps at all."""
-
 
 class StepwiseSimulator(Simulator):
     """Simulates a scene step by step.
@@ -166,7 +163,7 @@ class NetworkSimulator(StepwiseSimulator):
         self.contact, self.first_frame = contact or NoContact(), first_frame or OneLongStep()
         self.device = torch.device(device)
         network = checkpoint.model.network
-        if propagation_steps is not None and network.propagation_steps(_ANY_EDGE_LENGTH):
+        if propagation_steps is not None and network.propagates:
             require_propagation_steps(propagation_steps)
         self.passes = network.passes if passes is None else passes
         if self.passes < 1:
@@ -193,10 +190,11 @@ class NetworkSimulator(StepwiseSimulator):
     def propagation_steps(self, scene: Scene) -> int | None:
         """Number K of propagation steps of the finest garment, which takes the most."""
         network = self.checkpoint.model.network
-        ruled = max(network.propagation_steps(worn.garment.mean_edge_length) for worn in scene.garments)
-        if not ruled:
+        if not network.propagates:
             return None
-        return ruled if self.override is None else self.override
+        if self.override is not None:
+            return self.override
+        return max(network.propagation_steps(worn.garment.mean_edge_length) for worn in scene.garments)
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         worlds = timeline.garments.worlds
