@@ -98,6 +98,18 @@ def test_pairs_that_meet_on_the_way_are_found(name: str, size: float) -> None:
 
 
 @pytest.mark.parametrize("name", SURFACES)
+def test_pairs_of_some_vertices_are_those_of_all_that_have_one(name: str) -> None:
+    surface = SURFACES[name]
+    rng = np.random.default_rng(4)
+    among = rng.random(len(surface.before)) < 0.05
+    moves = 0.05 * rng.normal(size=surface.before.shape) * among[:, None]
+    every = surface.tree.pairs(surface.before, 5e-3, moves)
+    some = surface.tree.pairs(surface.before, 5e-3, moves, among=among)
+    assert 0 < len(some) < len(every)
+    assert keys(some) == keys(every, among[every.corners].any(axis=1))
+
+
+@pytest.mark.parametrize("name", SURFACES)
 def test_pairs_known_before_save_a_search_and_change_nothing(name: str) -> None:
     """Over several moves: small ones, one of a few vertices that go far, and one of all."""
     surface = SURFACES[name]

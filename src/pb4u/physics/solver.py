@@ -330,16 +330,19 @@ def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, T
     Layers that fall on one another in one step are stopped each at another place, crumpled beyond what a fold would
     ever be. A world starts from where it stands, its pins in place, where that has less energy.
     """
-    step = potential.step
-    before = step.state.positions
+    step, garments = potential.step, potential.step.garments
+    before, pinned = step.state.positions, garments.pinned
     moved, start = potential.reached(before, wanted)
     if start is wanted:
         return moved, start
-    standing, held = potential.reached(before, torch.where(step.garments.pinned[:, None], wanted, before))
-    better = standing.energies(held).per_world(step.garments) < moved.energies(start).per_world(step.garments)
+    # Cloth that is near where the step begins was met on the way from there, and need not be searched for.
+    standing, held = moved, before
+    if bool(pinned.any()):
+        standing, held = potential.reached(before, torch.where(pinned[:, None], wanted, before))
+    better = standing.energies(held).per_world(garments) < moved.energies(start).per_world(garments)
     if not bool(better.any()):
         return moved, start
-    return potential.reached(before, torch.where(better[step.garments.vertex_world, None], held, start))
+    return potential.reached(before, torch.where(better[garments.vertex_world, None], held, start))
 
 
 def _norm(forces: np.ndarray, masses: np.ndarray) -> float:

@@ -79,6 +79,7 @@ class SurfaceTree:
         moves: np.ndarray | None = None,
         known: ElementPairs | None = None,
         lasting: bool = False,
+        among: np.ndarray | None = None,
     ) -> ElementPairs:
         """Pairs that may come within `reach` of one another, a superset of those that do.
 
@@ -90,6 +91,7 @@ class SurfaceTree:
             moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
             known: pairs of positions a little before these, where there are such: only what went far since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
+            among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
         """
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
@@ -101,7 +103,8 @@ class SurfaceTree:
                 found = _near(self._search(vertices, moving, 0.5 * reach, left), vertices, moving, reach)
                 return self._pairs((stayed, found), neighbourhood)
         if not lasting:
-            found = _near(self._search(vertices, moving, 0.5 * reach, self._everywhere), vertices, moving, reach)
+            asked = self._everywhere if among is None else among
+            found = _near(self._search(vertices, moving, 0.5 * reach, asked), vertices, moving, reach)
             return self._pairs((found,), None)
         candidates = self._search(vertices, moving, 0.5 * reach, self._everywhere, self._room)
         neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reach)
