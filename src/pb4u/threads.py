@@ -7,6 +7,7 @@ they wait they keep the processors busy. So a step is taken with one of them, an
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -91,7 +92,8 @@ def of_parts(function: Callable[[Part], Result], parts: Sequence[Part]) -> list[
 def while_the_next_is_made(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """`function` of each of the `items`, in their order, each on another thread while the next item is made.
 
-    With one thread alone each is made before the next item.
+    With one thread alone each is made before the next item. Where making an item ends in an error or an interrupt, the
+    results of those before it come first.
 
     Args:
         function: touches nothing that making an item changes.
@@ -100,15 +102,23 @@ def while_the_next_is_made(function: Callable[[Item], Result], items: Iterable[I
     if thread_count() < 2:
         yield from map(function, items)
         return
+    behind: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(1) as thread:
-        behind: Future[Result] | None = None
-        for item in items:
-            begun = thread.submit(_with_one_torch_thread, function, item)
-            if behind is not None:
-                yield behind.result()
-            behind = begun
-        if behind is not None:
-            yield behind.result()
+        try:
+            for item in items:
+                behind.append(thread.submit(_with_one_torch_thread, function, item))
+                if len(behind) > 1:
+                    result = behind[0].result()
+                    behind.popleft()
+                    yield result
+        except GeneratorExit:
+            raise
+        except BaseException:
+            while behind:
+                yield behind.popleft().result()
+            raise
+        while behind:
+            yield behind.popleft().result()
 
 
 def _with_one_torch_thread(function: Callable[[Item], Result], item: Item) -> Result:

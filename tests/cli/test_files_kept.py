@@ -261,7 +261,8 @@ def test_a_conversion_that_is_ended_leaves_no_part_of_a_file(
     for _ in range(3):
         (tmp_path / "t.gif").write_text("an earlier one")
         run = subprocess.Popen([*PB4U, "convert", "t.npz", "t.gif"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-        while run.poll() is None and not any(tmp_path.glob(f".t.gif.*{MARK}")):
+        # A folder that is not locked yet is told from one that another process is about to lock by its age alone.
+        while run.poll() is None and not any(tmp_path.glob(f".t.gif.*{MARK}/.lock")):
             time.sleep(0.01)
         run.send_signal(number)
         _, said = run.communicate(timeout=120)

@@ -63,7 +63,7 @@ def balls(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> No
         if record.motion == "turn":
             raise InputError("The ball cannot turn.")
         speed = 0.3 if record.motion == "walk" else 0.6
-        return ball_scene(record.frames, record.lead_in, cells=4 if record.triangles == 11_000 else 6, speed=speed)
+        return ball_scene(record.frames, record.lead_in, cells=5 if record.triangles == 11_000 else 6, speed=speed)
 
     monkeypatch.setattr(rollout, "_scene", made)
     if "plots" not in request.node.name:
@@ -152,7 +152,7 @@ def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path: Path, monke
     assert "2 failed before and left (--retry tries them again)" in said[0]
     results, did, _ = run(request, out, retry=True)
     assert (len(did), len(results["failures"])) == (2, 2)
-    monkeypatch.setattr(rollout, "_scene", lambda record: ball_scene(record.frames, record.lead_in, cells=4))
+    monkeypatch.setattr(rollout, "_scene", lambda record: ball_scene(record.frames, record.lead_in, cells=5))
     results, did, _ = run(request, out, retry=True)
     assert (len(did), results["failures"]) == (2, [])
 

@@ -74,7 +74,7 @@ def test_what_does_not_fit_drawn_scenes_is_refused(change: dict[str, Any], sente
 
 
 def test_what_holds_a_garment_has_moved_as_far_as_it_was_moved() -> None:
-    scene = ball_scene(12, 1, cells=4)
+    scene = ball_scene(12, 1, cells=5)
     trajectory = load_simulator("skinning").simulate(scene)
     assert hold_shifts(scene, trajectory) == pytest.approx(0.0, abs=1e-6)
     moved = trajectory.positions.copy()
@@ -143,7 +143,7 @@ def test_a_run_of_drawn_scenes_ends_in_a_page_and_is_not_made_twice(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def made(record: SceneRecord) -> Scene:
-        return ball_scene(record.frames, record.lead_in, cells=4, speed=0.3)
+        return ball_scene(record.frames, record.lead_in, cells=5, speed=0.3)
 
     monkeypatch.setattr(rollout, "_scene", made)
     request = replace(REQUEST, models=("skinning",), scenes=2, frames=3, lead_in=1)
@@ -162,13 +162,13 @@ def test_a_run_of_drawn_scenes_ends_in_a_page_and_is_not_made_twice(
 
 
 def test_kept_frames_are_those_of_the_moment_and_of_the_worst(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(rollout, "_scene", lambda record: ball_scene(record.frames, record.lead_in, cells=4, speed=0.3))
+    monkeypatch.setattr(rollout, "_scene", lambda record: ball_scene(record.frames, record.lead_in, cells=5, speed=0.3))
     job = plan(replace(REQUEST, models=("skinning",), scenes=1, frames=6, lead_in=1)).cases[0].job
     kept = rollout.run(job)
     assert kept.still is not None
     (tmp_path / "still.npz").write_bytes(kept.still)
     still = Trajectory.open(tmp_path / "still.npz")
     inside = kept.result["metrics"]["penetration_percent"]["per_frame"]
-    whole = load_simulator("skinning").simulate(ball_scene(6, 1, cells=4, speed=0.3))
+    whole = load_simulator("skinning").simulate(ball_scene(6, 1, cells=5, speed=0.3))
     assert still.positions[0] == pytest.approx(whole.positions[kept.result["pictured_frame"]])
     assert still.positions[-1] == pytest.approx(whole.positions[int(np.argmax(inside))])

@@ -102,6 +102,35 @@ def test_a_failure_behind_is_raised_where_its_result_is_asked_for(count: int, mo
         next(results)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_an_interrupt_comes_after_what_was_made(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_threads(count, monkeypatch)
+
+    def items() -> Iterator[int]:
+        yield from range(3)
+        raise KeyboardInterrupt
+
+    results = while_the_next_is_made(lambda item: item, items())
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(KeyboardInterrupt):
+        next(results)
+
+
+def test_a_run_that_is_given_up_makes_no_further_item(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_threads(2, monkeypatch)
+    made: list[int] = []
+
+    def items() -> Iterator[int]:
+        for item in range(9):
+            made.append(item)
+            yield item
+
+    results = while_the_next_is_made(lambda item: item, items())
+    assert next(results) == 0
+    results.close()  # type: ignore[attr-defined]
+    assert made == [0, 1]
+
+
 def test_a_run_gives_the_same_frames_on_one_thread_and_on_two(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = []
     for count in (1, 2):

@@ -119,7 +119,7 @@ class Solver:
         max_iterations: Newton iterations after which it stops in any case.
         forcing: relative tolerance of the linear solves.
         settled: height [m] to which the energy that an iteration promised and freed would lift the garments of each
-            world, at or below which that iteration is the last.
+            world, at or below which that iteration is the last; 0 for no such end.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class Solver:
             if moved is None:
                 return Solution(x, energies, residual, iteration, inner, False, frozen.contacts.next)
             x, cloth, freed = moved
-            settled = bool((freed <= self.settled * self._weight).all())
+            settled = self.settled > 0.0 and bool((freed <= self.settled * self._weight).all())
             iteration += 1
 
     def _prepare(self, potential: StepPotential) -> None:
