@@ -387,7 +387,6 @@ def _model(name: str, label: str, device: str) -> ModelRecord:
         raise InputError(f"{name} runs at {simulator.fps:g} frames per second; the protocols run at {FPS:g}.")
     if not isinstance(simulator, NetworkSimulator):
         return ModelRecord(name, label)
-    # Whether there are steps at all does not depend on the length of the edges [m].
     adapts = simulator.checkpoint.model.network.propagates
     with weights_file(name) as path:
         return ModelRecord(name, label, digest(path), adapts)

@@ -22,14 +22,9 @@ from pb4u.physics.contact.planes import MOTION_REACH, ContactPlanes
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
-from pb4u.physics.linear_solver import (
-    PRECISION,
-    AgeingPreconditioner,
-    LinearSolution,
-    PatchBasis,
-    conjugate_gradient,
-)
+from pb4u.physics.linear_solver import LinearSolution, conjugate_gradient
 from pb4u.physics.pair_stiffness import PairStiffness
+from pb4u.physics.preconditioner import PRECISION, AgeingPreconditioner, PatchBasis
 from pb4u.physics.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.scene.packed import PackedGarments

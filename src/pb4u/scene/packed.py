@@ -7,6 +7,7 @@ material) and their world; worlds of different size, resolution and material bat
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -272,9 +273,8 @@ class ColliderPose:
 
     def apart(self) -> ColliderPose:
         """This pose for another thread: it shares what is built, and keeps to itself what is looked up there."""
-        other = ColliderPose(self.colliders, self.positions)
+        other = copy.copy(self)
         other.found = dict(self.found)
-        other.__dict__["surfaces"] = self.surfaces
         return other
 
     def _posed(self, surfaces: tuple[TriangleSurface | None, ...]) -> tuple[PosedSurface | None, ...]:
