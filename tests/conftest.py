@@ -9,6 +9,11 @@ from pathlib import Path
 import pytest
 import torch
 
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Workers share the processors; each and what it starts gets one thread, so that none waits for another's.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"].split(",")[0]))
+
 
 @pytest.fixture(scope="session")
 def test_data() -> Path:

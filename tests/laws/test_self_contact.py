@@ -19,9 +19,10 @@ from pb4u.physics.contact.cloth_contact import ClothContact, ClothFriction
 from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.energy_term import EnergyTerm
+from pb4u.physics.implicit_steps import substep_count
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.pair_stiffness import PairStiffness, add_product
-from pb4u.physics.solver import Solver, substep_count
+from pb4u.physics.solver import Solver
 from pb4u.physics.time_step import TimeStep, require_finite
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import DressedGarment, Scene

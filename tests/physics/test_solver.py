@@ -16,12 +16,13 @@ import pb4u.physics.solver as solver_module
 from pb4u.errors import InputError
 from pb4u.physics.bending import Bending
 from pb4u.physics.gravity import Gravity
+from pb4u.physics.implicit_steps import implicit_steps, substep_count
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.inertia import Inertia
 from pb4u.physics.linear_solver import conjugate_gradient
 from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.physics.preconditioner import PRECISION, PatchBasis, TwoLevelPreconditioner
-from pb4u.physics.solver import Iteration, Solver, implicit_steps, substep_count
+from pb4u.physics.solver import Iteration, Solver
 from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.stretch import Stretch
 from pb4u.physics.time_step import DivergedError, TimeStep, integrate, require_finite

@@ -11,8 +11,9 @@ from test_hooked import pierced
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.contact.hooked import newly_hooked
 from pb4u.physics.contact.response import ContactResponse
+from pb4u.physics.implicit_steps import free_flight
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Solver, free_flight
+from pb4u.physics.solver import Solver
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation import refinement

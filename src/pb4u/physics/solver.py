@@ -10,7 +10,6 @@ depend on the resolution.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,18 +17,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.planes import MOTION_REACH, ContactPlanes
+from pb4u.physics.contact.planes import ContactPlanes
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
-from pb4u.physics.incremental_potential import Energies, IncrementalPotential, StepPotential
+from pb4u.physics.incremental_potential import Energies, StepPotential
 from pb4u.physics.linear_solver import LinearSolution, conjugate_gradient
 from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.physics.preconditioner import PRECISION, AgeingPreconditioner, PatchBasis
 from pb4u.physics.stiffness_matrix import StiffnessPattern
-from pb4u.physics.time_step import DivergedError, TimeStep
+from pb4u.physics.time_step import DivergedError
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY
-from pb4u.scene.state import State
 from pb4u.threads import one_torch_thread
 
 _SUFFICIENT_DECREASE = 1e-4
@@ -56,9 +54,6 @@ _MISSED = 0.1
 
 _ROUGHLY = 0.1
 """Relative tolerance of the linear solves that tell where a step leads; with 0.2 a step can take an iteration more."""
-
-LARGEST_MOTION = 0.15
-"""How far the body under the cloth may move in one implicit step [m]: less than a limb is thick."""
 
 # Share of the compressive curvature and extra mass, from most damped to exact: an iteration starts one damping level
 # above the last and falls back while the curvature is negative. The extra mass holds back vertices about to buckle.
@@ -359,48 +354,3 @@ def _sums(values: Tensor, garments: PackedGarments) -> Tensor:
     """(worlds,) sums of `values` (vertices, 3) over the vertices of each world."""
     starts, stops = garments.world_offsets[:-1], garments.world_offsets[1:]
     return torch.stack([values[start:stop].sum() for start, stop in zip(starts, stops, strict=True)])
-
-
-def substep_count(step: TimeStep) -> int:
-    """Number of implicit steps that `step` is divided into so that no part of the body near the cloth passes it."""
-    planes, bodies = step.contacts.now, step.bodies
-    if planes is None or bodies is None:
-        return 1
-    near = planes.touchable & (planes.distance < MOTION_REACH)
-    if not bool(near.any()):
-        return 1
-    motion = planes.interpolated(bodies.motion, bodies.colliders.contact_faces)[near]
-    return max(1, math.ceil(float(motion.norm(dim=1).max()) / LARGEST_MOTION))
-
-
-def free_flight(step: TimeStep) -> Tensor:
-    """Positions (vertices, 3) [m] where every vertex keeps its velocity, pinned ones in their places."""
-    return step.with_pins(step.state.positions + step.dt * step.state.velocities)
-
-
-def implicit_steps(
-    potential: IncrementalPotential,
-    solver: Solver,
-    step: TimeStep,
-    iterations: int | None = None,
-    start: Callable[[TimeStep], Tensor] = free_flight,
-) -> tuple[State, Solution]:
-    """The state at the end of `step`, and the solution of its last implicit step.
-
-    A body that moves far in the step is moved along straight lines in several implicit steps.
-
-    Args:
-        potential: the energies.
-        solver: minimises them.
-        step: garments in float64 on the CPU.
-        iterations: at most this many in each implicit step; None goes to the solver's tolerance.
-        start: gives the positions (vertices, 3) [m] that an implicit step starts from.
-
-    Raises DivergedError when the state is not finite.
-    """
-    count, state = substep_count(step), step.state
-    for k in range(count):
-        part = step if count == 1 else step.part(k, count, state)
-        solution = solver.minimise(potential.of(part), start(part), iterations)
-        state = part.reached(solution.positions)
-    return State(state.positions, state.velocities, step.state.frame + 1), solution

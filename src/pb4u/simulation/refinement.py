@@ -11,8 +11,9 @@ from torch import Tensor
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.contact.hooked import newly_hooked
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
+from pb4u.physics.implicit_steps import implicit_steps
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Solution, Solver, implicit_steps
+from pb4u.physics.solver import Solution, Solver
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.state import State
 from pb4u.simulation.step_start import CARRIED_SHARES, CarriedStart, FreeFlight, StepStart

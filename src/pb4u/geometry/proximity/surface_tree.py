@@ -92,7 +92,11 @@ class SurfaceTree:
             known: pairs of positions a little before these, where there are such: only what went far since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
             among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
+
+        Raises ValueError when they are given together.
         """
+        if among is not None and (known is not None or lasting):
+            raise ValueError("pairs of some vertices are neither taken from known pairs nor kept as such")
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
         neighbourhood = None if known is None else known.neighbourhood
