@@ -9,7 +9,7 @@ from tests.training.ball_data import sheet
 from pb4u.evaluation.divergence import DIVERGED_DISTANCE
 from pb4u.evaluation.metrics import strain_percentile
 from pb4u.scene.packed import pack
-from pb4u.training.validation import SUNK, drift_from, is_lost
+from pb4u.training.lost_garment import MOST_SUNK, SUNK, GarmentWatch, drift_from
 
 
 @pytest.mark.parametrize(
@@ -20,18 +20,25 @@ from pb4u.training.validation import SUNK, drift_from, is_lost
         (1.7, 0.0, 0.0, True),
         (1.0, 0.9 * DIVERGED_DISTANCE, 0.0, False),
         (1.0, 1.1 * DIVERGED_DISTANCE, 0.0, True),
-        (1.0, 0.0, 1.1 * SUNK, True),
         (float("nan"), 0.0, 0.0, True),
     ],
 )
-def test_a_garment_is_lost_when_apart_off_or_sunk(stretch, fall, collision, lost):
+def test_a_garment_is_lost_at_once_when_apart_or_off(stretch, fall, collision, lost):
     garments = pack([sheet(6)])
     rest = garments.rest_positions.clone()
     rest[:, 1] = 0.0
     positions = stretch * rest - torch.tensor([0.0, fall, 0.0])
     # The body is stretched alike, so that only the fall sets them apart.
     drift = drift_from(stretch * rest, garments, positions)
-    assert is_lost(strain_percentile(garments, positions), drift, collision) is lost
+    assert GarmentWatch().is_lost(strain_percentile(garments, positions), drift, collision) is lost
+
+
+def test_a_garment_that_sinks_in_may_come_out_again():
+    watch = GarmentWatch()
+    deep, out = 1.1 * SUNK, 0.9 * SUNK
+    collisions = [deep] * (MOST_SUNK - 1) + [out] + [deep] * (MOST_SUNK - 1)
+    assert not any(watch.is_lost(0.1, 0.0, collision) for collision in collisions)
+    assert watch.is_lost(0.1, 0.0, float("nan")), "that is the last step on end"
 
 
 def test_the_strain_of_a_uniform_stretch_is_its_excess():

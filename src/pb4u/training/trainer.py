@@ -30,11 +30,12 @@ from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
 from pb4u.training.journal import Journal, Reporter
 from pb4u.training.learner import Learner
+from pb4u.training.lost_garment import GarmentWatch, drift_from
 from pb4u.training.objective import comparable_total, further_losses, mean_energies, step_energies, strain_energy
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.recovery import Recovery
 from pb4u.training.run_folder import RunFolder
-from pb4u.training.validation import Score, Validation, drift_from, is_lost
+from pb4u.training.validation import Score, Validation
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Course, Sampler, WindowLoader
 
@@ -176,7 +177,7 @@ class Trainer:
         settles = self.sampler.settles(number, length) if settle is None else settle
         state = window.start(self.configuration.noise, self.configuration.clearance)
         prepared = self.model.prepare(window.timeline.garments)
-        return Course(number, window, state, prepared, StepFeatures(prepared), settles, length)
+        return Course(number, window, state, prepared, StepFeatures(prepared), GarmentWatch(), settles, length)
 
     def _indices(self, number: int) -> range:
         """This process's samples of window `number`."""
@@ -230,7 +231,7 @@ class Trainer:
         timeline, positions = course.window.timeline, course.state.positions
         strain = strain_percentile(timeline.garments, positions)
         drift = drift_from(timeline.skinned(course.state.frame), timeline.garments, positions)
-        if self.workers.agreed(is_lost(strain, drift, self.latest_collision)):
+        if self.workers.agreed(course.watch.is_lost(strain, drift, self.latest_collision)):
             course.left = 0
         return True
 

@@ -1,4 +1,4 @@
-"""How good weights are: short clips rolled out by the network alone, and when a garment in training is lost."""
+"""How good weights are: short clips rolled out by the network alone."""
 
 from __future__ import annotations
 
@@ -7,24 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from pb4u.evaluation.divergence import DIVERGED_DISTANCE, DIVERGED_STRAIN
 from pb4u.evaluation.metrics import strain_percentile
 from pb4u.garment.material import MATERIALS
 from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_start import start_of
 from pb4u.training.configuration import TrainingConfiguration
+from pb4u.training.lost_garment import GarmentWatch, drift_from
 from pb4u.training.objective import REFERENCE_WEIGHT, step_energies
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.windows import Sample, WindowLoader
-
-SUNK = 2e-6
-"""Collision term over its weight [m^5], a garment, above which it has sunk in: a quarter of a T-shirt 2 cm deep."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +92,7 @@ class Validation:
         timeline = window.timeline
         garments = timeline.garments
         method = StepMethod(start_of(model.network), NetworkPass(model, model.prepare(garments), model.network.passes))
-        state, energy, strain = window.start(0.0, self.clearance), 0.0, 0.0
+        state, energy, strain, watch = window.start(0.0, self.clearance), 0.0, 0.0, GarmentWatch()
         for frame in range(self.frames):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
             *_, after = predictions(step, method)
@@ -108,7 +103,7 @@ class Validation:
             stretched = strain_percentile(garments, after.positions)
             state = after if frame else State(after.positions, timeline.skinned_velocity(state.frame), state.frame)
             drift = drift_from(timeline.skinned(state.frame), garments, after.positions)
-            if is_lost(stretched, drift, collision):
+            if watch.is_lost(stretched, drift, collision):
                 return frame, energy, strain
             energy += float(energies.total)
             strain += stretched
@@ -124,27 +119,3 @@ def _spread(data: TrainingData, count: int) -> list[int]:
     # Multiples of the golden ratio are as far from each other, modulo 1, as any sequence can be.
     places = ((groups[i % len(groups)], (i * 0.618034) % 1.0) for i in range(count))
     return [group[int(place * len(group))] for group, place in places]
-
-
-def is_lost(strain: float, drift: float, collision: float) -> bool:
-    """Whether garments diverged as evaluation counts it, or sank into the body.
-
-    Args:
-        strain: as `strain_percentile`.
-        drift: as `drift_from` skinning [m].
-        collision: collision term over its weight [m^5].
-    """
-    # So that what is not a number is lost.
-    return not (strain <= DIVERGED_STRAIN and drift <= DIVERGED_DISTANCE and collision <= SUNK)
-
-
-def drift_from(skinned: Tensor, garments: PackedGarments, positions: Tensor) -> float:
-    """Distance [m] of the centre of mass of packed garments from where skinning alone would put it.
-
-    Args:
-        skinned: (vertices, 3) skinned positions [m].
-        garments: the pack, whose vertex masses weigh the mean.
-        positions: (vertices, 3) simulated positions [m].
-    """
-    share = garments.vertex_masses / garments.vertex_masses.sum()
-    return float((share[:, None] * (positions - skinned)).sum(0).norm())

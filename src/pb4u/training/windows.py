@@ -20,6 +20,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.network_pass import StepFeatures
 from pb4u.simulation.timeline import Timeline
 from pb4u.training.configuration import MaterialSampling, TrainingConfiguration
+from pb4u.training.lost_garment import GarmentWatch
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.wardrobe import Wardrobe
 
@@ -179,6 +180,7 @@ class Course:
         state: of the garments.
         prepared: what the network derived once from the garments.
         features: node features of them.
+        watch: sees whether they are lost.
         settles: whether the next step is the settling one.
         left: steps to go.
     """
@@ -188,6 +190,7 @@ class Course:
     state: State
     prepared: PreparedGarments
     features: StepFeatures
+    watch: GarmentWatch
     settles: bool
     left: int
 

@@ -1,0 +1,50 @@
+"""When a garment in training is lost: it came apart, came off, or sank into the body and stays there."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from pb4u.evaluation.divergence import DIVERGED_DISTANCE, DIVERGED_STRAIN
+from pb4u.scene.packed import PackedGarments
+
+SUNK = 2e-6
+"""Collision term over its weight [m^5], a garment, above which it has sunk in: a quarter of a T-shirt 2 cm deep."""
+
+MOST_SUNK = 5
+"""Steps on end after which what has sunk in does not come out again: garments that start in a body are out of it after
+one to three, those that a hip catches at a run after one or two."""
+
+
+class GarmentWatch:
+    """Sees step by step whether garments are lost.
+
+    Attributes:
+        sunk: steps on end at whose end they had sunk in.
+    """
+
+    def __init__(self) -> None:
+        self.sunk = 0
+
+    def is_lost(self, strain: float, drift: float, collision: float) -> bool:
+        """Whether they diverged in a step as evaluation counts it, or have sunk into the body for `MOST_SUNK` steps.
+
+        Args:
+            strain: as `strain_percentile`, after the step.
+            drift: as `drift_from` skinning [m].
+            collision: collision term over its weight [m^5].
+        """
+        # So that what is not a number has sunk, or is lost.
+        self.sunk = 0 if collision <= SUNK else self.sunk + 1
+        return not (strain <= DIVERGED_STRAIN and drift <= DIVERGED_DISTANCE and self.sunk < MOST_SUNK)
+
+
+def drift_from(skinned: Tensor, garments: PackedGarments, positions: Tensor) -> float:
+    """Distance [m] of the centre of mass of packed garments from where skinning alone would put it.
+
+    Args:
+        skinned: (vertices, 3) skinned positions [m].
+        garments: the pack, whose vertex masses weigh the mean.
+        positions: (vertices, 3) simulated positions [m].
+    """
+    share = garments.vertex_masses / garments.vertex_masses.sum()
+    return float((share[:, None] * (positions - skinned)).sum(0).norm())
