@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pb4u.physics.contact.response import Contact
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Iteration, Solver
 from pb4u.physics.time_step import TimeStep
@@ -69,6 +70,9 @@ class Race(Refinement):
         else:
             self.runs.append({name: self._run(start, step) for name, start in self.starts.items()})
         return self.usual.refine(step, predicted)
+
+    def pressed_out(self, step: TimeStep, state: State, contact: Contact) -> State:
+        return self.usual.pressed_out(step, state, contact)
 
     def _run(self, start: StepMethod, step: TimeStep) -> Run:
         run = Run(time.process_time())

@@ -142,3 +142,23 @@ def test_single_precision_stays_single() -> None:
     after, _ = answered(packed(sheet(3, 3, 0.3, 0.3), dtype=torch.float32), single, slab())
     assert after.positions.dtype == after.velocities.dtype == torch.float32
     assert float(after.positions[:, 1].min()) > 0
+
+
+def test_a_vertex_that_comes_inside_where_the_body_overlaps_itself_is_found_though_it_was_never_near() -> None:
+    import trimesh
+
+    # Two boxes in one body: above the lower one's top, 30 mm up, lies all that is beneath the upper one's, at 70 mm.
+    low, high = (trimesh.creation.box(extents=(4.0, 0.5, 4.0)) for _ in range(2))
+    low.apply_translation([0.0, -0.25, 0.0])
+    high.apply_translation([0.0, 0.07 - 0.25, 0.0])
+    both = trimesh.util.concatenate([low, high])
+    body = collider(both.vertices, both.faces)
+    garments, outside = lying(0.03)
+    step = time_step(garments, outside, body)
+    nearest_planes(body.following, garments, outside.positions)
+    within = replace(outside, positions=outside.positions + torch.tensor([0.0, 0.012, 0.0], dtype=torch.float64))
+    assert float(nearest_planes(body.following, garments, within.positions).distance.min()) > 0.0, "known from before"
+    response = ContactResponse()
+    assert response.depth(step, within.positions) == pytest.approx(0.028)
+    pushed = response.respond(step, within).positions
+    assert response.depth(step, pushed) == pytest.approx(0.008)

@@ -18,7 +18,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation import refinement
 from pb4u.simulation.first_frame import Settled
-from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement, SolverRefinement
+from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SafeguardedRefinement, SolverRefinement
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
 
@@ -67,3 +67,17 @@ def test_a_prediction_that_iterations_leave_hooked_is_made_anew() -> None:
     result = SafeguardedRefinement(1, POTENTIAL, lambda: made.append(1)).refine(step, step.state)
     assert made == [1]
     assert newly_hooked(step, result.positions) == 0
+
+
+def test_what_a_push_leaves_inside_the_body_is_pressed_out_and_gains_no_speed() -> None:
+    step, contact = first_step(speed=0.3), ContactResponse()
+    settled = SolverRefinement(potential=POTENTIAL).refine(step, left_behind(step))
+    refinement, centre = SolverRefinement(5, potential=POTENTIAL), step.bodies.following.positions.mean(0)
+    assert refinement.pressed_out(step, settled, contact) is settled, "nothing is inside"
+    inside = replace(settled, positions=settled.positions + 0.04 * (centre - settled.positions))
+    depth = contact.depth(step, inside.positions)
+    assert depth > 5e-3
+    pressed = refinement.pressed_out(step, inside, contact)
+    assert contact.depth(step, pressed.positions) < 0.2 * depth
+    assert pressed.velocities is inside.velocities
+    assert NoRefinement().pressed_out(step, inside, contact) is inside

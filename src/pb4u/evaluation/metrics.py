@@ -260,7 +260,8 @@ class Ruler:
         self._pose = lru_cache(maxsize=3)(lambda t: self.colliders.pose(self._body(t)))
         closed = Topology(faces, len(contact)).is_closed
         touchable = closed and bool(contact[faces].all(axis=1).any())
-        self.surface = TriangleSurface(faces, len(contact), contact) if touchable else None
+        # As contact knows it: what is in a hand, which it leaves out, is not in the forearm.
+        self.surface = TriangleSurface(faces, len(contact), contact, capped=True) if touchable else None
         self.touched = faces[contact[faces].all(axis=1)]
 
     def frame(self, t: int) -> FrameMetrics:

@@ -54,7 +54,9 @@ def take(step: TimeStep, method: StepMethod) -> State:
         # Vertices still inside the body are pushed out, without gaining speed.
         answered = method.contact.respond(step, refined)
         # A push, like every other move, goes no further than to the next cloth.
-        return carried(method.self_contact, step, refined, answered)
+        pushed = carried(method.self_contact, step, refined, answered)
+        # What cloth around it kept inside the body is pressed out together with that cloth.
+        return method.refinement.pressed_out(step, pushed, method.contact)
 
 
 def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:

@@ -56,7 +56,10 @@ class StepwiseSimulator(Simulator):
 
         def written(made: tuple[State, ColliderPose]) -> State:
             state, pose = made
-            return state if state.frame < scene.lead_in else _presented(timeline.garments, state, pose, method)
+            if state.frame < scene.lead_in:
+                return state
+            # As it is written: lifted off the skin, as far as cloth can go there.
+            return method.contact.present(timeline.garments, state, pose, method.self_contact)
 
         # A frame is made ready for writing while the step from it is taken.
         yield from while_the_next_is_made(written, self._states(scene, timeline, method, record))
@@ -76,12 +79,6 @@ class StepwiseSimulator(Simulator):
                 yield state, timeline.pose(state.frame).apart()
         except DivergedError:
             record.failed_at = made - scene.lead_in
-
-
-def _presented(garments: PackedGarments, state: State, pose: ColliderPose, method: StepMethod) -> State:
-    """The state as it is written: lifted off the skin, as far as cloth can go there."""
-    shown = method.contact.present(garments, state, pose)
-    return replace(shown, positions=method.self_contact.carried(garments, state.positions, shown.positions))
 
 
 class SolverSimulator(StepwiseSimulator):

@@ -15,12 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from pb4u.geometry.nearest_surface import PosedSurface
 from pb4u.geometry.proximity.element_distance import compiled
 from pb4u.geometry.proximity.nearest_points import Found
 from pb4u.physics.contact.planes import MOTION_REACH, ContactPlanes, nearest_planes
-from pb4u.physics.contact.self_contact import as_array
+from pb4u.physics.contact.self_contact import SelfContact, as_array
 from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH, SkinCover
 from pb4u.scene.packed import ColliderPose, PackedGarments
 from pb4u.scene.state import State
@@ -30,6 +31,9 @@ _DEEPER = 1e-3
 
 _HALVINGS = 8
 """Times that a lift which would tear cloth is cut back before it is given up."""
+
+_ROUNDS = 4
+"""Times that what a lift takes into the body is held back before the lift is given up: once or twice in a squat."""
 
 _ROUNDING = 1.0 + 1e-9
 """Factor on a squared length within which it is the same."""
@@ -58,13 +62,14 @@ class FaceClearance:
     passes: int = 6
     most_stretch: float = 1.8
 
-    def lift(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
+    def lift(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: SelfContact) -> State:
         """State with its cloth lifted out of the bodies.
 
         Args:
             garments: static quantities.
             state: to be lifted.
             pose: the bodies at the state's frame.
+            cloth: keeps the lift from carrying cloth through cloth.
         """
         x, worlds = as_array(state.positions).copy(), range(min(garments.world_count, len(pose.surfaces)))
         if all(pose.surfaces[world] is None for world in worlds):
@@ -80,34 +85,56 @@ class FaceClearance:
                 skin[world] = self._cover(lift, garments, x, moved, world, places)
             if not _move(x, *lift, garments.pinned.numpy(), self.largest_push):
                 break
-        x = self._without_harm(garments, pose, as_array(state.positions), x, planes)
-        return replace(state, positions=torch.from_numpy(x).to(state.positions))
+        return replace(state, positions=self._without_harm(garments, pose, state.positions, x, planes, cloth))
 
     def _without_harm(
         self,
         garments: PackedGarments,
         pose: ColliderPose,
-        before: np.ndarray,
+        before: Tensor,
         lifted: np.ndarray,
         planes: ContactPlanes,
-    ) -> np.ndarray:
+        cloth: SelfContact,
+    ) -> Tensor:
         """Positions (vertices, 3) [m] between those `before` and those `lifted`.
 
-        What the lift would take into another part of the body, or tear, stays where it was, or half way.
+        What the lift would take into another part of the body, or tear, or carry through cloth stays where it was, or
+        part of the way.
         """
-        shares = np.ones(len(before))
-        moved = np.abs(lifted - before).max(axis=1) > self.clearance
+        stood, edges = as_array(before), garments.edges.numpy()
+        longest = self.most_stretch * garments.edge_lengths.numpy()
+        held = self._taken_deeper(garments, pose, stood, lifted, planes)
+        for _ in range(_ROUNDS):
+            x = _cut_back(stood, lifted, np.where(held, 0.0, 1.0), edges, longest)
+            reached = cloth.carried(garments, before, torch.from_numpy(x).to(before))
+            # In a fold a part of the way may lead where the whole of it does not.
+            deeper = self._taken_deeper(garments, pose, stood, as_array(reached), planes)
+            if not deeper.any():
+                return reached
+            held |= deeper
+        return before
+
+    def _taken_deeper(
+        self,
+        garments: PackedGarments,
+        pose: ColliderPose,
+        before: np.ndarray,
+        after: np.ndarray,
+        planes: ContactPlanes,
+    ) -> np.ndarray:
+        """Vertices (vertices,) bool that are deeper in the body after a lift (vertices, 3) [m] than before it."""
+        taken = np.zeros(len(before), dtype=bool)
+        moved = np.abs(after - before).max(axis=1) > self.clearance
         distances = as_array(planes.distance)
         for world, surface in enumerate(pose.surfaces[: garments.world_count]):
             rows = np.flatnonzero(moved & (garments.vertex_world.numpy() == world))
             if surface is None or not len(rows):
                 continue
             found = Found.nothing(len(rows), as_array(planes.points)[rows])
-            surface.look_up(lifted[rows], found)
+            surface.look_up(after[rows], found)
             deeper = found.distances < np.minimum(distances[rows], 0.0) - _DEEPER
-            shares[rows[~found.beyond & deeper]] = 0.0
-        longest = self.most_stretch * garments.edge_lengths.numpy()
-        return _cut_back(before, lifted, shares, garments.edges.numpy(), longest)
+            taken[rows[~found.beyond & deeper]] = True
+        return taken
 
     def _near(
         self, garments: PackedGarments, pose: ColliderPose, planes: ContactPlanes, x: np.ndarray, world: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from pb4u.physics.contact.face_clearance import FaceClearance
 from pb4u.physics.contact.planes import ContactPlanes, nearest_planes
+from pb4u.physics.contact.self_contact import SelfContact
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
 from pb4u.scene.scene import UP
@@ -30,13 +32,23 @@ class Contact(ABC):
         """
 
     @abstractmethod
-    def present(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
+    def depth(self, step: TimeStep, x: Tensor) -> float:
+        """How deep [m] the deepest vertex that may be pushed is inside the bodies or the ground, 0 where none is.
+
+        Args:
+            step: the time step.
+            x: (vertices, 3) [m] at its end.
+        """
+
+    @abstractmethod
+    def present(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: SelfContact) -> State:
         """State as it is written; the simulation goes on from `state`.
 
         Args:
             garments: static quantities.
             state: at one frame.
             pose: the bodies at that frame.
+            cloth: keeps it from passing through cloth.
         """
 
 
@@ -46,7 +58,10 @@ class NoContact(Contact):
     def respond(self, step: TimeStep, state: State) -> State:
         return state
 
-    def present(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
+    def depth(self, step: TimeStep, x: Tensor) -> float:
+        return 0.0
+
+    def present(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: SelfContact) -> State:
         return state
 
 
@@ -107,21 +122,24 @@ class ContactResponse(Contact):
             self.watch(self._report(step, state.positions, x))
         return replace(state, positions=x, velocities=v)
 
-    def present(self, garments: PackedGarments, state: State, pose: ColliderPose) -> State:
-        return state if self.faces is None else self.faces.lift(garments, state, pose)
+    def depth(self, step: TimeStep, x: Tensor) -> float:
+        return float(torch.where(step.garments.pinned, 0.0, _depths(step, x)).max()) if len(x) else 0.0
+
+    def present(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: SelfContact) -> State:
+        return state if self.faces is None else self.faces.lift(garments, state, pose, cloth)
 
     def _out_of_bodies(
         self, step: TimeStep, bodies: ColliderFrame, x: Tensor, v: Tensor, movable: Tensor
     ) -> tuple[Tensor, Tensor]:
-        planes = nearest_planes(bodies.following, step.garments, x)
+        planes = _planes(bodies.following, step.garments, x)
         normal, depth = planes.normals, self.clearance - planes.distance
         if not bool((depth > 0).any()):
             return x, v
-        came_from = nearest_planes(bodies.now, step.garments, step.state.positions)
+        came_from = _planes(bodies.now, step.garments, step.state.positions)
         normal, depth = self._near_side(planes, came_from, x, bodies.following, depth)
         push = torch.where(planes.touchable & movable, depth.clamp(0.0, self.largest_push), 0.0)
         pushed = x + push[:, None] * normal
-        check = nearest_planes(bodies.following, step.garments, pushed)
+        check = _planes(bodies.following, step.garments, pushed)
         worse = check.touchable & (check.distance < torch.minimum(planes.distance, torch.zeros_like(planes.distance)))
         push = torch.where(worse, 0.0, push)
         touched = (push > 0)[:, None]
@@ -143,13 +161,26 @@ class ContactResponse(Contact):
         return normal, torch.where(crossed, self.clearance - height, depth)
 
     def _report(self, step: TimeStep, old: Tensor, new: Tensor) -> ContactReport:
-        moved = (new - old).norm(dim=1)
-        depth = torch.zeros_like(moved)
-        if step.bodies is not None:
-            planes = nearest_planes(step.bodies.following, step.garments, new)
-            depth = torch.where(planes.touchable, -planes.distance, 0.0).clamp_min(0.0)
-        if step.ground_height is not None:
-            depth = torch.maximum(depth, (step.ground_height - new[:, 1]).clamp_min(0.0))
+        moved, depth = (new - old).norm(dim=1), _depths(step, new)
         if not len(moved):
             return ContactReport(0, 0.0, 0, 0.0)
         return ContactReport(int((moved > 0).sum()), float(moved.max()), int((depth > 1e-3).sum()), float(depth.max()))
+
+
+def _planes(pose: ColliderPose, garments: PackedGarments, x: Tensor) -> ContactPlanes:
+    """The planes at `x` (vertices, 3) [m], of far vertices too.
+
+    Where a body overlaps itself a vertex comes inside one part from outside the other, without ever being near.
+    """
+    return nearest_planes(pose, garments, x, within=math.inf)
+
+
+def _depths(step: TimeStep, x: Tensor) -> Tensor:
+    """How deep (vertices,) [m] each vertex is inside the bodies or the ground at the end of a step, at least 0."""
+    depths = torch.zeros_like(x[:, 0])
+    if step.bodies is not None:
+        planes = _planes(step.bodies.following, step.garments, x)
+        depths = torch.where(planes.touchable, -planes.distance, 0.0).clamp_min(0.0)
+    if step.ground_height is not None:
+        depths = torch.maximum(depths, (step.ground_height - x[:, 1]).clamp_min(0.0))
+    return depths
