@@ -61,6 +61,7 @@ RIVALS = {
     "network_float32": Rival(
         "network alone, float32", {"name": "auto", "refine": 0, "contact": False, "precision": "float32"}
     ),
+    "quick": Rival("quick solver, no network", {"name": "quick-solver"}),
     "solver": Rival("solver", {"name": "solver"}),
     "newton": Rival("Newton, VBD", {"name": "newton"}, "newton"),
     "blender": Rival("Blender cloth", None),

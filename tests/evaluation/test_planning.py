@@ -102,6 +102,13 @@ def test_settings_reach_only_what_has_them(tmp_path: Path) -> None:
     assert asked == [("net", 2, 3), ("net", 5, 3), ("skinning", None, 0), ("solver", None, 0)]
 
 
+def test_the_quick_solver_refines_where_networks_run_alone() -> None:
+    (case,) = plan(replace(SMALL, models=("quick-solver",), levels=("400",), contact=True)).cases
+    assert (case.job.settings.refine, case.job.settings.contact) == (5, True)
+    (case,) = plan(replace(SMALL, models=("quick-solver",), levels=("400",), refine=2)).cases
+    assert case.job.settings.refine == 2
+
+
 def test_weights_count_by_content_and_equal_names_are_told_apart(tmp_path: Path) -> None:
     a, b = weights(tmp_path / "a" / "best.safetensors"), weights(tmp_path / "b" / "best.safetensors", seed=1)
     planned = plan(replace(SMALL, models=(str(a), str(b))))

@@ -336,6 +336,9 @@ METHODS: dict[str, tuple[StepStart, Network, Refinement, Contact, FirstFrame]] =
     "network and five": (
         CarriedStart((0.5, 1.0)), Careless(), SafeguardedRefinement(5, PAIRED), ContactResponse(), AsPlaced(),
     ),
+    "quick solver": (
+        CarriedStart((0.5, 1.0)), NoNetwork(), SafeguardedRefinement(5, PAIRED), ContactResponse(), AsPlaced(),
+    ),
 }  # fmt: skip
 
 

@@ -71,6 +71,16 @@ def test_solver_drapes_the_sheet_without_stretch_or_penetration() -> None:
     assert trajectory.positions[-1, :, 1].max() > 0.69, "the middle of the sheet should rest on the ball"
 
 
+def test_quick_solver_drapes_the_sheet_as_the_solver_does_in_fewer_iterations() -> None:
+    scene = ball_scene(frames=20)
+    quick, full = load_simulator("quick-solver", refine=5), load_simulator("solver")
+    fallen, exact = quick.simulate(scene), full.simulate(scene)
+    assert np.abs(fallen.positions[-1] - exact.positions[-1]).mean() < 2e-3
+    assert measure(fallen)["metrics"]["strain_p95"]["max"] < 1.05 * measure(exact)["metrics"]["strain_p95"]["max"]
+    with pytest.raises(InputError, match="it takes 1 or more a step, not 0"):
+        load_simulator("quick-solver", refine=0)
+
+
 def test_run_record_says_what_the_solver_did() -> None:
     record = RunRecord()
     list(SolverSimulator().written_frames(ball_scene(frames=3, lead_in=0), record))

@@ -186,8 +186,9 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="solver, skinning, newton, or a network by name, .safetensors file or .pth of the released code. "
-            "Default: pb4u-small.",
+            help="solver, quick-solver (its first iterations: the fastest on a processor), skinning, newton, or a "
+            "network by name, .safetensors file or .pth of the released code. "
+            "Default: pb4u-wide.",
         ),
     ] = None,
     propagation_steps: Annotated[
@@ -202,8 +203,8 @@ def simulate(
         int | None,
         typer.Option(
             metavar="N",
-            help="Most solver iterations after each step of a network; what they leave torn the solver makes "
-            f"anew. Default: {RunSpecification.refine}.",
+            help="Most solver iterations after each step of a network, or of the quick solver; what they leave torn "
+            f"is made anew. Default: {RunSpecification.refine}.",
         ),
     ] = None,
     contact: Annotated[
@@ -309,10 +310,11 @@ def simulate(
 
 def _refuse_useless(model: str, **flags: Any) -> None:
     """Refuse flags that a model without a network, or without contact of its own, would not look at."""
-    from pb4u.simulation.models import WITHOUT_CONTACT, WITHOUT_NETWORK, default_model
+    from pb4u.simulation.models import WITHOUT_CONTACT, WITHOUT_NETWORK, WITHOUT_REFINEMENT, default_model
 
     chosen = default_model() if model == "auto" else model
-    useless = set() if chosen not in WITHOUT_NETWORK else {"propagation_steps", "passes", "refine"}
+    useless = set() if chosen not in WITHOUT_NETWORK else {"propagation_steps", "passes"}
+    useless |= {"refine"} if chosen in WITHOUT_REFINEMENT else set()
     useless |= {"contact"} if chosen in WITHOUT_CONTACT else set()
     for name, value in flags.items():
         if value is not None and name in useless:

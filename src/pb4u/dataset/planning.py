@@ -25,7 +25,9 @@ from pb4u.scene.specification import GarmentSpecification, SceneSpecification, w
 from pb4u.simulation.models import WITHOUT_NETWORK, default_model
 from pb4u.simulation.run_specification import Device, RunSpecification
 
-_SECONDS_A_FRAME = {"skinning": (0.05, 0.05), "solver": (0.15, 0.35), "newton": (0.5, 0.5)}
+_SECONDS_A_FRAME = {
+    "skinning": (0.05, 0.05), "solver": (0.15, 0.35), "quick-solver": (0.08, 0.15), "newton": (0.5, 0.5),
+}  # fmt: skip
 """Seconds on one core that a frame takes at 0 triangles, and more for each 2,500: a first guess, measured once on a
 server's core; clips that are done replace it."""
 _NETWORK_SECONDS = (0.15, 0.3)

@@ -24,7 +24,7 @@ from pb4u.motion.library import motion_names
 from pb4u.scene.catalogue import SEEDS, SceneName
 from pb4u.simulation.checkpoint import weights_file
 from pb4u.simulation.models import load_simulator, model_descriptions
-from pb4u.simulation.stepwise_simulator import NetworkSimulator
+from pb4u.simulation.stepwise_simulator import QUICK_SOLVER, NetworkSimulator
 
 DRAWN_SEEDS = (2000, 10000)
 """First seed of the motions that drawn scenes have, and the first beyond: trainings use none of them."""
@@ -224,7 +224,10 @@ def _ways(model: ModelRecord, device: str) -> list[tuple[str, Settings]]:
         return [("", Settings())]
     network = model.weights is not None
     place = device if network else "cpu"
-    as_it_comes = Settings(refine=REFINE if network else 0, contact=True, self_contact=True, device=place)
+    refines = network or model.name == QUICK_SOLVER
+    as_it_comes = Settings(refine=REFINE if refines else 0, contact=True, self_contact=True, device=place)
+    if model.name == QUICK_SOLVER:
+        return [(", as it comes", as_it_comes)]
     return [(", alone", Settings(device=place)), (", as it comes", as_it_comes)]
 
 
@@ -357,6 +360,8 @@ def _solver_on(scene: SceneRecord) -> RolloutJob:
 def _settings(model: ModelRecord, steps: int | None, request: EvaluationRequest, device: str) -> Settings:
     if model.weights is not None:
         return Settings(steps, request.refine, request.contact, device=device)
+    if model.name == QUICK_SOLVER:
+        return Settings(refine=request.refine or REFINE, contact=request.contact)
     return Settings(contact=request.contact if model.name == "solver" else False)
 
 
@@ -382,7 +387,7 @@ def _models(request: EvaluationRequest, protocol: Protocol, device: str) -> tupl
 def _model(name: str, label: str, device: str) -> ModelRecord:
     if Path(name).suffix and not Path(name).is_file():
         raise InputError(f"There is no model file {name}.")
-    simulator = load_simulator(name, contact=False, self_contact=False, refine=0, device=device)
+    simulator = load_simulator(name, contact=False, self_contact=False, device=device)
     if simulator.fps is not None and not math.isclose(simulator.fps, FPS, rel_tol=1e-3):
         raise InputError(f"{name} runs at {simulator.fps:g} frames per second; the protocols run at {FPS:g}.")
     if not isinstance(simulator, NetworkSimulator):

@@ -130,7 +130,7 @@ PROTOCOLS = {
                 "What happens in the hands of others: garments, body shapes, motions, materials and levels drawn by "
                 "seed, each network alone and as it comes."
             ),
-            models=("pb4u-small", "solver"),
+            models=("pb4u-wide", "quick-solver", "solver"),
             garments=tuple(PATTERNS),
             motions=MOTIONS["train"],
             bodies=("woman", "man"),

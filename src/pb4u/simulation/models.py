@@ -14,8 +14,10 @@ if TYPE_CHECKING:
 
     from pb4u.simulation.checkpoint import Checkpoint
 
-WITHOUT_NETWORK = ("solver", "skinning", "newton")
+WITHOUT_NETWORK = ("solver", "quick-solver", "skinning", "newton")
 """Models that take no options of a network."""
+WITHOUT_REFINEMENT = ("solver", "skinning", "newton")
+"""Models that are not told how many iterations of the solver a step takes."""
 WITHOUT_CONTACT = ("skinning", "newton")
 """Models that answer contact in a way of their own, or not at all."""
 _BEST = "best.safetensors"
@@ -36,6 +38,7 @@ def model_descriptions() -> dict[str, str]:
     descriptions = {name: _network_line(name) for name in built_in_models()}
     descriptions |= {
         "solver": "minimises the physics energies each frame: the reference",
+        "quick-solver": "at most --refine iterations of it a step, without a network: the fastest on a processor",
         "skinning": "no physics: the garment follows the body",
         "newton": "the cloth solver of the newton package"
         + ("" if find_spec("newton") else ' (needs the "newton" extra)'),
@@ -48,10 +51,10 @@ def _network_line(name: str) -> str:
 
 
 def default_model() -> str:
-    """Name of the best network that is shipped, the paper-size one before the small one; else the solver."""
+    """Name of the best network that is shipped: paper-size, else of the widest training; without any, the solver."""
     from pb4u.simulation.checkpoint import built_in_models
 
-    return next((name for name in ("pb4u", "pb4u-small") if name in built_in_models()), "solver")
+    return next((name for name in ("pb4u", "pb4u-wide", "pb4u-small") if name in built_in_models()), "solver")
 
 
 def load_simulator(
@@ -69,12 +72,13 @@ def load_simulator(
     """Simulator called `name`, loaded.
 
     Args:
-        name: "auto", "solver", "skinning", "newton", a shipped network, a checkpoint file, or a .pth of the released
-            code of Pb4U-GNet, HOOD or ContourCraft.
-        contact: push the garment out of the body after each step (networks and solver).
-        self_contact: cloth feels cloth, within a garment and between garments (networks and solver, which do unless
+        name: "auto", "solver", "quick-solver", "skinning", "newton", a shipped network, a checkpoint file, or a .pth of
+            the released code of Pb4U-GNet, HOOD or ContourCraft.
+        contact: push the garment out of the body after each step (networks and solvers).
+        self_contact: cloth feels cloth, within a garment and between garments (networks and solvers, which do unless
             this is False).
-        refine: most solver iterations after each step of a network; fewer where the cloth is near balance.
+        refine: most solver iterations after each step of a network, or of the quick solver; fewer where the cloth is
+            near balance.
         propagation_steps: override of K for a network; None follows the paper's rule.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
@@ -91,8 +95,8 @@ def load_simulator(
     from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.start_protocols import MovingStart, SkinnedStart, StandingStart
-    from pb4u.simulation.step_start import CARRIED_SHARES, CarriedStart, FreeFlight
-    from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
+    from pb4u.simulation.step_start import CarriedStart, FreeFlight
+    from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolverSimulator, SolverSimulator
 
     potential = IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact()
     ways: dict[str, FirstFrame] = {
@@ -124,8 +128,10 @@ def load_simulator(
     if wanted == "solver":
         beginning = ways.get(first_frame, ways["settled"])
         # Where cloth stops cloth, what free flight leaves behind a fast limb would stay hooked on it.
-        start = FreeFlight() if self_contact is False else CarriedStart(CARRIED_SHARES)
+        start = FreeFlight() if self_contact is False else CarriedStart()
         return SolverSimulator(contact=answering, first_frame=beginning, potential=potential, start=start)
+    if wanted == "quick-solver":
+        return QuickSolverSimulator(refine, answering, ways.get(first_frame, ways["settled"]), potential)
     if wanted == "newton":
         from pb4u.simulation.newton_simulator import NewtonSimulator
 

@@ -18,7 +18,7 @@ from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution, Solver
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.state import State
-from pb4u.simulation.step_start import CARRIED_SHARES, CarriedStart, FreeFlight, StepStart
+from pb4u.simulation.step_start import CarriedStart, FreeFlight, StepStart
 
 _BALANCED = 20.0
 """Residual [standard gravity] above which a refined step may be made anew.
@@ -194,7 +194,7 @@ class SafeguardedRefinement(SolverRefinement):
         super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential)
         self.made_anew = made_anew
         rough = Solver(_ROUGH_TOLERANCE, _MOST_ANEW)
-        self.anew = ImplicitSteps(solver=rough, potential=potential, start=CarriedStart(CARRIED_SHARES))
+        self.anew = ImplicitSteps(solver=rough, potential=potential, start=CarriedStart())
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)

@@ -65,11 +65,12 @@ class RunSpecification:
 
     Args:
         scene: garments, body and motion.
-        model: "auto", "solver", "skinning", "newton", a shipped network or a checkpoint file.
-        contact: push the garment out of the body after each step (networks and solver).
-        self_contact: cloth feels cloth, within a garment and between garments; None is on for networks and the solver,
+        model: "auto", "solver", "quick-solver", "skinning", "newton", a shipped network or a checkpoint file.
+        contact: push the garment out of the body after each step (networks and solvers).
+        self_contact: cloth feels cloth, within a garment and between garments; None is on for networks and solvers,
             which can.
-        refine: most solver iterations after each step of a network; fewer where the cloth is near balance.
+        refine: most solver iterations after each step of a network, or of the quick solver; fewer where the cloth is
+            near balance.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
         propagation_steps: override of K for a network; None follows the paper's rule.
         device: "auto", "cpu" or "cuda", for networks and newton.

@@ -34,7 +34,7 @@ class RunRecord:
         failed_at: written frame at which the state stopped being finite, or None.
         solver_iterations: iterations the solver made, per step.
         unsolved: steps that the solver left above its tolerance.
-        made_anew: steps of a network that the solver made in its place.
+        made_anew: steps that a few iterations of the solver left torn, and that it made anew.
     """
 
     step_seconds: list[float] = field(default_factory=list)
@@ -42,6 +42,9 @@ class RunRecord:
     solver_iterations: list[int] = field(default_factory=list)
     unsolved: int = 0
     made_anew: int = 0
+
+    def count_made_anew(self) -> None:
+        self.made_anew += 1
 
     @property
     def ms_per_step(self) -> float:

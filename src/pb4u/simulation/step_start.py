@@ -41,7 +41,7 @@ class CarriedStart(StepStart):
         shares: to choose from, besides 0, which is free flight.
     """
 
-    def __init__(self, shares: tuple[float, ...]) -> None:
+    def __init__(self, shares: tuple[float, ...] = CARRIED_SHARES) -> None:
         self.shares = shares
         self.potential = IncrementalPotential()
 

@@ -1,4 +1,4 @@
-"""Simulators that go step by step: the solver, and networks with or without it in the loop."""
+"""Simulators that go step by step: the solver, its first iterations, and networks with or without these."""
 
 from __future__ import annotations
 
@@ -27,9 +27,11 @@ from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import FreeFlight, StepStart, start_of
+from pb4u.simulation.step_start import CarriedStart, FreeFlight, StepStart, start_of
 from pb4u.simulation.timeline import Timeline
 from pb4u.threads import while_the_next_is_made
+
+QUICK_SOLVER = "quick-solver"
 
 
 class StepwiseSimulator(Simulator):
@@ -120,6 +122,46 @@ class SolverSimulator(StepwiseSimulator):
         return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
 
 
+class QuickSolverSimulator(StepwiseSimulator):
+    """The solver's first iterations from where the body carries the garments (`--model quick-solver`).
+
+    What `NetworkSimulator` does with the solver in its loop, without the network: what a network has to beat there.
+
+    Args:
+        refine: solver iterations a step at most; a step that they leave torn is made anew.
+        contact: pushes out vertices left inside the body; none by default.
+        first_frame: makes frame 0; settled by default.
+        potential: the energies, and whether cloth feels cloth; the six terms by default.
+
+    Raises InputError for less than 1 iteration.
+    """
+
+    name = QUICK_SOLVER
+
+    def __init__(
+        self,
+        refine: int,
+        contact: Contact | None = None,
+        first_frame: FirstFrame | None = None,
+        potential: IncrementalPotential | None = None,
+    ) -> None:
+        if refine < 1:
+            raise InputError(f"The quick solver is nothing but iterations: it takes 1 or more a step, not {refine}.")
+        self.refine, self.contact = refine, contact or NoContact()
+        self.potential, self.first_frame = potential or IncrementalPotential(), first_frame or Settled()
+
+    def settings(self) -> dict[str, Any]:
+        return {"refine": self.refine, "device": "cpu"}
+
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
+        return StepMethod(
+            CarriedStart(),
+            refinement=SafeguardedRefinement(self.refine, self.potential, record.count_made_anew),
+            contact=self.contact,
+            self_contact=self.potential.self_contact,
+        )
+
+
 class NetworkSimulator(StepwiseSimulator):
     """A trained network, with the solver and contact response in the loop where asked for.
 
@@ -199,12 +241,9 @@ class NetworkSimulator(StepwiseSimulator):
         model = self.checkpoint.model
         prepared = (model if self.refine else self.checkpoint).prepare(garments, self.override)
 
-        def count() -> None:
-            record.made_anew += 1
-
         refinement: Refinement = NoRefinement(self.potential.self_contact)
         if self.refine:
-            refinement = SafeguardedRefinement(self.refine, self.potential, count)
+            refinement = SafeguardedRefinement(self.refine, self.potential, record.count_made_anew)
         return StepMethod(
             start_of(model.network),
             NetworkPass(model, prepared, self.passes),
