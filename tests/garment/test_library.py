@@ -1,13 +1,17 @@
+import gc
+import weakref
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+from pb4u.body.baked_body import BakedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.clearance import rest_distances
+from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import LEVELS, build_garment, garment_names
 from pb4u.geometry.nearest_surface import TriangleSurface
@@ -162,6 +166,18 @@ def test_building_again_gives_the_same_garment() -> None:
     one, two = (build_garment("tanktop", load_body("woman"), 500) for _ in range(2))
     np.testing.assert_array_equal(one.faces, two.faces)
     np.testing.assert_array_equal(one.vertices, two.vertices)
+
+
+def test_what_garments_worked_out_of_a_body_goes_with_it() -> None:
+    body = BakedBody.built_in("woman").shaped(height=0.31)
+    garment = build_garment("tanktop", body, 300)
+    assert RestBody.of(body) is RestBody.of(body)
+    assert RestBody.of(body).is_closed or RestBody.of(body).surface is not None
+    gone = weakref.ref(body)
+    del body
+    gc.collect()
+    assert gone() is None, "a data set of a thousand bodies would keep them all"
+    assert garment.triangle_count > 0
 
 
 def renamed(body: ShapedBody, names: dict[str, str], family: str) -> ShapedBody:

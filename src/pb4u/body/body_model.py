@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -15,6 +16,8 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.skeleton import PoseSequence, Skeleton
 from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms
 from pb4u.errors import InputError
+
+Kept = TypeVar("Kept")
 
 
 def complete_parameters(
@@ -142,6 +145,18 @@ class ShapedBody:
     shape: Mapping[str, float] = field(default_factory=dict)
     pose_offsets: np.ndarray | None = None
     lift: float = 0.0
+    _kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def kept(self, name: str, make: Callable[[ShapedBody], Kept]) -> Kept:
+        """What `make` works out from this body, done once and kept as long as the body lives.
+
+        Args:
+            name: of what is kept.
+            make: called with the body.
+        """
+        if name not in self._kept:
+            self._kept[name] = make(self)
+        return cast(Kept, self._kept[name])
 
     def posed(self, poses: PoseSequence) -> PosedBody:
         """The body moving through `poses`."""

@@ -84,9 +84,9 @@ def read_pickled_body(path: Path) -> BodyModel | VertexSequence:
     return load_vertex_sequence(path) if is_sequence else SmplBody(path)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)
 def _built_in(name: str, shape: tuple[tuple[str, float], ...]) -> ShapedBody:
-    """Kept, because garments keep what they worked out about a body for as long as it lives."""
+    """A few are kept, with what garments and motions worked out about them: some 25 MB each."""
     return BakedBody.built_in(name).shaped(**dict(shape))
 
 

@@ -99,7 +99,9 @@ class RestBody:
     def of(cls, body: ShapedBody | AnimatedBody) -> RestBody:
         """A shaped body at rest, or frame 0 of a body without a skeleton."""
         if isinstance(body, ShapedBody):
-            return cls(body.name, body.vertices, body.faces, body.contact, body.lift)
+            return body.kept(
+                "rest body", lambda body: cls(body.name, body.vertices, body.faces, body.contact, body.lift)
+            )
         return cls(body.name, body.positions(0, 1)[0].numpy().astype(np.float64), body.faces, body.contact)
 
     @cached_property

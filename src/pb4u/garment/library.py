@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
-
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
@@ -22,9 +20,6 @@ from pb4u.geometry.remeshing import remesh
 LEVELS: dict[str, int] = {"base": 2500, "11K": 11000, "18K": 18000, "25K": 25000, "38K": 38000}
 
 FEWEST_TRIANGLES, MOST_TRIANGLES = 200, 200_000
-
-_forms: WeakKeyDictionary[ShapedBody, BodyForm] = WeakKeyDictionary()
-_surfaces: WeakKeyDictionary[ShapedBody, dict[str, ImplicitSurface]] = WeakKeyDictionary()
 
 
 def garment_names() -> tuple[str, ...]:
@@ -85,13 +80,8 @@ def _meshed(name: str, pattern: Pattern, surface: ImplicitSurface, body: ShapedB
 
 
 def _form(body: ShapedBody) -> BodyForm:
-    if body not in _forms:
-        _forms[body] = BodyForm(body)
-    return _forms[body]
+    return body.kept("form", BodyForm)
 
 
 def _surface(name: str, body: ShapedBody) -> ImplicitSurface:
-    surfaces = _surfaces.setdefault(body, {})
-    if name not in surfaces:
-        surfaces[name] = tailor(PATTERNS[name], _form(body))
-    return surfaces[name]
+    return body.kept(f"surface of {name}", lambda body: tailor(PATTERNS[name], _form(body)))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
@@ -170,7 +168,6 @@ def _part_way(first: np.ndarray, second: np.ndarray, amount: float, along: np.nd
     return slerp(whole, slerp(first, swing, np.full(len(first), amount)), s * s * (3.0 - 2.0 * s))
 
 
-@lru_cache(maxsize=16)
 def humanoid_of(body: ShapedBody) -> Humanoid:
-    """The humanoid of a body, computed once for each body while it is in the cache."""
-    return Humanoid(body)
+    """The humanoid of a body, computed once and kept with it."""
+    return body.kept("humanoid", Humanoid)

@@ -107,10 +107,15 @@ def lowest_heights(body: ShapedBody, poses: PoseSequence) -> np.ndarray:
         (frames,) y [m].
     """
     transforms = bone_transforms(body.skeleton, poses)
-    return _outermost_surface(body).positions(transforms)[..., 1].min(dim=1).values.double().numpy()
+    return (
+        body.kept("outermost surface", _outermost_surface)
+        .positions(transforms)[..., 1]
+        .min(dim=1)
+        .values.double()
+        .numpy()
+    )
 
 
-@lru_cache(maxsize=16)
 def _outermost_surface(body: ShapedBody) -> SkinnedSurface:
     """The vertices that lie farthest out in some direction among those that one bone moves most."""
     directions = np.stack(np.meshgrid(*[[-1.0, -0.4, 0.0, 0.4, 1.0]] * 3), -1).reshape(-1, 3)
