@@ -3,7 +3,7 @@
     python benchmarks/side_by_side.py [--triangles 2500 11000 38000] [--rivals default network ...] [--repeats 3]
         [--frames 30] [--lead-in 30] [--garment tshirt] [--motion walk] [--blender-python PYTHON]
         [--out docs/performance.md] [--json FILE] [--plot docs/images/scaling.png]
-    python benchmarks/side_by_side.py --again FILE.json [--out ..] [--plot ..]
+    python benchmarks/side_by_side.py --again FILE.json [FILE.json ..] [--out ..] [--plot ..]
 
 Every round takes each rival once, at each size, so that a machine that slows down slows all alike; times are medians
 over the rounds of means over frames, without the first frames of a run, where kernels are compiled and caches filled.
@@ -94,6 +94,7 @@ def simulate_one(rival: str, options: argparse.Namespace, target: Path) -> None:
         "processor_ms": 1e3 * mean(processor[WARM_UP:-1]),
         "others": others,
         "triangles": len(trajectory.faces),
+        "frames": [options.frames, options.lead_in],
         **details,
     }
     if options.measure:
@@ -289,6 +290,9 @@ def page(found: dict[str, Any]) -> str:
         ]
     for triangles, rows in found["figures"].items():
         lines += [f"## {int(triangles):,} triangles", ""]
+        frames, lead_in = next(iter(rows.values()))["frames"]
+        if [frames, lead_in] != [asked["frames"], asked["lead_in"]]:
+            lines += [f"{frames} frames after {lead_in} of lead-in.", ""]
         lines.append("| |" + "".join(f" {title} |" for title, _ in COLUMNS))
         lines.append("|---|" + "---|" * len(COLUMNS))
         for rival, figures in rows.items():
@@ -371,7 +375,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="page to write")
     parser.add_argument("--json", type=Path, help="file for the figures")
     parser.add_argument("--plot", type=Path, help="picture of times against triangles")
-    parser.add_argument("--again", type=Path, help="page and picture of figures that --json kept; nothing is run")
+    parser.add_argument(
+        "--again", type=Path, nargs="+", help="page and picture of figures that --json kept, all in one; nothing is run"
+    )
     parser.add_argument("--one", choices=RIVALS, help=argparse.SUPPRESS)
     parser.add_argument("--into", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--measure", action="store_true", help=argparse.SUPPRESS)
@@ -380,7 +386,7 @@ def main() -> None:
         simulate_one(options.one, options, options.into)
         return
     if options.again:
-        show(json.loads(options.again.read_text()), options)
+        show(together([json.loads(path.read_text()) for path in options.again]), options)
         return
     reasons = {rival: absent(rival, options.blender_python) for rival in options.rivals}
     left_out = {RIVALS[rival].title: why for rival, why in reasons.items() if why}
@@ -399,6 +405,12 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n")
     show(found, options)
+
+
+def together(kept: list[dict[str, Any]]) -> dict[str, Any]:
+    """Figures of several runs of one scene on one machine as those of one, coarse sizes first."""
+    sizes = {size: rows for found in kept for size, rows in found["figures"].items()}
+    return {**kept[0], "figures": {size: sizes[size] for size in sorted(sizes, key=int)}}
 
 
 def show(found: dict[str, Any], options: argparse.Namespace) -> None:
