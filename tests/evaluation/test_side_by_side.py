@@ -14,7 +14,7 @@ from benchmarks.side_by_side import BUSY, RIVALS, absent, page, summed_up
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "side_by_side.py"
 
 FIGURES = {
-    "wall_ms": 20.0, "processor_ms": 10.0, "others": 0.0, "triangles": 1200, "peak_mb": 300.0, "energy_mj": 1.0,
+    "frames": [4, 30], "wall_ms": 20.0, "processor_ms": 10.0, "others": 0.0, "triangles": 1200, "peak_mb": 300.0, "energy_mj": 1.0,
     "stretch_mj": 0.5, "bending_mj": 0.25, "strain_p95": 0.1, "strain_max": 0.2, "inside_percent": 0.0,
     "deepest_mm": 0.0, "self_intersections": 0.0, "body_intersections": 0.0, "diverged": False,
 }  # fmt: skip
@@ -43,6 +43,13 @@ def test_a_run_measures_its_rival_in_a_process_of_its_own(tmp_path: Path) -> Non
 @pytest.mark.parametrize(("others", "said"), [(0.0, False), (None, False), (BUSY + 0.3, True)])
 def test_times_taken_beside_other_work_are_called_so(others: float | None, said: bool) -> None:
     assert ("Others used up to 40 %" in page(found(others=others))) is said
+
+
+def test_sizes_kept_from_a_shorter_run_say_their_frames() -> None:
+    told = found()
+    told["figures"][38000] = {"network": FIGURES | {"frames": [2, 10], "triangles": 38000}}
+    assert page(told).count("frames after 30 of lead-in") == 1
+    assert "2 frames after 10 of lead-in." in page(told).split("## 38,000 triangles")[1]
 
 
 def test_times_are_medians_over_rounds_and_the_most_disturbed_round_is_told() -> None:
