@@ -1,11 +1,12 @@
-"""Time of one network step: the network, its readable twin, and the matrix products alone, in one run.
+"""Time of one network step as it simulates, as it trains, by its readable twin and by its matrix products alone.
 
     python benchmarks/network.py [--triangles 2500 11000 ..] [--networks pb4u_paper pb4u_small]
         [--precisions float32 bfloat16] [--json FILE]
 
-Everything is interleaved and the best of several rounds counts, so that a busy machine slows all three alike.
-"products" is the time that this machine needs for the very matrix products the network issues, shape by shape, with
-nothing else. The twin computes in float32; "off" is how far the network is from it, as a share of the twin's mean size.
+Everything is interleaved and the best of several rounds counts, so that a busy machine slows all alike. "torch" is the
+network as it trains, in float32. "products" is the time that torch needs on this machine for the very matrix products
+that the network issues, shape by shape. The twin computes in float32; "off" is how far the network is
+from it, as a share of the twin's mean size.
 """
 
 from __future__ import annotations
@@ -100,21 +101,22 @@ def measure(network: str, precision: str, repeats: int, at: Moment, clock: Calla
     torch.manual_seed(0)
     exact = AccelerationModel(network_preset(network).network()).eval()
     dtype = getattr(torch, precision)
-    model = exact if precision == "float32" else exact.with_products_in(dtype)
+    model = exact.for_inference(dtype)
     prepared: PreparedGarments = model.prepare(at.garments)
     with torch.inference_mode():
         graph = prepared.graph(at.state, at.collider, DT)
         with MatrixProducts() as products:
-            fast = model(graph, prepared)
+            exact(graph, prepared)
         with MatrixProducts() as twin_products:
             readable = readable_accelerations(exact, graph, prepared)
-        off = float((fast - readable).norm() / readable.norm())
+        off = float((model(graph, prepared) - readable).norm() / readable.norm())
         assert off < (1e-5 if precision == "float32" else 5e-2), off
         alone = replay(products.shapes, dtype)
-        times: dict[str, list[float]] = {"network": [], "twin": [], "products": [], "graph": []}
+        times: dict[str, list[float]] = {"network": [], "torch": [], "twin": [], "products": [], "graph": []}
         for _ in range(repeats):
             times["products"].append(seconds(alone, clock))
             times["network"].append(seconds(lambda: model(graph, prepared), clock))
+            times["torch"].append(seconds(lambda: exact(graph, prepared), clock))
             times["twin"].append(seconds(lambda: readable_accelerations(exact, graph, prepared), clock))
             times["graph"].append(seconds(lambda: prepared.graph(at.state, at.collider, DT), clock))
     ms = {name: 1e3 * min(values) for name, values in times.items()}
@@ -130,6 +132,7 @@ def measure(network: str, precision: str, repeats: int, at: Moment, clock: Calla
         "propagation_steps": prepared.steps[0],
         "graph_ms": ms["graph"],
         "network_ms": ms["network"],
+        "torch_ms": ms["torch"],
         "twin_ms": ms["twin"],
         "products_ms": ms["products"],
         "speed_over_twin": ms["twin"] / ms["network"],
@@ -156,7 +159,7 @@ def main() -> None:
     clock = time.process_time if options.clock == "cpu" else time.perf_counter
     rows = []
     print(
-        "network     precision  triangles  K  graph  network     twin  products [ms]  twin/net  net/products  "
+        "network     precision  triangles  K  graph  network    torch     twin  products [ms]  twin/net  net/products  "
         "Gflop (twin)  Gflop/s     off"
     )
     for triangles in options.triangles:
@@ -166,7 +169,7 @@ def main() -> None:
             rows.append(row)
             print(
                 f"{network:11} {precision:9} {row['triangles']:10} {row['propagation_steps']:2} {row['graph_ms']:6.1f} "
-                f"{row['network_ms']:8.1f} {row['twin_ms']:8.1f} {row['products_ms']:9.1f}      "
+                f"{row['network_ms']:8.1f} {row['torch_ms']:8.1f} {row['twin_ms']:8.1f} {row['products_ms']:9.1f}      "
                 f"{row['speed_over_twin']:9.2f} {row['time_over_products']:13.2f} "
                 f"{row['gflop']:7.1f} ({row['twin_gflop']:.1f}) {row['product_gflop_per_s']:8.0f} {row['off']:.1e}",
                 flush=True,
