@@ -19,8 +19,9 @@ import torch
 
 import pb4u.training.trainer as trainer_module
 from pb4u.geometry.nearest_surface import PosedSurface
-from pb4u.graph import builder
-from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.graph import world_edges
+from pb4u.graph.builder import GraphBuilder
+from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import with_settings
 from pb4u.training.distribution import workers
@@ -34,10 +35,10 @@ from pb4u.training.windows import Window, WindowLoader
 PARTS: tuple[tuple[str, Any, str], ...] = (
     ("data", WindowLoader, "load"),
     ("data", Window, "start"),
-    ("neighbours", builder, "nearest_within"),
+    ("neighbours", world_edges, "nearest_within"),
     ("neighbours", PosedSurface, "nearest"),
     ("graph", AccelerationModel, "prepare"),
-    ("graph", PreparedGarments, "graph"),
+    ("graph", GraphBuilder, "build"),
     ("forward", AccelerationModel, "forward"),
     ("energies", trainer_module, "step_energies"),
     ("backward", torch.autograd, "backward"),

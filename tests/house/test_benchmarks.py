@@ -1,0 +1,30 @@
+"""Benchmarks run by hand and rarely: what they import, call and replace is there."""
+
+from __future__ import annotations
+
+import time
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from benchmarks import training
+from benchmarks.network import measure, on_a_body
+
+BENCHMARKS = sorted(path.stem for path in (Path(__file__).parents[2] / "benchmarks").glob("*.py"))
+IN_BLENDER = "blender_cloth"
+
+
+@pytest.mark.parametrize("name", [name for name in BENCHMARKS if name != IN_BLENDER])
+def test_what_a_benchmark_imports_is_there(name: str) -> None:
+    assert callable(import_module(f"benchmarks.{name}").main)
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_every_way_to_compute_the_network_is_timed(precision: str) -> None:
+    row = measure("pb4u_small", precision, 1, on_a_body(200), time.perf_counter)
+    assert all(row[f"{name}_ms"] > 0 for name in ("network", "torch", "twin", "products", "graph"))
+    assert (1e-9 < row["off"] < 1e-5) if precision == "float32" else (1e-4 < row["off"] < 5e-2)
+
+
+def test_the_parts_of_a_training_step_that_are_timed_are_there() -> None:
+    assert [name for name, owner, attribute in training.PARTS if not callable(getattr(owner, attribute, None))] == []
