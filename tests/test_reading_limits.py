@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pb4u.array_archive import read_arrays
 from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.garment_file import read_garment
@@ -23,15 +24,7 @@ from pb4u.garment.material import MATERIALS, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.obj_file import read_obj
 from pb4u.motion.library import load_motion
-from pb4u.reading_limits import (
-    HEADROOM,
-    MOST_DEPTH,
-    MOST_MEMBERS,
-    MOST_NUMBERS_TEXT,
-    MOST_TEXT,
-    parse_json,
-    read_arrays,
-)
+from pb4u.reading_limits import HEADROOM, MOST_DEPTH, MOST_MEMBERS, MOST_NUMBERS_TEXT, MOST_TEXT, parse_json
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import load_checkpoint, weights_file
 from pb4u.simulation.run_specification import RunSpecification

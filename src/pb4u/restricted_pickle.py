@@ -14,9 +14,10 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
+from pb4u.array_archive import DamagedArchiveError, open_archive
 from pb4u.errors import InputError
 from pb4u.pickle_limits import MOST_UNFOLDED, require_plain_pickle
-from pb4u.reading_limits import Allowance, DamagedArchiveError, open_archive, told_error
+from pb4u.reading_limits import Allowance, told_error
 
 _SPARSE_FORMATS = ("csr", "csc", "coo")
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.array_archive import read_arrays
 from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
-from pb4u.reading_limits import read_arrays
 from pb4u.stored_numbers import Layout, require_layout, require_places
 
 FORMAT_VERSION = 1

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.array_archive import member_names, read_arrays
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence, world_rotations
 from pb4u.body.smpl import BETA_RANGE, JOINT_NAMES
@@ -15,7 +16,7 @@ from pb4u.errors import InputError
 from pb4u.geometry.rotation import about_axis, from_axis_angle, multiply, slerp
 from pb4u.motion.motion import Motion
 from pb4u.motion.recording import finite_frames
-from pb4u.reading_limits import member_names, read_arrays, told_names
+from pb4u.reading_limits import told_names
 from pb4u.restricted_pickle import load_pickle
 from pb4u.stored_numbers import stored_numbers
 

@@ -12,10 +12,12 @@ from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_euler
 from pb4u.motion.correspondences import BVH_SOURCES, SkeletonRoles
 from pb4u.motion.recording import Recording, finite_frames, require_rate
-from pb4u.reading_limits import MOST_JOINTS, MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, parse_numbers, read_text
+from pb4u.reading_limits import MOST_JOINTS, MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, read_text
 
 _HEADING = 200
 """Characters of the MOTION section that hold its number of frames and its frame time."""
+_NUMBERS_AT_ONCE = 1 << 20
+"""Characters of a text of numbers that are taken apart at once."""
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -167,7 +169,7 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
     if frame_time <= 0.0:
         raise InputError(f"{path}: the frame time is {frame_time:g} s; it should be positive, such as 0.00833333.")
     try:
-        values = parse_numbers(following + text[_HEADING:])
+        values = _parsed_numbers(following + text[_HEADING:])
     except ValueError as problem:
         raise InputError(f"{path} has a word where a number should be: {problem}.") from None
     count = len(values)
@@ -180,3 +182,23 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
     require_rate(1.0 / frame_time, path)
     return finite_frames(values.reshape(frames, channels), path), 1.0 / frame_time
+
+
+def _parsed_numbers(text: str) -> np.ndarray:
+    """The numbers (n,) float64 of a text, in any unit, some at a time: words take eight times the room.
+
+    Args:
+        text: numbers between blanks.
+
+    Raises:
+        ValueError: a word is none.
+    """
+    parts: list[np.ndarray] = []
+    start = 0
+    while start < len(text):
+        stop = min(start + _NUMBERS_AT_ONCE, len(text))
+        while stop < len(text) and not text[stop].isspace():
+            stop += 1
+        parts.append(np.array([float(word) for word in text[start:stop].split()]))
+        start = stop
+    return np.concatenate(parts) if parts else np.zeros(0)

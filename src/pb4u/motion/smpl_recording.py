@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from pb4u.array_archive import member_names, read_arrays
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.body.smpl import JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames, require_rate
-from pb4u.reading_limits import Allowance, member_names, read_arrays, told_names
+from pb4u.reading_limits import Allowance, told_names
 from pb4u.restricted_pickle import load_pickle
 from pb4u.stored_numbers import stored_numbers
 

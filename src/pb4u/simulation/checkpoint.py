@@ -15,6 +15,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
+from torch.overrides import TorchFunctionMode
 
 from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning
@@ -219,9 +220,19 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
     return built_checkpoint(name or path.stem, configuration, tensors, record, licence, dtype, path)
 
 
+class _NormalWeightsUndrawn(TorchFunctionMode):
+    """Leaves out the drawing of normal weights: on the device "meta" torch imports for two seconds before it does."""
+
+    def __torch_function__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        kwargs = kwargs or {}
+        if function is torch.nn.init.normal_:
+            return kwargs["tensor"] if "tensor" in kwargs else args[0]
+        return function(*args, **kwargs)
+
+
 def _described(configuration: NetworkConfiguration) -> Mapping[str, Tensor]:
     """State of the network without memory: a header may tell of one that is far larger than the weights beside it."""
-    with torch.device("meta"):
+    with torch.device("meta"), _NormalWeightsUndrawn():
         return AccelerationModel(configuration.network()).state_dict()
 
 
