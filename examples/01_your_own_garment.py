@@ -7,7 +7,7 @@ The file is in metres, Y up, placed on the body at rest. No garment at hand? Wri
     pb4u assets write tshirt my_shirt.obj --body man
     pb4u assets write man man.obj
 
-A file has no pins, and a skirt or trousers need them to stay on: give --pins waist.
+A file has no pins. A waistband or straps that are found hold it; where none is found, give --pins waist.
 """
 
 from __future__ import annotations

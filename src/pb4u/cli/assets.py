@@ -175,7 +175,7 @@ def _tell(json: str | None, **summary: Any) -> None:
 def pack(
     out: Annotated[Path, typer.Argument(help="The .npz to write.", show_default=False)],
     preset: Annotated[
-        str, typer.Option(help="Training whose data is packed: small, comparison, paper or smoke.")
+        str, typer.Option(help="Training whose data is packed: small, wide, comparison, paper or smoke.")
     ] = "small",
     recordings: Annotated[
         Path | None,

@@ -24,7 +24,8 @@ def evaluate(
     models: Annotated[
         str | None,
         typer.Option(
-            metavar="A,B", help="solver, skinning, newton, networks by name or .safetensors files. Default: protocol's."
+            metavar="A,B",
+            help="solver, quick-solver, skinning, newton, networks by name or .safetensors files. Default: protocol's.",
         ),
     ] = None,
     garments: Annotated[
