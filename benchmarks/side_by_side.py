@@ -274,8 +274,8 @@ def page(found: dict[str, Any]) -> str:
         "penetration and crossing triangles are `pb4u.measure`'s for all; Blender keeps its own stiffnesses.",
         "",
         "As it comes is `pb4u simulate` without flags, the network alone `--refine 0 --contact off`: its energy is low "
-        "where it lies in the skin. Self-intersections and through the body are pairs of triangles that cross, a frame; "
-        "others is the share of the processor that other programs took. What is missing was not run.",
+        "where it lies in the skin. Self-intersections and through the body are pairs of triangles that cross, a "
+        "frame; others is the share of the processor that other programs took. What is missing was not run.",
         "",
         ", ".join(f"{name}: {value}" for name, value in of.items()) + ".",
         "",
