@@ -129,20 +129,21 @@ def boxes_of(
 ) -> np.ndarray:
     """Boxes (elements, 12) of elements, wider by `margin` on every side, and at the end of the move by `room` more.
 
-    Lowest and highest position of the corners; then the same with the lowest and highest move added. In between the
-    bounds change linearly, for two boxes in the same measure, so that they need be compared at the ends alone.
+    Lowest and highest position of the corners; then the same at the end of the move. What the element takes up in between
+    lies within what changes linearly from the first box to the second, so that two need be compared at the ends alone.
     """
     boxes = np.empty((len(corners), 12))
     for element in range(len(corners)):
         box = boxes[element]
         for axis in range(3):
-            low, high, slowest, fastest = np.inf, -np.inf, np.inf, -np.inf
+            low, high, last_low, last_high = np.inf, -np.inf, np.inf, -np.inf
             for k in range(corners.shape[1]):
-                position, move = vertices[corners[element, k], axis], moves[corners[element, k], axis]
+                position = vertices[corners[element, k], axis]
+                last = position + moves[corners[element, k], axis]
                 low, high = min(low, position), max(high, position)
-                slowest, fastest = min(slowest, move), max(fastest, move)
+                last_low, last_high = min(last_low, last), max(last_high, last)
             box[axis], box[3 + axis] = low - margin, high + margin
-            box[6 + axis], box[9 + axis] = low - margin - room + slowest, high + margin + room + fastest
+            box[6 + axis], box[9 + axis] = last_low - margin - room, last_high + margin + room
     return boxes
 
 

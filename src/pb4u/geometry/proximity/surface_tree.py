@@ -1,8 +1,8 @@
 """A bounding-volume tree over a moving triangle surface: which vertices, edges and faces of it come near each other.
 
 The tree is built once, from the rest shape, and its boxes are fitted to the positions of every search: cloth deforms,
-but what is near on it stays near. Boxes bound displacements too. Two of them are followed through a move relative to
-one another, so that cloth which is carried along by centimetres gives no more pairs than cloth at rest.
+but what is near on it stays near. A box has both ends of a move, and two are followed from one end to the other in the
+same measure, so that cloth which is carried along by centimetres gives no more pairs than cloth at rest.
 """
 
 from __future__ import annotations
