@@ -129,8 +129,8 @@ def boxes_of(
 ) -> np.ndarray:
     """Boxes (elements, 12) of elements, wider by `margin` on every side, and at the end of the move by `room` more.
 
-    Lowest and highest position of the corners; then the same at the end of the move. What the element takes up in between
-    lies within what changes linearly from the first box to the second, so that two need be compared at the ends alone.
+    Lowest and highest position of the corners; then the same at the end of the move. What the element takes up in
+    between lies within what changes linearly from one to the other, so that two need be compared at the ends alone.
     """
     boxes = np.empty((len(corners), 12))
     for element in range(len(corners)):
