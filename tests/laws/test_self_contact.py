@@ -220,6 +220,19 @@ def test_worlds_do_not_feel_each_other() -> None:
         assert (free is passed) is not felt
 
 
+def test_what_is_held_gives_way_to_nothing() -> None:
+    surface = stack(2, 1e-3, cells=4)
+    x, garments = torch.from_numpy(surface.before), garments_of(surface, (0, 0))
+    upper = torch.from_numpy(surface.part == 1)
+    wanted = x + ~upper[:, None] * torch.tensor([0.0, 0.02, 0.0], dtype=x.dtype)
+    pushed = PAIRED.self_contact.carried(garments, x, wanted)
+    held = PAIRED.self_contact.carried(garments, x, wanted, held=upper)
+    assert bool((pushed[upper, 1] > x[upper, 1] + 1e-3).all())
+    assert torch.equal(held[upper], x[upper])
+    assert surface.crossing(held.numpy()) == 0
+    assert float(held[~upper, 1].max()) < 0.01
+
+
 def slid(coefficient: float, degrees: float, steps: int = 9) -> tuple[float, float, int]:
     """Way [m] and speed [m/s] of a sheet down a pinned one that is tilted after it has come to rest on it.
 

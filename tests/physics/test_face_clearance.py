@@ -141,11 +141,33 @@ class HalfTheWay(NoSelfContact):
     def __init__(self, stopped: int, inside: torch.Tensor) -> None:
         self.stopped, self.inside = stopped, inside
 
-    def carried(self, garments, before, wanted, cloth=None):
+    def carried(self, garments, before, wanted, cloth=None, held=None):
         reached = wanted.clone()
         if not torch.equal(wanted[self.stopped], before[self.stopped]):
             reached[self.stopped] = self.inside
         return reached
+
+
+class PushedAside(HalfTheWay):
+    """Pushes one vertex into the ball, as cloth that is lifted beside it may, unless it gives way to nothing."""
+
+    def carried(self, garments, before, wanted, cloth=None, held=None):
+        reached = wanted.clone()
+        if not held[self.stopped]:
+            reached[self.stopped] = self.inside
+        return reached
+
+
+def test_what_the_lift_of_others_would_push_into_the_body_gives_way_to_nothing() -> None:
+    timeline, state = sheet_wrapped_round_the_ball()
+    pose, centre = timeline.pose(0), torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64)
+    free = FaceClearance(passes=4).lift(timeline.garments, state, pose, NoSelfContact()).positions
+    pushed = int((free - state.positions).norm(dim=1).argmax())
+    cloth = PushedAside(pushed, centre + 0.9 * (state.positions[pushed] - centre))
+    lifted = FaceClearance(passes=4).lift(timeline.garments, state, pose, cloth).positions
+    assert torch.equal(lifted[pushed], state.positions[pushed])
+    others = torch.arange(len(free)) != pushed
+    torch.testing.assert_close(lifted[others], free[others])
 
 
 def test_a_lift_that_cloth_stops_inside_the_body_is_not_made() -> None:

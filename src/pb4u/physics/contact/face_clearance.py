@@ -32,8 +32,8 @@ _DEEPER = 1e-3
 _HALVINGS = 8
 """Times that a lift which would tear cloth is cut back before it is given up."""
 
-_ROUNDS = 4
-"""Times that what a lift takes into the body is held back before the lift is given up: once or twice in a squat."""
+_ROUNDS = 8
+"""Times that what a lift takes into the body is held back before the lift is given up: up to thrice in a squat."""
 
 _ROUNDING = 1.0 + 1e-9
 """Factor on a squared length within which it is the same."""
@@ -106,7 +106,9 @@ class FaceClearance:
         held = self._taken_deeper(garments, pose, stood, lifted, planes)
         for _ in range(_ROUNDS):
             x = _cut_back(stood, lifted, np.where(held, 0.0, 1.0), edges, longest)
-            reached = cloth.carried(garments, before, torch.from_numpy(x).to(before))
+            wanted, firm = torch.from_numpy(x).to(before), torch.from_numpy(held)
+            # What lifted cloth pushes aside goes into the body as well: what is held back stays where it is.
+            reached = cloth.carried(garments, before, wanted, held=firm)
             # In a fold a part of the way may lead where the whole of it does not.
             deeper = self._taken_deeper(garments, pose, stood, as_array(reached), planes)
             if not deeper.any():

@@ -143,7 +143,12 @@ class SelfContact(ABC):
 
     @abstractmethod
     def carried(
-        self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
+        self,
+        garments: PackedGarments,
+        before: Tensor,
+        wanted: Tensor,
+        cloth: ClothPairs | None = None,
+        held: Tensor | None = None,
     ) -> Tensor:
         """Positions (vertices, 3) [m] near `wanted` that are reached without cloth passing through cloth.
 
@@ -154,6 +159,7 @@ class SelfContact(ABC):
             before: (vertices, 3) [m] that cross nowhere.
             wanted: (vertices, 3) [m].
             cloth: all pairs that may touch on the way, where they were looked up already.
+            held: (vertices,) bool, of which none gives way to what meets it, as no pinned vertex does; None for none.
         """
 
     @abstractmethod
@@ -185,7 +191,12 @@ class NoSelfContact(SelfContact):
         return x
 
     def carried(
-        self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
+        self,
+        garments: PackedGarments,
+        before: Tensor,
+        wanted: Tensor,
+        cloth: ClothPairs | None = None,
+        held: Tensor | None = None,
     ) -> Tensor:
         return wanted
 
@@ -224,9 +235,15 @@ class CollisionFree(SelfContact):
         return torch.from_numpy(np.concatenate(freed)).to(x)
 
     def carried(
-        self, garments: PackedGarments, before: Tensor, wanted: Tensor, cloth: ClothPairs | None = None
+        self,
+        garments: PackedGarments,
+        before: Tensor,
+        wanted: Tensor,
+        cloth: ClothPairs | None = None,
+        held: Tensor | None = None,
     ) -> Tensor:
-        masses = torch.where(garments.pinned, torch.inf, garments.vertex_masses.clamp_min(1e-12))
+        firm = garments.pinned if held is None else garments.pinned | held
+        masses = torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12))
         asked, known = as_array(wanted), None if cloth is None else (cloth.pairs, cloth.gaps)
         result = collision_free(garments.surface_tree, as_array(before), asked, as_array(masses), known)
         return wanted if result is asked else torch.from_numpy(result).to(wanted)
