@@ -87,6 +87,13 @@ def test_frames_are_not_written_among_those_that_are_read(files: Path, pb4u: Cal
     assert "would overwrite mine_0001.obj, which is read" in ended.err
 
 
+def test_the_dictionary_that_a_garment_is_read_from_is_kept(files: Path, pb4u: Callable) -> None:
+    Path("garments.pkl").write_bytes(b"mine")
+    ended = pb4u("simulate", "--garment", "garments.pkl:dress@73", *FRAMES, "--out", "garments.pkl")
+    assert "would overwrite garments.pkl, which is read" in ended.err
+    assert Path("garments.pkl").read_bytes() == b"mine"
+
+
 def test_two_outputs_are_not_one_file(files: Path, pb4u: Callable) -> None:
     ended = pb4u("simulate", *FRAMES, "--out", "a.npz", "--json", "a.npz")
     assert "would both be written to a.npz" in ended.err

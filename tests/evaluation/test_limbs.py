@@ -90,6 +90,13 @@ def test_a_limb_through_cloth_is_counted_and_said() -> None:
     assert any("lowerarm01.L (2)" in note and "from frame 2 on" in note for note in report["notes"])
 
 
+def test_a_run_that_stopped_being_finite_is_reported_as_diverged_after_its_last_frame() -> None:
+    scene, trajectory = worn()
+    kept, broken = (run_report(trajectory, SkinningSimulator(), scene, RunRecord(failed_at=at)) for at in (None, 4))
+    assert (kept["diverged"], kept["diverged_at"]) == (False, None)
+    assert (broken["diverged"], broken["diverged_at"]) == (True, trajectory.frame_count)
+
+
 def test_a_body_without_a_skeleton_has_none() -> None:
     scene, trajectory = worn()
     assert "limbs_through_cloth" not in measure(trajectory)["metrics"]

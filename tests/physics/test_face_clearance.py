@@ -11,7 +11,7 @@ from test_hooked import pierced
 
 from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import area_weighted_normals
-from pb4u.physics.contact.face_clearance import FaceClearance
+from pb4u.physics.contact.face_clearance import FaceClearance, _cut_back
 from pb4u.physics.contact.self_contact import NoSelfContact
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.state import State
@@ -116,6 +116,16 @@ def test_skin_that_only_torn_cloth_would_cover_stays_bare() -> None:
     )
     assert most > longest(clear)
     assert longest(FaceClearance(most_stretch=most).lift(timeline.garments, clear, pose, NoSelfContact())) <= most
+
+
+def test_what_a_cut_lift_would_tear_in_turn_is_cut_as_well() -> None:
+    before = np.arange(14.0)[:, None] * np.array([1.0, 0.0, 0.0])
+    lifted, edges = before * 20.0, np.stack([np.arange(13), np.arange(1, 14)], axis=1)
+    shares = np.ones(14)
+    shares[0] = 0.0
+    x = _cut_back(before, lifted, shares, edges, np.full(13, 1.8))
+    assert float(np.linalg.norm(x[1:] - x[:-1], axis=1).max()) <= 1.8 + 1e-9
+    assert np.array_equal(x[0], before[0])
 
 
 def test_the_lift_takes_no_vertex_deeper_into_a_limb_that_is_through_the_cloth() -> None:

@@ -14,11 +14,11 @@ from pb4u.physics.time_step import TimeStep
 RADIUS, STRETCH = 0.035, 1.6
 
 
-def pierced(first: float, last: float) -> tuple[TimeStep, torch.Tensor]:
+def pierced(first: float, last: float, stretch: float = STRETCH) -> tuple[TimeStep, torch.Tensor]:
     """A step in which the bar's axis goes from z = `first` to `last` [m], and a sheet stretched across z = 0."""
     cloth = packed(sheet(7, 6, 0.35, 0.3))
     x = cloth.rest_positions.clone()
-    x[:, 0] = STRETCH * (x[:, 0] - 0.175)
+    x[:, 0] = stretch * (x[:, 0] - 0.175)
     bar = capsule(height=0.6, radius=RADIUS)
     body = collider(bar.vertices + np.array([0.0, 0.15, first]), bar.faces, np.array([0.0, 0.0, last - first]))
     return time_step(cloth, at_rest(cloth, x), body), x
@@ -34,6 +34,14 @@ def test_a_bar_that_ends_between_vertices_hooks_the_edges_across_it() -> None:
     middles = surface.nearest(x[step.garments.edges].mean(1))
     deep = middles.signed_distance < -0.5 * step.garments.mean_edge_lengths[0]
     assert newly_hooked(step, x) == int(deep.sum()) > 5
+
+
+def test_what_an_earlier_look_up_at_the_pose_found_farther_away_hides_nothing() -> None:
+    step, x = pierced(-0.08, 0.0, stretch=2.0)
+    asked_before, _ = pierced(-0.08, 0.0, stretch=2.0)
+    assert asked_before.bodies is not None
+    nearest_planes(asked_before.bodies.following, asked_before.garments, x + torch.tensor([0.2, 0.0, 0.0]))
+    assert newly_hooked(asked_before, x) == newly_hooked(step, x) > 5
 
 
 @pytest.mark.parametrize(("first", "last"), [(-0.08, -0.04), (0.0, 0.0)])

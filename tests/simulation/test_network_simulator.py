@@ -1,4 +1,4 @@
-"""A network rolled out: by itself, refined, resampled, and at a resolution it has not seen."""
+"""A network rolled out: by itself, refined, and at a resolution it has not seen."""
 
 from __future__ import annotations
 

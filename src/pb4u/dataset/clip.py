@@ -143,8 +143,6 @@ def make(job: ClipJob) -> Clip:
             raise Pb4uError("The state stopped being finite before the first frame to write.") from error
     report = run_report(trajectory, simulator, scene, record)
     notes = list(dict.fromkeys([*report.pop("notes"), *(str(each.message) for each in caught)]))
-    if record.failed_at is not None and not report["diverged"]:
-        report |= {"diverged": True, "diverged_at": trajectory.frame_count}
     report["solver_iterations"] = sum(report["solver_iterations"])
     for measured, described in zip(report["garments"], trajectory.header.garments, strict=True):
         measured |= {

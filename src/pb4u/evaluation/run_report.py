@@ -30,6 +30,9 @@ def run_report(
     """
     bones = Bones.of(scene, trajectory)
     measured = measure(trajectory, skinned_centres(scene, trajectory), progress, bones)
+    if record.failed_at is not None and not measured["diverged"]:
+        # The frames that are not finite are not written.
+        measured |= {"diverged": True, "diverged_at": trajectory.frame_count}
     said = limbs_sentence(measured.get("limbs_through_cloth", ()), trajectory.frame_count)
     noted = ("garment", "body", "motion", "model")
     return {

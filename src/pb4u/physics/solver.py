@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.physics.contact.planes import ContactPlanes
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.contact.tracking import TrackedContact, lifted_off_the_body
 from pb4u.physics.incremental_potential import Energies, StepPotential
@@ -70,18 +69,14 @@ class Solution:
         residual: rms over the free vertices of a world of the unbalanced acceleration, in units of standard gravity;
             of the world where it is largest.
         iterations: Newton iterations made.
-        inner_iterations: conjugate gradient iterations made, summed.
         converged: whether the residual is below the tolerance.
-        contact: the planes of the bodies at t+1 that the result was found with, or None.
     """
 
     positions: Tensor
     energies: Energies
     residual: float
     iterations: int
-    inner_iterations: int
     converged: bool
-    contact: ContactPlanes | None
 
 
 @dataclass(frozen=True)
@@ -102,7 +97,7 @@ class Iteration:
 class Solver:
     """Minimises step potentials; keeps data that depend on the garments alone from one step to the next.
 
-    Computes in float64 on the CPU.
+    Computes on the CPU, in float64 but for the linear solves, which are in float32.
 
     Args:
         tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
@@ -159,7 +154,7 @@ class Solver:
         potential, start = _reached(potential, lifted)
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
-        x, inner, iteration, damping_level, settled = start, 0, 0, -1, False
+        x, iteration, damping_level, settled = start, 0, -1, False
         while True:
             frozen = contact.potential_at(x).with_cloth(cloth)
             energies, gradient = frozen.energies_and_gradient(x)
@@ -171,13 +166,12 @@ class Solver:
                 watch(Iteration(iteration, total, residual))
             if residual <= self.tolerance or iteration >= limit or settled:
                 solved = residual <= self.tolerance
-                return Solution(x, energies, residual, iteration, inner, solved, frozen.contacts.next)
+                return Solution(x, energies, residual, iteration, solved)
             highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
             newton, damping_level = self._direction(frozen, x, gradient, highest, self._preconditioner)
-            inner += newton.iterations
             moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
-                return Solution(x, energies, residual, iteration, inner, False, frozen.contacts.next)
+                return Solution(x, energies, residual, iteration, converged=False)
             x, cloth, freed = moved
             settled = self.settled > 0.0 and bool((freed <= self.settled * self._weight).all())
             iteration += 1

@@ -41,7 +41,10 @@ _TORN = 0.6
 """Strain of a face from which on it is: contact between layers leaves such residuals too, with nothing caught."""
 
 _ROUGH_TOLERANCE = 1.0
-"""Residual [standard gravity] to which such a step is solved: below that of steps that are refined as usual."""
+"""Residual [standard gravity] to which such a step is solved: no more than steps that are refined as usual may have."""
+
+_MOST_ANEW = 60
+"""Iterations at which that ends; 8 to 31 were needed by a running dress."""
 
 _LEFT_INSIDE = 1e-3
 """Depth [m] from which on a vertex that the response leaves inside the body is pressed out."""
@@ -52,9 +55,6 @@ denim presses the cloth under it 24 mm into the body, and no push of single vert
 
 _MOST_PRESSING = 5
 """Iterations at which that ends."""
-
-_MOST_ANEW = 60
-"""Iterations at which that ends; 8 to 31 were needed by a running dress."""
 
 
 class Refinement(ABC):

@@ -46,7 +46,8 @@ class StandingStart(StartProtocol):
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
         yield from (timeline.skinned_state(frame) for frame in (0, 1))
         begun = timeline.skinned_state(2)
-        begun = replace(begun, positions=pushed_out(begun.positions, timeline.pose(2), self.push))
+        pushed = pushed_out(begun.positions, timeline.pose(2), self.push)
+        begun = replace(begun, positions=method.self_contact.free_start(timeline.garments, pushed))
         settled = take(timeline.settling_from(begun), method)
         state = State(settled.positions, settled.velocities * (SETTLING_DT / timeline.dt), 2)
         yield state
@@ -69,7 +70,8 @@ class MovingStart(StartProtocol):
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
         yield timeline.skinned_state(0)
         skinned = timeline.skinned(1)
-        begun = State(pushed_out(skinned, timeline.pose(1), self.push), torch.zeros_like(skinned), 1)
+        pushed = pushed_out(skinned, timeline.pose(1), self.push)
+        begun = State(method.self_contact.free_start(timeline.garments, pushed), torch.zeros_like(skinned), 1)
         yield begun
         moved = take(replace(timeline.step_from(begun), dt=SETTLING_DT), method)
         yield replace(moved, velocities=torch.zeros_like(moved.velocities))
@@ -79,7 +81,9 @@ class SkinnedStart(StartProtocol):
     """ContourCraft: two skinned frames, whose velocity is kept; no push and no long step."""
 
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        yield from (timeline.skinned_state(frame) for frame in (0, 1))
+        for frame in (0, 1):
+            skinned = timeline.skinned_state(frame)
+            yield replace(skinned, positions=method.self_contact.free_start(timeline.garments, skinned.positions))
 
 
 def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:

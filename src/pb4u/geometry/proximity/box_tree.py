@@ -191,12 +191,10 @@ def copy_row(source: np.ndarray, target: np.ndarray) -> None:
 def _include(box: np.ndarray, other: np.ndarray) -> None:
     """Widen `box` (12,) to hold `other` (12,)."""
     for axis in range(3):
-        slowest = min(box[6 + axis] - box[axis], other[6 + axis] - other[axis])
-        fastest = max(box[9 + axis] - box[3 + axis], other[9 + axis] - other[3 + axis])
         box[axis] = min(box[axis], other[axis])
         box[3 + axis] = max(box[3 + axis], other[3 + axis])
-        box[6 + axis] = box[axis] + slowest
-        box[9 + axis] = box[3 + axis] + fastest
+        box[6 + axis] = min(box[6 + axis], other[6 + axis])
+        box[9 + axis] = max(box[9 + axis], other[9 + axis])
 
 
 @compiled

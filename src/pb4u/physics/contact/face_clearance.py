@@ -30,7 +30,7 @@ _DEEPER = 1e-3
 """Depth [m] by which a lift counts as taking a vertex into the body: less is not seen, and undone it bares skin."""
 
 _HALVINGS = 8
-"""Times that a lift which would tear cloth is cut back before it is given up."""
+"""Times that a lift which would tear cloth is cut back before it is given up there."""
 
 _ROUNDS = 8
 """Times that what a lift takes into the body is held back before the lift is given up: up to thrice in a squat."""
@@ -363,14 +363,15 @@ def _cut_back(
     """Positions (vertices, 3) [m] some shares of the way from `before` to `lifted`; `shares` (vertices,) are changed.
 
     Ends of edges (edges, 2) that would be stretched beyond `longest` (edges,) [m], and beyond what they were, go half
-    as far, and so on.
+    as far, and so on; in the end they stay where they were, and so do those that this would tear, until none is.
     """
-    x = np.empty(before.shape)
-    for halving in range(_HALVINGS + 1):
+    x, torn = np.empty(before.shape), np.empty(len(before), dtype=np.bool_)
+    # Each round after the halvings stops a vertex at least.
+    for halving in range(_HALVINGS + len(before)):
         for row in range(len(x)):
+            torn[row] = False
             for axis in range(3):
                 x[row, axis] = before[row, axis] + shares[row] * (lifted[row, axis] - before[row, axis])
-        torn = False
         for edge in range(len(edges)):
             a, b = edges[edge]
             if shares[a] == 0.0 and shares[b] == 0.0:
@@ -380,13 +381,12 @@ def _cut_back(
                 was += (before[a, axis] - before[b, axis]) ** 2
                 now += (x[a, axis] - x[b, axis]) ** 2
             if now > max(longest[edge] ** 2, was * _ROUNDING):
-                torn = True
-                # In the last round nothing is left of it.
-                left = 0.5 if halving < _HALVINGS - 1 else 0.0
-                shares[a] *= left
-                shares[b] *= left
-        if not torn:
+                torn[a] = torn[b] = True
+        if not torn.any():
             break
+        for row in range(len(x)):
+            if torn[row]:
+                shares[row] = 0.5 * shares[row] if halving < _HALVINGS - 1 else 0.0
     return x
 
 

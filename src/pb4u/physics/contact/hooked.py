@@ -36,7 +36,8 @@ def newly_hooked(step: TimeStep, x: Tensor) -> int:
     planes = step.contacts.now
     if bodies is None or planes is None:
         return 0
-    after = nearest_planes(bodies.following, garments, x)
+    # Planes of vertices beyond are as old as the last look-up that reached them.
+    after = nearest_planes(bodies.following, garments, x, within=max(garments.mean_edge_lengths))
     edges = torch.nonzero(_may_be(after, garments)).reshape(-1)
     if not len(edges):
         return 0
