@@ -56,6 +56,7 @@ def test_each_network_runs_alone_and_as_it_comes_each_beside_its_own_floor() -> 
     defaults = load_simulator("pb4u-small")
     as_run = load_simulator("pb4u-small", refine=REFINE, contact=True, self_contact=True)
     assert as_run.settings() == defaults.settings()
+    assert load_simulator("pb4u-small", self_contact=False).settings() != defaults.settings()
 
 
 @pytest.mark.parametrize(

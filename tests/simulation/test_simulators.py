@@ -12,7 +12,8 @@ from ball_scene import ball_scene
 
 from pb4u.errors import InputError
 from pb4u.evaluation.metrics import measure
-from pb4u.physics.contact.response import ContactResponse
+from pb4u.physics.contact.response import ContactResponse, NoContact
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
@@ -27,7 +28,7 @@ class FreeFall(StepwiseSimulator):
     """Flight without any physics, turning to NaN at a frame."""
 
     name = "free fall"
-    first_frame = AsPlaced()
+    first_frame, contact, potential = AsPlaced(), NoContact(), IncrementalPotential()
 
     def __init__(self, fails_at: int | None = None) -> None:
         self.fails_at = fails_at

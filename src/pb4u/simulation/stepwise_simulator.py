@@ -15,6 +15,7 @@ from pb4u.errors import InputError
 from pb4u.graph.features import ADVANCE
 from pb4u.nn.acceleration_model import require_propagation_steps
 from pb4u.physics.contact.response import Contact, NoContact
+from pb4u.physics.contact.self_contact import NoSelfContact
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solution
 from pb4u.physics.time_step import DivergedError, require_finite
@@ -39,9 +40,19 @@ class StepwiseSimulator(Simulator):
 
     Attributes:
         first_frame: makes frame 0.
+        contact: answers what is left inside the body after each step.
+        potential: the energies, and whether cloth feels cloth.
     """
 
     first_frame: FirstFrame
+    contact: Contact
+    potential: IncrementalPotential
+
+    def settings(self) -> dict[str, Any]:
+        return {
+            "contact": not isinstance(self.contact, NoContact),
+            "self_contact": not isinstance(self.potential.self_contact, NoSelfContact),
+        }
 
     @abstractmethod
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
@@ -111,7 +122,7 @@ class SolverSimulator(StepwiseSimulator):
         self.first_frame = first_frame or Settled()
 
     def settings(self) -> dict[str, Any]:
-        return {"solver_iterations": self.iterations, "device": "cpu"}
+        return {**super().settings(), "solver_iterations": self.iterations, "device": "cpu"}
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         def note(solution: Solution) -> None:
@@ -151,7 +162,7 @@ class QuickSolverSimulator(StepwiseSimulator):
         self.potential, self.first_frame = potential or IncrementalPotential(), first_frame or Settled()
 
     def settings(self) -> dict[str, Any]:
-        return {"refine": self.refine, "device": "cpu"}
+        return {**super().settings(), "refine": self.refine, "device": "cpu"}
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         return StepMethod(
@@ -219,6 +230,7 @@ class NetworkSimulator(StepwiseSimulator):
 
     def settings(self) -> dict[str, Any]:
         return {
+            **super().settings(),
             "refine": self.refine,
             "passes": self.passes,
             "device": str(self.device),
