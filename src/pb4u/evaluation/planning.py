@@ -23,7 +23,7 @@ from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
 from pb4u.motion.library import motion_names
 from pb4u.scene.catalogue import SEEDS, SceneName
 from pb4u.simulation.checkpoint import weights_file
-from pb4u.simulation.models import load_simulator, model_descriptions
+from pb4u.simulation.models import WITHOUT_CONTACT, load_simulator, model_descriptions
 from pb4u.simulation.stepwise_simulator import QUICK_SOLVER, NetworkSimulator
 
 DRAWN_SEEDS = (2000, 10000)
@@ -220,7 +220,7 @@ def _drawn_cases(
 
 def _ways(model: ModelRecord, device: str) -> list[tuple[str, Settings]]:
     """The ways a model is run where scenes are drawn: on its own, and as `pb4u simulate` runs it."""
-    if model.name == "skinning":
+    if model.name in WITHOUT_CONTACT:
         return [("", Settings())]
     network = model.weights is not None
     place = device if network else "cpu"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from torch import Tensor
 
@@ -41,7 +42,8 @@ def implicit_steps(
     iterations: int | None = None,
     start: Callable[[TimeStep], Tensor] = free_flight,
 ) -> tuple[State, Solution]:
-    """The state at the end of `step`, and the solution of its last implicit step.
+    """The state at the end of `step`, and the solution of its last implicit step: with the iterations of all of them, and
+    converged where all are.
 
     A body that moves far in the step is moved along straight lines in several implicit steps.
 
@@ -54,9 +56,11 @@ def implicit_steps(
 
     Raises DivergedError when the state is not finite.
     """
-    count, state = substep_count(step), step.state
+    count, state, made, converged = substep_count(step), step.state, 0, True
     for k in range(count):
         part = step if count == 1 else step.part(k, count, state)
         solution = solver.minimise(potential.of(part), start(part), iterations)
         state = part.reached(solution.positions)
+        made, converged = made + solution.iterations, converged and solution.converged
+    solution = replace(solution, iterations=made, converged=converged)
     return State(state.positions, state.velocities, step.state.frame + 1), solution

@@ -144,7 +144,7 @@ class ImplicitSteps(SolverRefinement):
         iterations: at most this many an implicit step; None goes to the solver's tolerance.
         solver: computes in float64 on the CPU.
         potential: the energies.
-        watch: called with the last solution of every step.
+        watch: called with the solution of every step, as `implicit_steps` tells of it.
         start: where each implicit step starts from; free flight by default.
     """
 
@@ -166,7 +166,7 @@ class ImplicitSteps(SolverRefinement):
         return state
 
     def solved(self, step: TimeStep) -> tuple[State, Solution]:
-        """State at the end of `step`, and the solution of its last implicit step."""
+        """State at the end of `step`, and what `implicit_steps` tells of its solution."""
         return implicit_steps(self.potential, self.solver, step, self.iterations, self._started)
 
     def _started(self, step: TimeStep) -> Tensor:
