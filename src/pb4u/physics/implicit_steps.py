@@ -42,8 +42,9 @@ def implicit_steps(
     iterations: int | None = None,
     start: Callable[[TimeStep], Tensor] = free_flight,
 ) -> tuple[State, Solution]:
-    """The state at the end of `step`, and the solution of its last implicit step: with the iterations of all of them, and
-    converged where all are.
+    """The state at the end of `step`, and the solution of its last implicit step.
+
+    With the iterations of all of them, and converged where all are.
 
     A body that moves far in the step is moved along straight lines in several implicit steps.
 
