@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from ball_scene import ball_scene
 from test_hooked import pierced
@@ -168,24 +169,13 @@ class PushedAside(HalfTheWay):
         return reached
 
 
-def test_what_the_lift_of_others_would_push_into_the_body_gives_way_to_nothing() -> None:
-    timeline, state = sheet_wrapped_round_the_ball()
-    pose, centre = timeline.pose(0), torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64)
-    free = FaceClearance(passes=4).lift(timeline.garments, state, pose, NoSelfContact()).positions
-    pushed = int((free - state.positions).norm(dim=1).argmax())
-    cloth = PushedAside(pushed, centre + 0.9 * (state.positions[pushed] - centre))
-    lifted = FaceClearance(passes=4).lift(timeline.garments, state, pose, cloth).positions
-    assert torch.equal(lifted[pushed], state.positions[pushed])
-    others = torch.arange(len(free)) != pushed
-    torch.testing.assert_close(lifted[others], free[others])
-
-
-def test_a_lift_that_cloth_stops_inside_the_body_is_not_made() -> None:
+@pytest.mark.parametrize("kind", [HalfTheWay, PushedAside])
+def test_a_lift_that_cloth_ends_inside_the_body_is_not_made(kind: type[HalfTheWay]) -> None:
     timeline, state = sheet_wrapped_round_the_ball()
     pose, centre = timeline.pose(0), torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64)
     free = FaceClearance(passes=4).lift(timeline.garments, state, pose, NoSelfContact()).positions
     stopped = int((free - state.positions).norm(dim=1).argmax())
-    held = HalfTheWay(stopped, centre + 0.9 * (state.positions[stopped] - centre))
+    held = kind(stopped, centre + 0.9 * (state.positions[stopped] - centre))
     lifted = FaceClearance(passes=4).lift(timeline.garments, state, pose, held).positions
     assert torch.equal(lifted[stopped], state.positions[stopped])
     others = torch.arange(len(free)) != stopped
