@@ -298,7 +298,7 @@ def test_debug_shows_where_an_error_came_from(pb4u: Callable) -> None:
     ("model", "flags"),
     [
         ("solver", ("--refine", 3)), ("solver", ("--passes", 2)), ("solver", ("--propagation-steps", 5)),
-        ("quick-solver", ("--passes", 2)),
+        ("quick-solver", ("--passes", 2)), ("solver", ("--precision", "bfloat16")),
         ("skinning", ("--propagation-steps", 5)), ("skinning", ("--contact", "off")), ("newton", ("--contact", "on")),
     ],
 )  # fmt: skip

@@ -71,6 +71,8 @@ def test_the_precision_of_products_is_chosen_told_and_close(weights: Path, monke
         assert load_simulator(weights).settings()["precision"] == expected
     with pytest.raises(InputError, match="no precision 'half'"):
         load_simulator(weights, precision="half")
+    with pytest.raises(InputError, match="no device 'gpu0'"):
+        load_simulator(weights, device="gpu0")
 
 
 @pytest.mark.parametrize("steps", [0, 10_000])

@@ -230,7 +230,14 @@ def simulate(
             first_frame=first_frame, precision=precision,
         ),
     )  # fmt: skip
-    _refuse_useless(str(run.model), propagation_steps=propagation_steps, passes=passes, refine=refine, contact=contact)
+    _refuse_useless(
+        str(run.model),
+        propagation_steps=propagation_steps,
+        passes=passes,
+        precision=precision,
+        refine=refine,
+        contact=contact,
+    )
     keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])
     targets = list(out) if out else _default_targets(run.scene)
     for target in targets:
@@ -244,7 +251,7 @@ def _refuse_useless(model: str, **flags: Any) -> None:
     from pb4u.simulation.models import WITHOUT_CONTACT, WITHOUT_NETWORK, WITHOUT_REFINEMENT, default_model
 
     chosen = default_model() if model == "auto" else model
-    useless = set() if chosen not in WITHOUT_NETWORK else {"propagation_steps", "passes"}
+    useless = set() if chosen not in WITHOUT_NETWORK else {"propagation_steps", "passes", "precision"}
     useless |= {"refine"} if chosen in WITHOUT_REFINEMENT else set()
     useless |= {"contact"} if chosen in WITHOUT_CONTACT else set()
     for name, value in flags.items():

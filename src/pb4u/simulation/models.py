@@ -27,6 +27,7 @@ _WITHOUT_SELF_CONTACT = {
 }
 """What simulators that cannot keep cloth from crossing say when they are asked to."""
 _PRECISIONS = ("float32", "bfloat16")
+_DEVICES = ("auto", "cpu", "cuda")
 _TRAINING_STATE = "pb4u_training"
 """Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
 
@@ -114,6 +115,8 @@ def load_simulator(
         raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
     if precision not in ("auto", *_PRECISIONS):
         raise unknown_name("precision", precision, ("auto", *_PRECISIONS))
+    if device not in _DEVICES:
+        raise unknown_name("device", device, _DEVICES)
     wanted = default_model() if str(name) == "auto" else str(name)
     answering: Contact = ContactResponse() if contact else NoContact()
     if wanted in ("skinning", "newton") and first_frame != "auto":
