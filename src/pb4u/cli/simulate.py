@@ -247,15 +247,12 @@ def simulate(
 
 
 def _refuse_useless(model: str, **flags: Any) -> None:
-    """Refuse flags that a model without a network, or without contact of its own, would not look at."""
-    from pb4u.simulation.models import WITHOUT_CONTACT, WITHOUT_NETWORK, WITHOUT_REFINEMENT, default_model
+    """Refuse flags that the model would not look at."""
+    from pb4u.simulation.models import default_model, looks_at
 
     chosen = default_model() if model == "auto" else model
-    useless = set() if chosen not in WITHOUT_NETWORK else {"propagation_steps", "passes", "precision"}
-    useless |= {"refine"} if chosen in WITHOUT_REFINEMENT else set()
-    useless |= {"contact"} if chosen in WITHOUT_CONTACT else set()
     for name, value in flags.items():
-        if value is not None and name in useless:
+        if value is not None and not looks_at(chosen, name):
             raise InputError(f"--{name.replace('_', '-')} does nothing with --model {chosen}; leave it out.")
 
 

@@ -22,7 +22,7 @@ from pb4u.jobs.job import digest
 from pb4u.motion.library import load_motion, motion_names
 from pb4u.scene.assembly import DEFAULT_FRAMES
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification, with_companions
-from pb4u.simulation.models import WITHOUT_NETWORK, default_model
+from pb4u.simulation.models import default_model
 from pb4u.simulation.run_specification import Device, RunSpecification
 
 _SECONDS_A_FRAME = {
@@ -151,7 +151,7 @@ def footprints(jobs: Iterable[ClipJob]) -> list[Footprint]:
         still = 24 * sum(faces) + 17 * vertices + 24 * corners + points + 8000
         size = moving + still + _RECORD_BYTES[0] + _RECORD_BYTES[1] * frames
         model = str(job.run.model)
-        base, more = _SECONDS_A_FRAME[model] if model in WITHOUT_NETWORK else _NETWORK_SECONDS
+        base, more = _SECONDS_A_FRAME.get(model, _NETWORK_SECONDS)
         simulated = frames + (0 if scene.keep_lead_in else scene.lead_in)
         seconds = _SECONDS_A_CLIP + simulated * (base + more * sum(faces) / LEVELS["base"])
         told.append(Footprint(round(size), seconds))

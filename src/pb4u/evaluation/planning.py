@@ -23,7 +23,7 @@ from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
 from pb4u.motion.library import motion_names
 from pb4u.scene.catalogue import SEEDS, SceneName
 from pb4u.simulation.checkpoint import weights_file
-from pb4u.simulation.models import WITHOUT_CONTACT, load_simulator, model_descriptions
+from pb4u.simulation.models import load_simulator, looks_at, model_descriptions
 from pb4u.simulation.stepwise_simulator import QUICK_SOLVER, NetworkSimulator
 
 DRAWN_SEEDS = (2000, 10000)
@@ -220,12 +220,11 @@ def _drawn_cases(
 
 def _ways(model: ModelRecord, device: str) -> list[tuple[str, Settings]]:
     """The ways a model is run where scenes are drawn: on its own, and as `pb4u simulate` runs it."""
-    if model.name in WITHOUT_CONTACT:
+    if not looks_at(model.name, "contact"):
         return [("", Settings())]
-    network = model.weights is not None
-    place = device if network else "cpu"
-    refines = network or model.name == QUICK_SOLVER
-    as_it_comes = Settings(refine=REFINE if refines else 0, contact=True, self_contact=True, device=place)
+    place = device if model.weights is not None else "cpu"
+    iterations = REFINE if looks_at(model.name, "refine") else 0
+    as_it_comes = Settings(refine=iterations, contact=True, self_contact=True, device=place)
     if model.name == QUICK_SOLVER:
         return [(", as it comes", as_it_comes)]
     return [(", alone", Settings(device=place)), (", as it comes", as_it_comes)]
@@ -362,7 +361,7 @@ def _settings(model: ModelRecord, steps: int | None, request: EvaluationRequest,
         return Settings(steps, request.refine, request.contact, device=device)
     if model.name == QUICK_SOLVER:
         return Settings(refine=request.refine or REFINE, contact=request.contact)
-    return Settings(contact=request.contact if model.name == "solver" else False)
+    return Settings(contact=request.contact and looks_at(model.name, "contact"))
 
 
 def _device(asked: str) -> str:

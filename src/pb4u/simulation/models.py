@@ -14,14 +14,15 @@ if TYPE_CHECKING:
 
     from pb4u.simulation.checkpoint import Checkpoint
 
-WITHOUT_NETWORK = ("solver", "quick-solver", "skinning", "newton")
-"""Models that take no options of a network."""
-WITHOUT_REFINEMENT = ("solver", "skinning", "newton")
-"""Models that are not told how many iterations of the solver a step takes."""
-WITHOUT_CONTACT = ("skinning", "newton")
-"""Models that answer contact in a way of their own, or not at all."""
+OPTIONS: dict[str, frozenset[str]] = {
+    "solver": frozenset({"contact", "self_contact", "first_frame"}),
+    "quick-solver": frozenset({"contact", "self_contact", "first_frame", "refine"}),
+    "skinning": frozenset(),
+    "newton": frozenset({"device"}),
+}
+"""Models that are no networks, each with the options of `load_simulator` that it looks at; a network looks at all."""
 _BEST = "best.safetensors"
-_WITHOUT_SELF_CONTACT = {
+_WHY_WITHOUT_SELF_CONTACT = {
     "skinning": "skinning carries every vertex with the body and keeps no cloth from crossing",
     "newton": "newton runs with its own self-contact off",
 }
@@ -56,6 +57,16 @@ def default_model() -> str:
     from pb4u.simulation.checkpoint import built_in_models
 
     return next((name for name in ("pb4u", "pb4u-wide", "pb4u-small") if name in built_in_models()), "solver")
+
+
+def looks_at(model: str | Path, option: str) -> bool:
+    """Whether a model does something with an option of `load_simulator`.
+
+    Args:
+        model: its name or file.
+        option: name of the option.
+    """
+    return str(model) not in OPTIONS or option in OPTIONS[str(model)]
 
 
 def load_simulator(
@@ -119,12 +130,12 @@ def load_simulator(
         raise unknown_name("device", device, _DEVICES)
     wanted = default_model() if str(name) == "auto" else str(name)
     answering: Contact = ContactResponse() if contact else NoContact()
-    if wanted in ("skinning", "newton") and first_frame != "auto":
+    if first_frame != "auto" and not looks_at(wanted, "first_frame"):
         raise InputError(f"{wanted} starts in a way of its own; leave the first frame to it.")
-    if self_contact and wanted in _WITHOUT_SELF_CONTACT:
+    if self_contact and not looks_at(wanted, "self_contact"):
         raise InputError(
-            f"{_WITHOUT_SELF_CONTACT[wanted]}, so --self-contact cannot be on; leave it out, or take --model solver or "
-            "a network."
+            f"{_WHY_WITHOUT_SELF_CONTACT[wanted]}, so --self-contact cannot be on; leave it out, or take --model "
+            "solver or a network."
         )
     if wanted == "skinning":
         return SkinningSimulator()
