@@ -15,9 +15,11 @@ from pb4u.evaluation.metrics import measure
 from pb4u.physics.contact.response import ContactResponse, NoContact
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
+from pb4u.scene.specification import SceneSpecification
 from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import Network
+from pb4u.simulation.run_specification import RunSpecification
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.stepwise_simulator import SolverSimulator, StepwiseSimulator
@@ -88,6 +90,13 @@ def test_run_record_says_what_the_solver_did() -> None:
     assert len(record.step_seconds) == 3
     assert record.ms_per_step > 0
     assert len(record.solver_iterations) == 2
+
+
+def test_a_failure_is_told_in_frames_of_the_scenes_own_rate() -> None:
+    simulator, record = FreeFall(fails_at=5), RunRecord()
+    run = RunSpecification(SceneSpecification(frames=16, fps=60.0))
+    trajectory = run.roll_out(simulator, ball_scene(frames=8, lead_in=0), record=record)
+    assert record.failed_at == trajectory.frame_count == 9
 
 
 def test_what_was_simulated_is_kept_when_the_state_fails(tmp_path: Path) -> None:

@@ -252,60 +252,80 @@ class Solver:
         freed, whichever is more. Each world decides by its own energy: the `energies` (worlds,) [J] are those at `x`
         (vertices, 3) [m]. None where no world accepts a step.
         """
-        garments = frozen.step.garments
-        world = garments.vertex_world
-
-        def each_vertex(values: Tensor) -> Tensor:
-            return values[world, None]
-
-        def energies_at(positions: Tensor) -> Tensor:
-            return frozen.energies(positions).per_world(garments)
-
-        direction = torch.from_numpy(solved.solution)
-        direction = direction * each_vertex(_factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0))
+        garments, direction = frozen.step.garments, torch.from_numpy(solved.solution)
+        direction = direction * _each_vertex(_factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0), garments)
         # A Newton step halves the slope by the time that it ends.
         promised = -0.5 * _sums(gradient * direction, garments)
-        wanted = x + direction
-        frozen, free = frozen.reached(x, wanted)
-        slope, length = _sums(gradient * direction, garments), torch.ones(garments.world_count, dtype=x.dtype)
-        if free is not wanted:
-            aside = _sums(gradient * (free - x), garments)
-            falls = aside < 0
-            direction, slope = torch.where(each_vertex(falls), free - x, direction), torch.where(falls, aside, slope)
-            if not bool(falls.all()):
-                # Turned aside it no longer lowers the energy of a world: all of that goes as far as it can.
-                frozen, length = frozen.as_far_as_free(x, direction)
-        for _ in range(_HALVINGS):
-            candidate = x + each_vertex(length) * direction
-            reached = energies_at(candidate)
-            accepted = reached <= energies + _SUFFICIENT_DECREASE * length * slope
-            if bool(accepted.all()):
-                break
-            length = torch.where(accepted, length, 0.5 * length)
-        else:
-            if not bool(accepted.any()):
-                return None
-            candidate = torch.where(each_vertex(accepted), candidate, x)
-            reached = energies_at(candidate)
-        if solved.negative is None:
-            return candidate, frozen.contacts.cloth, torch.maximum(energies - reached, promised)
-        buckling = torch.from_numpy(solved.negative)
-        buckling = buckling * each_vertex(_factors(buckling, _BUCKLING_MOVE, garments))
-        buckling = buckling * each_vertex(torch.where(_sums(gradient * buckling, garments) > 0, -1.0, 1.0))
-        longest = 2.0 ** (_BUCKLING_DOUBLINGS - 1)
-        frozen, share = frozen.as_far_as_free(candidate, longest * buckling)
-        # Along the buckling direction there is no slope to compare with, so moves are kept while the energy falls.
-        result, size, falling = candidate, 1.0, torch.ones_like(accepted)
-        for _ in range(_BUCKLING_DOUBLINGS):
-            falling = falling & (size <= longest * share)
-            further = torch.where(each_vertex(falling), candidate + size * buckling, result)
-            lower = energies_at(further)
-            falling = falling & (lower < reached)
-            if not bool(falling.any()):
-                break
-            result = torch.where(each_vertex(falling), further, result)
-            reached, size = torch.where(falling, lower, reached), 2.0 * size
-        return result, frozen.contacts.cloth, torch.maximum(energies - reached, promised)
+        place = _along_newton(_Place(frozen, x, energies), direction, gradient)
+        if place is None:
+            return None
+        if solved.negative is not None:
+            place = _along_buckling(place, torch.from_numpy(solved.negative), gradient)
+        return place.positions, place.frozen.contacts.cloth, torch.maximum(energies - place.energies, promised)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Positions (vertices, 3) [m], their energies (worlds,) [J], and the potential with what was met on the way."""
+
+    frozen: StepPotential
+    positions: Tensor
+    energies: Tensor
+
+
+def _along_newton(place: _Place, direction: Tensor, gradient: Tensor) -> _Place | None:
+    """Where the energy is low enough on the way along `direction` (vertices, 3) [m]; None where no world moves.
+
+    Takes the `gradient` (vertices, 3) [N] at the place.
+    """
+    frozen, x, energies = place.frozen, place.positions, place.energies
+    garments = frozen.step.garments
+    wanted = x + direction
+    frozen, free = frozen.reached(x, wanted)
+    slope, length = _sums(gradient * direction, garments), torch.ones(garments.world_count, dtype=x.dtype)
+    if free is not wanted:
+        aside = _sums(gradient * (free - x), garments)
+        falls = aside < 0
+        direction = torch.where(_each_vertex(falls, garments), free - x, direction)
+        slope = torch.where(falls, aside, slope)
+        if not bool(falls.all()):
+            # Turned aside it no longer lowers the energy of a world: all of that goes as far as it can.
+            frozen, length = frozen.as_far_as_free(x, direction)
+    for _ in range(_HALVINGS):
+        candidate = x + _each_vertex(length, garments) * direction
+        reached = frozen.energies(candidate).per_world(garments)
+        accepted = reached <= energies + _SUFFICIENT_DECREASE * length * slope
+        if bool(accepted.all()):
+            return _Place(frozen, candidate, reached)
+        length = torch.where(accepted, length, 0.5 * length)
+    if not bool(accepted.any()):
+        return None
+    candidate = torch.where(_each_vertex(accepted, garments), candidate, x)
+    return _Place(frozen, candidate, frozen.energies(candidate).per_world(garments))
+
+
+def _along_buckling(place: _Place, buckling: Tensor, gradient: Tensor) -> _Place:
+    """The farthest of doubled moves along `buckling` (vertices, 3), of any length, to which the energy falls.
+
+    There is no slope to compare with; the `gradient` (vertices, 3) [N] tells which way to begin.
+    """
+    garments, start = place.frozen.step.garments, place.positions
+    buckling = buckling * _each_vertex(_factors(buckling, _BUCKLING_MOVE, garments), garments)
+    rises = _sums(gradient * buckling, garments) > 0
+    buckling = buckling * _each_vertex(torch.where(rises, -1.0, 1.0), garments)
+    longest = 2.0 ** (_BUCKLING_DOUBLINGS - 1)
+    frozen, share = place.frozen.as_far_as_free(start, longest * buckling)
+    result, reached, size, falling = start, place.energies, 1.0, torch.ones_like(rises)
+    for _ in range(_BUCKLING_DOUBLINGS):
+        falling = falling & (size <= longest * share)
+        further = torch.where(_each_vertex(falling, garments), start + size * buckling, result)
+        lower = frozen.energies(further).per_world(garments)
+        falling = falling & (lower < reached)
+        if not bool(falling.any()):
+            break
+        result = torch.where(_each_vertex(falling, garments), further, result)
+        reached, size = torch.where(falling, lower, reached), 2.0 * size
+    return _Place(frozen, result, reached)
 
 
 def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, Tensor]:
@@ -326,7 +346,7 @@ def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, T
     better = standing.energies(held).per_world(garments) < moved.energies(start).per_world(garments)
     if not bool(better.any()):
         return moved, start
-    return potential.reached(before, torch.where(better[garments.vertex_world, None], held, start))
+    return potential.reached(before, torch.where(_each_vertex(better, garments), held, start))
 
 
 def _norm(forces: np.ndarray, masses: np.ndarray) -> float:
@@ -342,6 +362,11 @@ def _factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:
     counts = torch.tensor(garments.world_offsets).diff()
     largest = torch.segment_reduce(moves.norm(dim=1), "max", lengths=counts)
     return torch.where(largest > 1e-12 * largest.max(), torch.full_like(largest, size) / largest, 0.0)
+
+
+def _each_vertex(values: Tensor, garments: PackedGarments) -> Tensor:
+    """(vertices, 1) of each vertex, the one of `values` (worlds,) that is its world's."""
+    return values[garments.vertex_world, None]
 
 
 def _sums(values: Tensor, garments: PackedGarments) -> Tensor:

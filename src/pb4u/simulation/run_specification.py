@@ -232,6 +232,8 @@ class RunSpecification:
         trajectory = Trajectory.collect(header, rows)
         if is_resampled:
             trajectory = resampled(trajectory, self.scene.fps, self.scene.written_frames)
+            if record is not None and record.failed_at is not None:
+                record.failed_at = trajectory.frame_count
         if path is not None:
             trajectory.save(path)
         return trajectory
