@@ -98,7 +98,7 @@ def test_every_verb_and_flag_is_on_the_page_of_commands(site: Path) -> None:
 
 def test_formulas_are_drawn_and_the_first_page_moves(site: Path) -> None:
     assert (site / "science" / "equations" / "index.html").read_text().count("<math") >= 10
-    assert "images/dress_dance.gif" in (site / "index.html").read_text()
-    assert (site / "images" / "dress_dance.gif").read_bytes()[:6] == b"GIF89a"
+    assert "images/outfit_dance.gif" in (site / "index.html").read_text()
+    assert (site / "images" / "outfit_dance.gif").read_bytes()[:6] == b"GIF89a"
     decisions = len(list((ROOT / "docs" / "decisions").glob("*.md")))
     assert len(list((site / "decisions").glob("*/index.html"))) == decisions
