@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import torch
 from tests.physics.shapes import DT, at_rest, capsule, collider, colliders, packed, sheet, time_step
 
 from pb4u.physics.contact.planes import nearest_planes
-from pb4u.physics.contact.response import ContactReport, ContactResponse
+from pb4u.physics.contact.response import ContactResponse
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
 
@@ -36,13 +37,24 @@ def lying(height: float, velocity: tuple[float, float, float] = (0.0, 0.0, 0.0))
     return garments, State(x, torch.tensor(velocity, dtype=torch.float64).expand_as(x).clone(), 1)
 
 
+class Report(NamedTuple):
+    """What a response did: vertices moved, the farthest [m], vertices and depth [m] left inside."""
+
+    pushed: int
+    largest_push: float
+    left: int
+    deepest: float
+
+
 def answered(
     garments: PackedGarments, state: State, body: ColliderFrame, before: State | None = None
-) -> tuple[State, ContactReport]:
+) -> tuple[State, Report]:
     """The response to `state` at the end of a step from `before`, by default the same positions, and its report."""
-    reports: list[ContactReport] = []
-    after = ContactResponse(watch=reports.append).respond(time_step(garments, before or state, body), state)
-    return after, reports[0]
+    response, step = ContactResponse(), time_step(garments, before or state, body)
+    after = response.respond(step, state)
+    moved = (after.positions - state.positions).norm(dim=1)
+    depths = [response.depth(step, x.expand_as(after.positions)) for x in after.positions]
+    return after, Report(int((moved > 0).sum()), float(moved.max()), sum(d > 1e-3 for d in depths), max(depths))
 
 
 def test_out_to_the_clearance_without_gaining_speed() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -66,27 +65,10 @@ class NoContact(Contact):
 
 
 @dataclass(frozen=True)
-class ContactReport:
-    """Statistics of one contact response.
-
-    Args:
-        pushed: vertices moved.
-        largest_push: largest displacement by the response [m].
-        left: vertices still deeper than a millimetre.
-        deepest: largest remaining depth [m], 0 where none.
-    """
-
-    pushed: int
-    largest_push: float
-    left: int
-    deepest: float
-
-
-@dataclass(frozen=True)
 class ContactResponse(Contact):
     """Pushes vertices out of the true surface along its normal and removes the speed that would take them back in.
 
-    A push is at most `largest_push` per step and what remains is reported. Of the velocity only the inward normal
+    A push is at most `largest_push` per step; what remains, `depth` tells. Of the velocity only the inward normal
     component relative to the body is removed; the push itself never becomes speed. Regions of the body left out of
     contact do not push, nor do pinned vertices move. Where the nearest surface has become the far side of a thin part
     (an arm), the vertex is pushed back to the side that it came from; a push that would go deeper into another part is
@@ -99,13 +81,11 @@ class ContactResponse(Contact):
         clearance: distance to the surface that pushed vertices end at [m].
         largest_push: largest displacement of a vertex in one step [m].
         faces: lifts edges and faces of the written states out of the body; None for no lift.
-        watch: called with a report of every response.
     """
 
     clearance: float = 5e-4
     largest_push: float = 0.02
     faces: FaceClearance | None = field(default_factory=FaceClearance)
-    watch: Callable[[ContactReport], None] | None = None
 
     def respond(self, step: TimeStep, state: State) -> State:
         x, v = state.positions, state.velocities
@@ -118,8 +98,6 @@ class ContactResponse(Contact):
             touched = (depth > 0) & movable
             x = torch.where(touched[:, None], x + depth[:, None] * up, x)
             v = torch.where(touched[:, None], v + (-v[:, 1]).clamp_min(0.0)[:, None] * up, v)
-        if self.watch is not None:
-            self.watch(self._report(step, state.positions, x))
         return replace(state, positions=x, velocities=v)
 
     def depth(self, step: TimeStep, x: Tensor) -> float:
@@ -159,12 +137,6 @@ class ContactResponse(Contact):
         crossed = crossed & (height < 0)
         normal = torch.where(crossed[:, None], facing, planes.normals)
         return normal, torch.where(crossed, self.clearance - height, depth)
-
-    def _report(self, step: TimeStep, old: Tensor, new: Tensor) -> ContactReport:
-        moved, depth = (new - old).norm(dim=1), _depths(step, new)
-        if not len(moved):
-            return ContactReport(0, 0.0, 0, 0.0)
-        return ContactReport(int((moved > 0).sum()), float(moved.max()), int((depth > 1e-3).sum()), float(depth.max()))
 
 
 def _planes(pose: ColliderPose, garments: PackedGarments, x: Tensor) -> ContactPlanes:
