@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 import torch
 from ball_scene import ball_scene
 from test_hooked import pierced
@@ -57,6 +58,21 @@ def test_a_prediction_that_iterations_leave_torn_is_made_anew() -> None:
     solved, energies = ImplicitSteps(potential=POTENTIAL).refine(step, step.state), POTENTIAL.of(step).energies
     over = [float(energies(x.positions).total - energies(solved.positions).total) for x in (refined, result)]
     assert over[1] < 0.05 * over[0]
+
+
+@pytest.mark.parametrize(("freed", "counted"), [(0.9e-3, []), (1.3e-3, [1])])
+def test_strained_cloth_that_iterations_free_of_nothing_is_left(
+    monkeypatch: pytest.MonkeyPatch, freed: float, counted: list[int]
+) -> None:
+    """A tight shirt: strained in every step, far from balance at a few vertices, and with no energy to lose."""
+    made: list[int] = []
+    step = first_step(speed=4.0)
+    refining = SafeguardedRefinement(1, POTENTIAL, lambda: made.append(1))
+    torn = replace(refining.solver.minimise(POTENTIAL.of(step), left_behind(step).positions, 1), freed=freed)
+    assert torn.residual > refinement._BALANCED
+    monkeypatch.setattr(refining.solver, "minimise", lambda *_: torn)
+    refining.refine(step, left_behind(step))
+    assert made == counted
 
 
 def test_a_prediction_that_iterations_leave_hooked_is_made_anew() -> None:

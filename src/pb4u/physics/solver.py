@@ -70,6 +70,8 @@ class Solution:
             of the world where it is largest.
         iterations: Newton iterations made.
         converged: whether the residual is below the tolerance.
+        freed: height [m] to which the energy that the last iteration promised or freed would lift the garments, of the
+            world where it is largest; infinite where no iteration was made.
     """
 
     positions: Tensor
@@ -77,6 +79,7 @@ class Solution:
     residual: float
     iterations: int
     converged: bool
+    freed: float
 
 
 @dataclass(frozen=True)
@@ -103,8 +106,7 @@ class Solver:
         tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
         max_iterations: Newton iterations after which it stops in any case.
         forcing: relative tolerance of the linear solves.
-        settled: height [m] to which the energy that an iteration promised and freed would lift the garments of each
-            world, at or below which that iteration is the last; 0 for no such end.
+        settled: the iteration of which less is `freed` than this [m], as in `Solution`, is the last; 0 for no such end.
     """
 
     def __init__(
@@ -154,7 +156,7 @@ class Solver:
         potential, start = _reached(potential, lifted)
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
-        x, iteration, damping_level, settled = start, 0, -1, False
+        x, iteration, damping_level, freed = start, 0, -1, float("inf")
         while True:
             frozen = contact.potential_at(x).with_cloth(cloth)
             energies, gradient = frozen.energies_and_gradient(x)
@@ -164,16 +166,16 @@ class Solver:
                 raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
             if watch is not None:
                 watch(Iteration(iteration, total, residual))
-            if residual <= self.tolerance or iteration >= limit or settled:
+            if residual <= self.tolerance or iteration >= limit or freed < self.settled:
                 solved = residual <= self.tolerance
-                return Solution(x, energies, residual, iteration, solved)
+                return Solution(x, energies, residual, iteration, solved, freed)
             highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
             newton, damping_level = self._direction(frozen, x, gradient, highest, self._preconditioner)
             moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
-                return Solution(x, energies, residual, iteration, converged=False)
-            x, cloth, freed = moved
-            settled = self.settled > 0.0 and bool((freed <= self.settled * self._weight).all())
+                return Solution(x, energies, residual, iteration, False, freed)
+            x, cloth, energy = moved
+            freed = float((energy / self._weight).max())
             iteration += 1
 
     def _prepare(self, potential: StepPotential) -> None:
