@@ -32,17 +32,19 @@ TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     ],
 )
 def test_a_segment_passes_through_a_face_or_beside_it(start: tuple, end: tuple, through: bool) -> None:
-    pairs = segments_through_faces(np.array([start]), np.array([end]), TRIANGLE, np.array([[0, 1, 2]]))
+    pairs, places = segments_through_faces(np.array([start]), np.array([end]), TRIANGLE, np.array([[0, 1, 2]]))
     assert len(pairs) == through
-    turned = segments_through_faces(np.array([end]), np.array([start]), TRIANGLE, np.array([[2, 1, 0]]))
+    assert places[:, 2] == pytest.approx(0.0)
+    turned, again = segments_through_faces(np.array([end]), np.array([start]), TRIANGLE, np.array([[2, 1, 0]]))
     assert len(turned) == through
+    np.testing.assert_allclose(again, places)
 
 
 def test_every_segment_and_face_is_compared() -> None:
     vertices = np.concatenate([TRIANGLE + [0.0, 0.0, height] for height in (0.0, 1.0, 2.0)])
     faces = np.arange(9).reshape(3, 3)
     starts = np.array([[0.1, 0.1, -0.5], [0.1, 0.1, 0.5], [5.0, 0.1, 0.5]])
-    pairs = segments_through_faces(starts, starts + [0.0, 0.0, 2.0], vertices, faces)
+    pairs, _ = segments_through_faces(starts, starts + [0.0, 0.0, 2.0], vertices, faces)
     assert pairs.tolist() == [[0, 0], [0, 1], [1, 1], [1, 2]]
 
 
@@ -88,6 +90,21 @@ def test_a_limb_through_cloth_is_counted_and_said() -> None:
     assert report["limbs_through_cloth"] == [{"bone": "lowerarm01.L", "first_frame": 2, "frames": 2}]
     assert report["metrics"]["limbs_through_cloth"]["per_frame"] == [0.0, 0.0, 1.0, 1.0]
     assert any("lowerarm01.L (2)" in note and "from frame 2 on" in note for note in report["notes"])
+
+
+def test_a_bone_outside_of_its_skin_says_nothing() -> None:
+    scene, trajectory = skewered()
+    bones = Bones.of(scene, trajectory)
+    assert bones.through_cloth(trajectory)[2:].any()
+    aside = np.array(trajectory.body_positions)
+    aside[3] += [0.0, 0.5, 0.0]
+    moved = bones.through_cloth(replace(trajectory, body_positions=aside))
+    assert moved.any(axis=1).tolist() == [False, False, True, False]
+
+
+def test_the_toes_of_a_foot_are_one() -> None:
+    bones = Bones.of(*worn())
+    assert {name for name in bones.names if name.startswith("toe")} == {"toes.L", "toes.R"}
 
 
 def test_a_run_that_stopped_being_finite_is_reported_as_diverged_after_its_last_frame() -> None:

@@ -1,22 +1,28 @@
 """Limbs that have gone through cloth: bones that cross its faces.
 
 Skin that is a little above or beside cloth may be a fold or a coarse mesh; a bone that crosses a face cannot be. A
-sleeve or a trouser leg is around its bone, and a hem or a collar lets it through an opening.
+sleeve or a trouser leg is around its bone, and a hem or a collar lets it through an opening. Where a bone is outside of
+its own skin, as that of a shoulder is by some millimetres under a raised arm, what it crosses says nothing.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 
 from pb4u.body.body_model import PosedBody
 from pb4u.body.skeleton import joint_positions
+from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.proximity.crossings import segments_through_faces
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory
+
+_TOES = re.compile(r"^toe[\d-]+")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,22 +61,32 @@ class Bones:
         return Bones(tuple(names), np.concatenate(ends, axis=1))
 
     def through_cloth(self, trajectory: Trajectory) -> np.ndarray:
-        """Which bones (frames, bones) bool cross a face of the garments.
+        """Which bones (frames, bones) bool cross a face of the garments inside the body.
 
         Args:
             trajectory: the frames that the bones were taken at.
         """
         crossed = np.zeros(self.ends.shape[:2], dtype=bool)
+        if not self.names:
+            return crossed
+        skin = TriangleSurface(np.array(trajectory.header.body_faces), trajectory.body_positions.shape[1])
         for t, ends in enumerate(self.ends):
             cloth = np.asarray(trajectory.positions[t], dtype=np.float64)
-            if len(self.names) and np.isfinite(cloth).all():
-                pairs = segments_through_faces(ends[:, 0], ends[:, 1], cloth, trajectory.faces)
-                crossed[t, pairs[:, 0]] = True
+            if not np.isfinite(cloth).all():
+                continue
+            pairs, places = segments_through_faces(ends[:, 0], ends[:, 1], cloth, trajectory.faces)
+            if len(pairs):
+                body = torch.from_numpy(np.array(trajectory.body_positions[t], dtype=np.float64))
+                inside = skin.at(body).nearest(torch.from_numpy(places)).signed_distance.numpy() < 0.0
+                crossed[t, pairs[inside, 0]] = True
         return crossed
 
 
 def _touchable_bones(body: PosedBody) -> tuple[list[str], np.ndarray]:
-    """Names of a body's bones whose skin is mostly touchable, and the two joints (bones, 2) int64 of each."""
+    """Names of a body's bones whose skin is mostly touchable, and the two joints (bones, 2) int64 of each.
+
+    The toes of a foot have one name.
+    """
     skeleton, weights = body.body.skeleton, body.body.weights
     nearest = weights.bones[np.arange(len(weights.bones)), weights.weights.argmax(axis=1)]
     skin = np.bincount(nearest, minlength=skeleton.bone_count)
@@ -80,7 +96,9 @@ def _touchable_bones(body: PosedBody) -> tuple[list[str], np.ndarray]:
         for bone, parent in enumerate(skeleton.parents.tolist())
         if parent >= 0 and skin[parent] and 2 * touched[parent] > skin[parent]
     ]
-    return [skeleton.names[parent] for parent, _ in segments], np.array(segments, dtype=np.int64).reshape(-1, 2)
+    return [_TOES.sub("toes", skeleton.names[parent]) for parent, _ in segments], np.array(
+        segments, dtype=np.int64
+    ).reshape(-1, 2)
 
 
 def limbs_through_cloth(names: Sequence[str], crossed: np.ndarray) -> list[dict[str, Any]]:

@@ -53,14 +53,19 @@ def crossings(
     return np.column_stack([pairs[:, 0], near[pairs[:, 1]]])
 
 
-def segments_through_faces(starts: np.ndarray, ends: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Pairs (pairs, 2) int64 of a segment and a face that it passes through.
+def segments_through_faces(
+    starts: np.ndarray, ends: np.ndarray, vertices: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Segments that pass through faces.
 
     Args:
         starts: (segments, 3) [m].
         ends: (segments, 3) [m].
         vertices: (vertices, 3) [m].
         faces: (faces, 3) int64.
+
+    Returns:
+        Pairs (pairs, 2) int64 of a segment and a face, and where they meet (pairs, 3) [m].
     """
     corners = vertices[faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
@@ -81,7 +86,7 @@ def segments_through_faces(starts: np.ndarray, ends: np.ndarray, vertices: np.nd
         [np.einsum("ij,ij->i", np.cross(q - p, place - p), cross) >= 0.0 for p, q in ((a, b), (b, c), (c, a))]
     ).all(axis=0)
     through = (along != 0.0) & (share >= 0.0) & (share <= 1.0) & inside
-    return np.column_stack([segment[through], face[through]])
+    return np.column_stack([segment[through], face[through]]), place[through]
 
 
 @dataclass(frozen=True, eq=False)
