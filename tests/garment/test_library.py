@@ -10,6 +10,7 @@ from pb4u.body.baked_body import BakedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.errors import InputError
+from pb4u.garment.body_form import BodyForm
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import LEVELS, build_garment, garment_names
@@ -135,6 +136,12 @@ def test_hems_hang_clear_and_go_round_both_legs(name: str, shape: str, bodies: d
     assert np.ptp(hem[:, 1]) < 0.002
     angle = np.unwrap(np.arctan2(hem[:, 2] - hem[:, 2].mean(), hem[:, 0]))
     assert abs(abs(angle[-1] - angle[0]) - 2 * np.pi) < 0.6
+
+
+def test_strong_shoulders_are_no_part_of_the_neck() -> None:
+    """With them a cardigan's neck was cut so wide that it fell off."""
+    heavy, usual = (BodyForm(load_body("woman", shape)) for shape in ({"weight": 0.93, "muscle": 0.86}, {}))
+    assert 0.9 < heavy.neck_half_width / usual.neck_half_width < 1.1
 
 
 def test_the_cardigan_is_open_in_front() -> None:

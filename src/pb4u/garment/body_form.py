@@ -27,6 +27,11 @@ _SIDES = {"anny": ("L", "R"), "smpl": ("left", "right")}
 
 #: Number of support directions around the torso or a leg.
 DIRECTIONS = 72
+# Heights [m] above the base of the neck at which it is measured, for an adult of 1.75 m: the first, or where the neck
+# is narrowest, as strong shoulders rise beside its base.
+_NECK_LEVELS = (0.03, 0.04, 0.05, 0.06, 0.07)
+# Half a width [m] that is no neck's: those of drawn bodies are 0.047 to 0.066, with strong shoulders 0.085 to 0.119.
+_WIDE_NECK = 0.07
 # Distance [m] between levels of the sections: finer detail of the skin does not show in the cloth.
 _STEP = 0.01
 
@@ -229,11 +234,16 @@ class BodyForm:
 
     @cached_property
     def neck_half_width(self) -> float:
-        """Half the width [m] of the neck at its base."""
+        """Half the width [m] of the neck at its base, or above the shoulders where strong ones rise beside it."""
         points, _, owner = self.samples
-        near = np.abs(points[:, 1] - self.neck[1] - 0.03 * self.scale) < 0.012
-        near &= (np.abs(points[:, 0]) < 0.12 * self.scale) & ~self.arm_skin[owner]
-        return float(np.abs(points[near, 0]).max()) if near.any() else 0.06 * self.scale
+        inner = points[(np.abs(points[:, 0]) < 0.12 * self.scale) & ~self.arm_skin[owner]]
+
+        def half_width(level: float) -> float:
+            near = np.abs(inner[:, 1] - self.neck[1] - level * self.scale) < 0.012
+            return float(np.abs(inner[near, 0]).max()) if near.any() else 0.06 * self.scale
+
+        base = half_width(_NECK_LEVELS[0])
+        return base if base < _WIDE_NECK * self.scale else min(half_width(level) for level in _NECK_LEVELS)
 
     def midline(self, y: float, front: bool) -> np.ndarray:
         """Point of the skin in the symmetry plane, on the chest side or on the back.
