@@ -89,7 +89,8 @@ def test_a_limb_through_cloth_is_counted_and_said() -> None:
     report = run_report(trajectory, SkinningSimulator(), scene, RunRecord())
     assert report["limbs_through_cloth"] == [{"bone": "lowerarm01.L", "first_frame": 2, "frames": 2}]
     assert report["metrics"]["limbs_through_cloth"]["per_frame"] == [0.0, 0.0, 1.0, 1.0]
-    assert any("lowerarm01.L (2)" in note and "from frame 2 on" in note for note in report["notes"])
+    assert any("lowerarm01.L (2); --arms-away 8" in note and "from frame 2 on" in note for note in report["notes"])
+    assert "--arms-away" not in str(limbs_sentence([{"bone": "toes.L", "first_frame": 0, "frames": 1}], 4))
 
 
 def test_a_bone_outside_of_its_skin_says_nothing() -> None:

@@ -23,6 +23,8 @@ from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory
 
 _TOES = re.compile(r"^toe[\d-]+")
+_ARM = re.compile("arm|elbow|wrist")
+"""In the names of an arm's bones, as Anny and the SMPL family have them; a shoulder's bone is held off by nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +132,8 @@ def limbs_sentence(found: Sequence[dict[str, Any]], frames: int) -> str | None:
     first = min(each["first_frame"] for each in found)
     told = ", ".join(f"{each['bone']} ({each['frames']})" for each in found[:4])
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    arms = "; --arms-away 8 holds arms off the body" if any(_ARM.search(each["bone"]) for each in found) else ""
     return (
         f"Limbs have gone through the cloth from frame {first} on; bones that cross it, with the number of frames of "
-        f"{frames}: {told}{more}."
+        f"{frames}: {told}{more}{arms}."
     )
