@@ -11,6 +11,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.body_form import BodyForm
+from pb4u.garment.clearance import rest_distances
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import LEVELS, build_garment, garment_names
@@ -115,12 +116,6 @@ def heights(garment: Garment) -> list[float]:
         lengths = np.linalg.norm(after - points, axis=1)
         result.append(float(np.average(0.5 * (points + after)[:, 1], weights=lengths)))
     return result
-
-
-def rest_distances(points: np.ndarray, body: ShapedBody) -> np.ndarray:
-    """Signed distances (n,) [m] of `points` (n, 3) to the resting skin."""
-    surface = TriangleSurface(body.faces, len(body.vertices)).at(body.vertices)
-    return surface.nearest(points).signed_distance.numpy()
 
 
 def lowest_border(garment: Garment) -> np.ndarray:

@@ -67,3 +67,17 @@ def _shortfall(vertices: np.ndarray, faces: np.ndarray, surface: PosedSurface) -
     near = surface.nearest(probes.reshape(-1, 3))
     distance = near.signed_distance.numpy().reshape(probes.shape[:2])
     return SMALLEST_CLEARANCE - distance, near.normals.numpy().reshape(probes.shape)
+
+
+def rest_distances(vertices: np.ndarray, body: ShapedBody) -> np.ndarray:
+    """Signed distances of points to the resting skin.
+
+    Args:
+        vertices: (n, 3) [m].
+        body: the resting body.
+
+    Returns:
+        (n,) [m], negative inside.
+    """
+    surface = TriangleSurface(body.faces, len(body.vertices)).at(body.vertices)
+    return surface.nearest(vertices).signed_distance.numpy()
