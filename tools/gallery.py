@@ -1,6 +1,6 @@
 """Draws the gallery: every garment at two triangle counts, one late frame by each model: docs/images/gallery.png.
 
-python tools/gallery.py [--models skinning,pb4u-small,solver] [--triangles 2500,11000] [--garments dress,skirt]
+python tools/gallery.py [--models skinning,pb4u-wide,solver] [--triangles 2500,11000] [--garments dress,skirt]
 
 A model is a name or a checkpoint's path. Pictures are kept in --cells as they are drawn, so that a run that was
 stopped goes on where it was; a picture is drawn anew when its scene, its size or its model's weights changed.
@@ -83,7 +83,7 @@ def draw(garment: str, triangles: int, model: str, view: View) -> np.ndarray:
 def main() -> None:
     """Draw what is missing and put the gallery together."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--models", default="skinning,pb4u-small,solver")
+    parser.add_argument("--models", default="skinning,pb4u-wide,solver")
     parser.add_argument("--triangles", default="2500,11000")
     parser.add_argument("--garments", default=",".join(garment_names()))
     parser.add_argument("--across", type=int, default=1, help="garments in a row")
