@@ -139,6 +139,19 @@ def test_strong_shoulders_are_no_part_of_the_neck() -> None:
     assert 0.9 < heavy.neck_half_width / usual.neck_half_width < 1.1
 
 
+def test_straps_lie_nearer_to_the_neck_where_shoulders_slope() -> None:
+    """On a tall, heavy woman without muscles they slid off where they lie on the usual one."""
+    sloping = load_body("woman", {"height": 0.99, "weight": 0.97, "muscle": 0.03})
+    shares = []
+    for body in (sloping, load_body("woman")):
+        form, garment = BodyForm(body), build_garment("dress", body, SMALL)
+        width = min(abs(float(arm.joints[0, 0])) for arm in form.arms)
+        hole = max((garment.vertices[loop] for loop in garment.topology.boundary_loops), key=lambda p: p[:, 1].max())
+        shares.append(float(np.abs(hole[:, 0]).max()) / width)
+        assert np.abs(hole[:, 0]).max() > form.neck_half_width
+    assert shares[0] < shares[1] < 0.57
+
+
 def test_the_cardigan_is_open_in_front() -> None:
     garment = made("cardigan", "woman")
     x, y, z = garment.vertices.T

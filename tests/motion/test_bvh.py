@@ -27,7 +27,7 @@ def test_any_channel_order_of_a_single_turn_is_the_same_motion(bvh, order):
 
 def test_mixamo_arm_lowered_by_a_right_angle_hangs_on_the_body(bvh, woman):
     angles = {"LeftArm": {"Z": -90.0}, "RightArm": {"Z": 90.0}}
-    poses = load_motion(bvh(angles=angles)).poses(woman, 30.0, 1)
+    poses = load_motion(bvh(angles=angles), arms_away_degrees=0.0).poses(woman, 30.0, 1)
     skeleton = woman.skeleton
     upper, elbow = skeleton.index("upperarm01.L"), skeleton.index("lowerarm01.L")
     along = rotate(poses.rotations[0, upper], skeleton.joints[elbow] - skeleton.joints[upper])

@@ -32,6 +32,8 @@ DIRECTIONS = 72
 _NECK_LEVELS = (0.03, 0.04, 0.05, 0.06, 0.07)
 # Half a width [m] that is no neck's: those of drawn bodies are 0.047 to 0.066, with strong shoulders 0.085 to 0.119.
 _WIDE_NECK = 0.07
+# Where straps begin and end at most, as shares of the way to the shoulder joint.
+_STRAP_SHARES = (0.55, 0.86)
 # Distance [m] between levels of the sections: finer detail of the skin does not show in the cloth.
 _STEP = 0.01
 
@@ -244,6 +246,19 @@ class BodyForm:
 
         base = half_width(_NECK_LEVELS[0])
         return base if base < _WIDE_NECK * self.scale else min(half_width(level) for level in _NECK_LEVELS)
+
+    @cached_property
+    def shoulder_slope(self) -> float:
+        """Angle [rad] by which the tops of the shoulders fall where straps lie, from half the way to the joint on."""
+        points, _, owner = self.samples
+        width = min(abs(float(arm.joints[0, 0])) for arm in self.arms)
+        skin = points[~self.head[owner] & (points[:, 1] > self.armpit)]
+        heights = []
+        for share in _STRAP_SHARES:
+            near = np.abs(np.abs(skin[:, 0]) - share * width) < 0.004 * self.scale
+            heights.append(skin[near, 1].max() if near.any() else self.shoulder_height)
+        far = (_STRAP_SHARES[1] - _STRAP_SHARES[0]) * width
+        return float(np.arctan2(heights[0] - heights[1], far))
 
     def midline(self, y: float, front: bool) -> np.ndarray:
         """Point of the skin in the symmetry plane, on the chest side or on the back.
