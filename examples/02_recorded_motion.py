@@ -19,7 +19,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recording")
     parser.add_argument("--crop", type=int, nargs=2, metavar=("FIRST", "STOP"), help="frames to use, at its own rate")
-    parser.add_argument("--arms-away", type=float, default=0.0, help="degrees to hold hanging arms off the torso")
+    parser.add_argument(
+        "--arms-away", type=float, help="degrees to hold hanging arms off the torso; default: as needed"
+    )
     parser.add_argument("--garment", default="tshirt")
     parser.add_argument("--body", default="woman")
     parser.add_argument("--triangles", type=int, default=2500)
@@ -31,13 +33,11 @@ def main() -> None:
     # Any recording is retargeted to any body: only directions of bones are taken from it, not their lengths.
     motion = pb4u.load_motion(options.recording, crop=crop, arms_away_degrees=options.arms_away)
     print(f"{options.recording}: {motion.duration:.2f} s, {motion.available_frames(30.0)} frames at 30 per second")
-    for note in motion.notes:  # what was repaired while reading: a T-pose before the start, flipped joints ...
-        print("note:", note)
 
     # Before the first frame of the recording, a second of lead-in takes the body there from its rest pose, so that
     # the garment, which is made for the rest pose, arrives unhurried. The lead-in is simulated, not written.
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # the notes again
+        warnings.simplefilter("ignore", UserWarning)  # the notes below
         scene = pb4u.make_scene(
             options.garment,
             options.body,
@@ -45,6 +45,8 @@ def main() -> None:
             triangles=options.triangles,
             lead_in=30,
         )
+    for note in scene.notes:  # what was repaired: a T-pose before the start, flipped joints, arms inside the body ...
+        print("note:", note)
     trajectory = pb4u.load_simulator(options.model).simulate(scene)
 
     measured = pb4u.measure(trajectory)["metrics"]

@@ -91,7 +91,11 @@ def simulate(
     ] = None,
     crop: CropFlag = None,
     arms_away: Annotated[
-        float | None, typer.Option(help="Hold hanging arms this many degrees away from the torso. Default: 0.")
+        float | None,
+        typer.Option(
+            help="Hold hanging arms this many degrees away from the torso. Default: arms of a recording by as much as "
+            "they would go into the body; 0 leaves them as recorded."
+        ),
     ] = None,
     as_recorded: Annotated[
         bool | None,

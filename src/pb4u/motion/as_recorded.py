@@ -14,7 +14,7 @@ from pb4u.body.skeleton import PoseSequence, world_rotations
 from pb4u.body.smpl import BETA_RANGE, JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import about_axis, from_axis_angle, multiply, slerp
-from pb4u.motion.motion import Motion
+from pb4u.motion.motion import Motion, Performed
 from pb4u.motion.recording import finite_frames
 from pb4u.reading_limits import told_names
 from pb4u.restricted_pickle import load_pickle
@@ -57,7 +57,7 @@ class RecordingAsItIs(Motion):
         InputError: the file is no such recording, or the crop is not inside it.
     """
 
-    def __init__(self, path: Path, crop: tuple[int, int] | None = None, arms_away_degrees: float = 0.0) -> None:
+    def __init__(self, path: Path, crop: tuple[int, int] | None = None, arms_away_degrees: float | None = None) -> None:
         sequence = read_smpl_sequence(path)
         frames = len(sequence.poses)
         first, stop = crop or (0, frames)
@@ -70,7 +70,7 @@ class RecordingAsItIs(Motion):
         self._local = from_axis_angle(sequence.poses[first:stop])
         self._local[:, _HANDS:] = [1.0, 0.0, 0.0, 0.0]
         for joint, sign in ((_LEFT_SHOULDER, 1.0), (_RIGHT_SHOULDER, -1.0)):
-            turn = about_axis("z", np.deg2rad(sign * arms_away_degrees))
+            turn = about_axis("z", np.deg2rad(sign * (arms_away_degrees or 0.0)))
             self._local[:, joint] = multiply(turn, self._local[:, joint])
 
     @property
@@ -100,9 +100,9 @@ class RecordingAsItIs(Motion):
         translations = np.concatenate([np.repeat(self._translations[:1], frames, axis=0), self._translations])
         return self._poses(body, local, translations)
 
-    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> PoseSequence:
+    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> Performed:
         self._require_rate(fps)
-        return self._poses(body, self._local[frames], self._translations[frames])
+        return Performed(self._poses(body, self._local[frames], self._translations[frames]))
 
     def _require_rate(self, fps: float) -> None:
         if abs(fps - FPS) > 1e-6 * FPS:

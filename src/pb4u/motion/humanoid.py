@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
@@ -122,32 +124,57 @@ class Humanoid:
         skeleton = self.body.skeleton
         chest = poses.rotations[:, skeleton.index(self.bone_of("spine_upper"))]
         front, down = rotate(chest, np.array([0.0, 0.0, 1.0])), rotate(chest, np.array([0.0, -1.0, 0.0]))
-        rotations = poses.rotations.copy()
         for side, sign in (("L", 1.0), ("R", -1.0)):
             upper = skeleton.index(self.bone_of(f"upper_arm.{side}"))
             arm = rotate(poses.rotations[:, upper], self.reference.directions[f"upper_arm.{side}"])
             hanging = np.clip(np.sum(arm * down, axis=-1), 0.0, 1.0)
             swing = from_axis_angle(sign * np.deg2rad(degrees) * hanging[:, None] * front)
-            for bone, share in enumerate(self._shares_of_arm(side)):
-                if share:
-                    turn = slerp(_IDENTITY, swing, np.full(len(swing), share))
-                    rotations[:, bone] = multiply(turn, rotations[:, bone])
+            poses = self.arm_turned(poses, side, swing)
+        return poses
+
+    def arm_turned(self, poses: PoseSequence, side: str, turns: np.ndarray) -> PoseSequence:
+        """The poses with a whole arm turned about its shoulder.
+
+        Args:
+            poses: poses of this body.
+            side: "L" or "R".
+            turns: (frames, 4) unit quaternions wxyz in the world.
+        """
+        rotations = poses.rotations.copy()
+        for bone, share in enumerate(self.arm_shares(side).tolist()):
+            if share:
+                turn = slerp(_IDENTITY, turns, np.full(len(turns), share))
+                rotations[:, bone] = multiply(turn, rotations[:, bone])
         return PoseSequence(rotations, poses.root_positions, poses.fps)
 
-    def _shares_of_arm(self, side: str) -> list[float]:
-        """How much of the arm's swing each bone takes."""
-        arm = {f"{role}.{side}" for role in _ARM_ROLES}
+    def shares_of(self, roles: Collection[str]) -> np.ndarray:
+        """How much of each bone some roles drive; bones that play none go with their parents.
+
+        Args:
+            roles: names of roles, as "forearm.L".
+
+        Returns:
+            (bones,) in [0, 1].
+        """
         skeleton = self.body.skeleton
-        shares: list[float] = []
-        for name, parent in zip(skeleton.names, skeleton.parents.tolist(), strict=True):
+        shares = np.zeros(skeleton.bone_count)
+        for bone, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):
             part = self.target.bones.get(name)
             if part is None:
-                shares.append(shares[parent])
+                shares[bone] = shares[parent]
             elif isinstance(part, Blend):
-                shares.append((1.0 - part.amount) * (part.first in arm) + part.amount * (part.second in arm))
+                shares[bone] = (1.0 - part.amount) * (part.first in roles) + part.amount * (part.second in roles)
             else:
-                shares.append(float(part in arm))
+                shares[bone] = part in roles
         return shares
+
+    def arm_shares(self, side: str) -> np.ndarray:
+        """How much of a turn of the whole arm each bone (bones,) takes: all below the shoulder, a part at it.
+
+        Args:
+            side: "L" or "R".
+        """
+        return self.shares_of([f"{role}.{side}" for role in _ARM_ROLES])
 
 
 def _part_way(first: np.ndarray, second: np.ndarray, amount: float, along: np.ndarray | None) -> np.ndarray:

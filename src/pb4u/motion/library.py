@@ -33,7 +33,7 @@ def load_motion(
     crop: tuple[int, int] | None = None,
     *,
     seed: int = 0,
-    arms_away_degrees: float = 0.0,
+    arms_away_degrees: float | None = None,
 ) -> Motion:
     """A built-in clip by name, or a recording by path; the suffix decides how it is read.
 
@@ -41,7 +41,7 @@ def load_motion(
         name_or_path: one of `motion_names()`, or an .amc (with its .asf beside it), .bvh, AMASS .npz or VTO/HOOD .pkl.
         crop: (first, stop) frames to keep, counted at the recording's own rate.
         seed: varies tempo and amplitude of a built-in clip a little.
-        arms_away_degrees: swings hanging arms outward by so much, which keeps them clear of loose garments.
+        arms_away_degrees: see `Motion`.
 
     Raises:
         InputError: the name is unknown, the file unreadable, or the crop not inside the recording.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +13,18 @@ from pb4u.errors import InputError
 from pb4u.motion.humanoid import humanoid_of
 
 
+class Performed(NamedTuple):
+    """What a body does of a motion.
+
+    Args:
+        poses: its poses.
+        notes: plain sentences on what this body does otherwise than the motion says (may be empty).
+    """
+
+    poses: PoseSequence
+    notes: tuple[str, ...] = ()
+
+
 class Motion(ABC):
     """A motion that any supported skeleton can perform.
 
@@ -19,11 +32,12 @@ class Motion(ABC):
         name: what the user called it.
         duration: length [s]; None for a procedural clip, which has no end.
         notes: plain sentences on what was repaired or ignored while reading (may be empty).
-        arms_away_degrees: hanging arms are swung outward by so much, which keeps them clear of loose garments.
+        arms_away_degrees: hanging arms are swung outward by so much, which keeps them clear of loose garments. None: as
+            the motion has them; arms of a recording by as much as they would go into the body.
     """
 
     def __init__(
-        self, name: str, duration: float | None, notes: tuple[str, ...] = (), arms_away_degrees: float = 0.0
+        self, name: str, duration: float | None, notes: tuple[str, ...] = (), arms_away_degrees: float | None = None
     ) -> None:
         self.name = name
         self.duration = duration
@@ -31,7 +45,11 @@ class Motion(ABC):
         self.arms_away_degrees = arms_away_degrees
 
     def poses(self, body: ShapedBody, fps: float, frames: int, start: int = 0) -> PoseSequence:
-        """Poses of a body.
+        """Poses of a body, see `perform`."""
+        return self.perform(body, fps, frames, start).poses
+
+    def perform(self, body: ShapedBody, fps: float, frames: int, start: int = 0) -> Performed:
+        """What a body does.
 
         Args:
             body: who performs.
@@ -50,13 +68,16 @@ class Motion(ABC):
                 f"{self.name} ends after {available} frames at {fps:g} fps and {start + frames} were asked for; "
                 f"ask for at most {max(available - start, 0)} from frame {start}, or crop less."
             )
-        poses = self._perform(body, fps, np.arange(start, start + frames))
-        return humanoid_of(body).arms_swung_out(poses, self.arms_away_degrees) if self.arms_away_degrees else poses
+        performed = self._perform(body, fps, np.arange(start, start + frames))
+        if not self.arms_away_degrees:
+            return performed
+        swung = humanoid_of(body).arms_swung_out(performed.poses, self.arms_away_degrees)
+        return performed._replace(poses=swung)
 
     def available_frames(self, fps: float) -> int | None:
         """Number of frames at `fps` frames per second; None where the motion has no end."""
         return None if self.duration is None else int(self.duration * fps + 1e-6) + 1
 
     @abstractmethod
-    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> PoseSequence:
-        """Poses of `body` at `frames` (frames,), counted at `fps`."""
+    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> Performed:
+        """What `body` does at consecutive `frames` (frames,), counted at `fps`."""

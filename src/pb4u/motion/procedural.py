@@ -8,11 +8,10 @@ from functools import lru_cache
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import unknown_name
 from pb4u.motion.gait import RUN, WALK, Gaiting
 from pb4u.motion.humanoid import Humanoid, humanoid_of
-from pb4u.motion.motion import Motion
+from pb4u.motion.motion import Motion, Performed
 from pb4u.motion.performance import Performance, poses_of
 from pb4u.motion.standing_clips import ArmRaises, Jump, Squat, TrunkTwist
 from pb4u.motion.stepping_clips import Dance, SpotTurn
@@ -48,7 +47,7 @@ class ProceduralMotion(Motion):
         InputError: there is no such clip.
     """
 
-    def __init__(self, name: str, seed: int = 0, arms_away_degrees: float = 0.0) -> None:
+    def __init__(self, name: str, seed: int = 0, arms_away_degrees: float | None = None) -> None:
         if name not in CLIPS:
             raise unknown_name("built-in motion", name, CLIPS)
         super().__init__(name, None, arms_away_degrees=arms_away_degrees)
@@ -61,5 +60,5 @@ class ProceduralMotion(Motion):
     def _fit(self, body: ShapedBody) -> Clip:
         return CLIPS[self.name](humanoid_of(body), self.amplitude)
 
-    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> PoseSequence:
-        return poses_of(self._fitted(body)(self.tempo * frames / fps), humanoid_of(body), fps)
+    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> Performed:
+        return Performed(poses_of(self._fitted(body)(self.tempo * frames / fps), humanoid_of(body), fps))

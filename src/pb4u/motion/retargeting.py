@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
@@ -11,9 +11,10 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
 from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms
 from pb4u.geometry.rotation import about_axis, conjugate, multiply, rotate
+from pb4u.motion.arm_clearance import ArmClearance, eased, held_off, reach
 from pb4u.motion.ground import stances
 from pb4u.motion.humanoid import humanoid_of
-from pb4u.motion.motion import Motion
+from pb4u.motion.motion import Motion, Performed
 from pb4u.motion.recording import Recording
 from pb4u.motion.reference_pose import ReferencePose
 
@@ -23,6 +24,8 @@ _FLOOR_SAMPLES = 240
 # Where feet stand, that is the lowest of the levels they stand on: no more than this [m] above the lowest frames, which
 # holds the toes that dip as a foot rolls off, and no stair.
 _LEVEL = 0.06
+# What is turned by less [deg] is not worth a word.
+_LEAST_TOLD = 1.0
 
 
 class Retargeting:
@@ -60,6 +63,11 @@ class Retargeting:
         rotations = multiply(self.turn, self.humanoid.bone_rotations(roles))
         hips = rotate(self.turn, self.scale * self.recording.hip_midpoints(recorded)) - self.origin
         return PoseSequence(rotations, self.humanoid.root_positions(rotations, hips), recorded.fps)
+
+    @cached_property
+    def arm_clearance(self) -> ArmClearance:
+        """Where the arms of the body may be."""
+        return ArmClearance(self.humanoid)
 
     def _floor(self) -> float:
         """Height [m] of the floor under the body: under the feet that stand, or under its lowest moments."""
@@ -138,10 +146,31 @@ class RecordedMotion(Motion):
         arms_away_degrees: see `Motion`.
     """
 
-    def __init__(self, recording: Recording, arms_away_degrees: float = 0.0) -> None:
+    def __init__(self, recording: Recording, arms_away_degrees: float | None = None) -> None:
         super().__init__(recording.name, recording.duration, recording.notes, arms_away_degrees)
         self.recording = recording
         self._retargeting = lru_cache(maxsize=4)(partial(Retargeting, recording))
 
-    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> PoseSequence:
-        return replace(self._retargeting(body).poses(frames / fps), fps=fps)
+    def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> Performed:
+        retargeting = self._retargeting(body)
+        if retargeting.direct or self.arms_away_degrees is not None:
+            return Performed(replace(retargeting.poses(frames / fps), fps=fps))
+        # With some frames around them, so that a frame does not depend on which others are asked for.
+        end = self.available_frames(fps) or int(frames[-1]) + 1
+        around = np.arange(max(frames[0] - reach(fps), 0), min(frames[-1] + 1 + reach(fps), end))
+        return self._held_off(retargeting, replace(retargeting.poses(around / fps), fps=fps), frames - around[0])
+
+    def _held_off(self, retargeting: Retargeting, poses: PoseSequence, kept: np.ndarray) -> Performed:
+        """Some frames of the poses with the arms off the body."""
+        turns = retargeting.arm_clearance.turns(poses)
+        turns = np.stack([eased(each, poses.fps)[kept] for each in turns])
+        poses = replace(poses, rotations=poses.rotations[kept], root_positions=poses.root_positions[kept])
+        angles = np.rad2deg(np.linalg.norm(turns, axis=-1))
+        if angles.max() < _LEAST_TOLD:
+            return Performed(held_off(retargeting.humanoid, poses, turns))
+        frames = int((angles >= _LEAST_TOLD).any(axis=0).sum())
+        note = (
+            f"{self.name}: arms are held off by up to {angles.max():.0f} degrees in {frames} of {len(kept)} frames, "
+            "where they would go into the body; --arms-away 0 leaves them as recorded."
+        )
+        return Performed(held_off(retargeting.humanoid, poses, turns), (note,))

@@ -63,7 +63,7 @@ def make_scene(
     keep_lead_in: bool = SceneSpecification.keep_lead_in,
     crop: tuple[int, int] | None = None,
     fps: float = SceneSpecification.fps,
-    arms_away: float = SceneSpecification.arms_away,
+    arms_away: float | None = SceneSpecification.arms_away,
     seed: int = SceneSpecification.seed,
 ) -> Scene:
     """Garments on a moving body, ready to simulate.
@@ -85,7 +85,8 @@ def make_scene(
         keep_lead_in: write those frames as well, before the `frames` asked for.
         crop: (first, stop) frames of a recording, counted at its own rate.
         fps: frames per second of the simulation [1/s].
-        arms_away: degrees by which hanging arms are held away from the torso.
+        arms_away: degrees by which hanging arms are held away from the torso; default: arms of a recording by as much
+            as they would go into the body.
         seed: seed of procedural motion and of everything random.
 
     Raises:
@@ -279,10 +280,11 @@ def _perform(body: ShapedBody, specification: SceneSpecification) -> _Performanc
     elif available is not None and frames > available:
         _say_shorter(name, available, frames, fps)
         frames = available
-    poses = clip.poses(body, fps, frames)
-    for note in clip.notes:
+    poses, told = clip.perform(body, fps, frames)
+    notes = (*clip.notes, *told)
+    for note in notes:
         _say(note)
-    return _Performance(body.posed(prepend_lead_in(poses, body, specification.lead_in)), frames, name, clip.notes)
+    return _Performance(body.posed(prepend_lead_in(poses, body, specification.lead_in)), frames, name, notes)
 
 
 def _replay(body: ShapedBody, recording: RecordingAsItIs, specification: SceneSpecification) -> _Performance:
@@ -302,7 +304,7 @@ def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
         return load_motion(motion, crop, seed=specification.seed, arms_away_degrees=arms_away), str(motion)
     if not isinstance(motion, Motion):
         raise InputError(f"The motion must be a name, a path or a Motion, not {motion!r}.")
-    for given, option in ((crop is not None, "crop"), (arms_away != 0.0, "arms_away")):
+    for given, option in ((crop is not None, "crop"), (arms_away is not None, "arms_away")):
         if given:
             raise InputError(
                 f"{motion.name} is a motion already loaded, so {option} cannot be applied; give it to load_motion."
@@ -313,7 +315,7 @@ def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
 def _play(body: VertexSequence, specification: SceneSpecification) -> _Performance:
     """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed anew."""
     motion, frames, fps = specification.motion, specification.frames, specification.fps
-    for given, flag in ((specification.crop is not None, "crop"), (specification.arms_away != 0.0, "arms-away")):
+    for given, flag in ((specification.crop is not None, "crop"), (specification.arms_away is not None, "arms-away")):
         if given:
             raise InputError(
                 f"{body.name} is a sequence of vertices that moves by itself, so --{flag} cannot be applied; change "

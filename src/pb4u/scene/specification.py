@@ -85,7 +85,8 @@ class SceneSpecification:
         keep_lead_in: write those frames as well, before the `frames` asked for.
         crop: (first, stop) frames of a recording, counted at its own rate.
         fps: frames per second [1/s].
-        arms_away: degrees by which hanging arms are held away from the torso.
+        arms_away: degrees by which hanging arms are held away from the torso; None: arms of a recording by as much as
+            they would go into the body.
         seed: seed of procedural motion and of everything random.
         as_recorded: whether an SMPL recording is played as it is, on its own shape, place and height.
         omitted: file of the body vertices that are left out of contact; None is the body's own.
@@ -103,7 +104,7 @@ class SceneSpecification:
     keep_lead_in: bool = False
     crop: tuple[int, int] | None = None
     fps: float = 30.0
-    arms_away: float = 0.0
+    arms_away: float | None = None
     seed: int = 0
     as_recorded: bool = False
     omitted: str | Path | None = None
@@ -122,7 +123,8 @@ class SceneSpecification:
         require_whole("lead-in", self.lead_in)
         require_whole("seed", self.seed)
         require_number("frames per second", self.fps)
-        require_number("angle that arms are held away by", self.arms_away)
+        if self.arms_away is not None:
+            require_number("angle that arms are held away by", self.arms_away)
         if self.frames is not None and self.frames < 1:
             raise InputError(f"The number of frames must be 1 or more, not {self.frames}.")
         if self.lead_in < 0:
@@ -131,7 +133,7 @@ class SceneSpecification:
             raise InputError(f"Frames per second must lie between 1 and 1000, not {self.fps:g}.")
         if self.seed < 0:
             raise InputError(f"The seed must be 0 or more, not {self.seed}.")
-        if not 0.0 <= self.arms_away <= 90.0:
+        if self.arms_away is not None and not 0.0 <= self.arms_away <= 90.0:
             raise InputError(f"Arms are held away by 0 to 90 degrees, not {self.arms_away:g}.")
         self._check_garments()
 
