@@ -21,7 +21,7 @@ SIDES = ("L", "R")
 _ROOM = 0.008
 # Nothing is turned farther: an arm that would have to be lies behind the body or under it.
 _FARTHEST = np.deg2rad(30.0)
-# Turns in search of the room, each for the deepest point; three find it but for a millimetre.
+# Turns in search of the room, each for the deepest point; none for a point nearly in line with the push [m].
 _ROUNDS = 6
 _LEAST_LEVER = 0.05
 # An arm begins to swing off so long [s] before it has to, twice over: found and blended.
