@@ -66,9 +66,9 @@ PinsFlag: TypeAlias = Annotated[
     typer.Option(
         parser=GarmentValue.parse,
         metavar="[NAME=]PINS",
-        help="Vertices that follow the body: none, waist (highest border), hem (lowest), loop:N (border with the "
-        "N-th most vertices), or a file of indices. Once for all garments, once a garment in their order, or as "
-        "NAME=PINS. Default: the garment's own.",
+        help="Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem "
+        "(lowest border), loop:N (border with the N-th most vertices), or a file of indices. Once for all garments, "
+        "once a garment in their order, or as NAME=PINS. Default: the garment's own.",
     ),
 ]
 TrianglesFlag: TypeAlias = Annotated[

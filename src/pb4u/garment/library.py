@@ -12,6 +12,7 @@ from pb4u.garment.garment import Garment
 from pb4u.garment.material import MATERIALS
 from pb4u.garment.panels import flat_panels
 from pb4u.garment.patterns import PATTERNS, Pattern
+from pb4u.garment.pins import resolve_pins
 from pb4u.garment.tailoring import tailor
 from pb4u.geometry.implicit_surface import ImplicitSurface
 from pb4u.geometry.remeshing import remesh
@@ -71,12 +72,7 @@ def _meshed(name: str, pattern: Pattern, surface: ImplicitSurface, body: ShapedB
     vertices = clear_of_body(vertices, faces, body)
     uvs, uv_faces = flat_panels(vertices, faces, _form(body), pattern) or (None, None)
     garment = Garment(name, vertices, faces, MATERIALS["default"], uvs=uvs, uv_faces=uv_faces, loose=pattern.loose)
-    if pattern.top != "waist":
-        return garment
-    waist = max(garment.topology.boundary_loops, key=lambda loop: float(vertices[loop, 1].mean()))
-    pinned = np.zeros(len(vertices), dtype=bool)
-    pinned[waist] = True
-    return garment.with_pins(pinned)
+    return garment if pattern.pins == "none" else garment.with_pins(resolve_pins(pattern.pins, garment))
 
 
 def _form(body: ShapedBody) -> BodyForm:

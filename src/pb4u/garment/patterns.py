@@ -29,7 +29,7 @@ class Pattern:
     """The cut of one garment; lengths for an adult of 1.75 m.
 
     Args:
-        top: "shoulder" (it hangs from the shoulders) or "waist" (its upper loop is pinned there).
+        top: "shoulder" (it hangs from the shoulders) or "waist".
         hem: "crotch", "knee", "calf" or "ankle".
         hem_offset: how far above that height it ends [m].
         ease: slack of the torso part at chest (or waist), waist, hip and hem [m].
@@ -57,6 +57,16 @@ class Pattern:
     front_gap: float = 0.0
     legs: bool = False
     loose: bool = False
+
+    @property
+    def pins(self) -> str:
+        """What follows the body, a name that `resolve_pins` takes: a waistband, or the collar of an open front.
+
+        With nothing that closes it, cloth slides off shoulders that fall by 20 degrees, where closed cloth stays.
+        """
+        if self.top == "waist":
+            return "waist"
+        return "collar" if self.front_gap > 0.0 else "none"
 
 
 CREW = Neckline(front=0.055, back=0.0, spread=0.028)

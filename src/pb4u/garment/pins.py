@@ -12,15 +12,18 @@ from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.reading_limits import parse_json, read_text
 
-NAMES = ("none", "waist", "hem")
+NAMES = ("none", "waist", "collar", "hem")
+# How far [m] below its highest point the edge of a garment is a collar: from the sides of the neck to the nape, which
+# lies up to 30 mm lower on the broadest bodies.
+_COLLAR_DEPTH = 0.04
 
 
 def resolve_pins(spec: str | Path | Sequence[int] | np.ndarray, garment: Garment) -> np.ndarray:
     """Mask of the pinned vertices of the simulated mesh.
 
     Args:
-        spec: "none"; "waist" or "hem", the highest or lowest border; "loop:K", the border with the K-th most vertices
-            from 0; a file with vertex indices (JSON list, or separated by blanks, commas or lines); or indices (n,).
+        spec: "none"; "waist" or "hem", the highest or lowest border; "collar", the uppermost part of the border that
+            reaches highest; "loop:K", the border with the K-th most vertices from 0; a file with vertex indices (JSON list, or separated by blanks, commas or lines); or indices (n,).
             Indices count from 0 in the author's mesh where there is one.
         garment: garment to pin.
 
@@ -54,6 +57,11 @@ def _from_name(name: str, garment: Garment) -> np.ndarray:
     if not loops:
         raise InputError(f'{garment.name} has no border, so "{name}" cannot be pinned; give a file of vertex indices.')
     heights = [float(garment.vertices[loop, 1].mean()) for loop in loops]
+    if name == "collar":
+        tops = [garment.vertices[loop, 1] for loop in loops]
+        highest = int(np.argmax([top.max() for top in tops]))
+        pinned[loops[highest][tops[highest] > tops[highest].max() - _COLLAR_DEPTH]] = True
+        return pinned
     if name == "waist":
         loop = int(np.argmax(heights))
     elif name == "hem":
