@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,9 +21,19 @@ def test_names_pick_borders():
     np.testing.assert_array_equal(both, waist | hem)
 
 
+def test_a_collar_is_the_uppermost_part_of_the_border_that_reaches_highest():
+    upright = tube_garment()
+    x, y, z = upright.vertices.T
+    leaning = replace(upright, vertices=np.stack([x, y + 0.5 * z, z], axis=1))
+    collar = resolve_pins("collar", leaning)
+    height = leaning.vertices[:, 1]
+    np.testing.assert_array_equal(collar, resolve_pins("waist", leaning) & (height > height.max() - 0.04))
+    assert 3 < collar.sum() < 20
+
+
 def test_unknown_pins_list_the_choices():
-    with pytest.raises(InputError, match=r"none, waist, hem, loop:0 .*loop:1"):
-        resolve_pins("collar", tube_garment())
+    with pytest.raises(InputError, match=r"none, waist, collar, hem, loop:0 .*loop:1"):
+        resolve_pins("lapel", tube_garment())
     with pytest.raises(InputError, match='no border "loop:2"'):
         resolve_pins("loop:2", tube_garment())
 

@@ -11,7 +11,7 @@ from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.geometry.mesh_file import PolygonMesh
 
-FALLS = {"skirt", "trousers"}
+FALLS = {"skirt", "trousers", "cardigan"}
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def source_of(garment):
 
 
 @pytest.mark.parametrize("name", garment_names())
-def test_skirt_and_trousers_are_told_once_a_file_has_lost_their_pins(name, woman, tmp_path):
+def test_what_is_pinned_is_told_once_a_file_has_lost_its_pins(name, woman, tmp_path):
     built = build_garment(name, woman, 600)
     exported = read_source(saved(tmp_path, source_of(built)))
     # So few triangles are told of besides.
@@ -90,3 +90,16 @@ def test_a_waistband_and_straps_are_found_as_what_holds(woman):
     # Legs alone are round no waist.
     leg = skirt.vertices * [0.4, 1.0, 0.4] + [0.3, -0.3, 0.0]
     assert find_holder(leg, skirt.faces, rest) is None
+
+
+@pytest.mark.parametrize("body", ["woman", "man"])
+def test_the_collar_of_an_open_front_is_found_where_the_built_in_one_is_pinned(body):
+    wearer = load_body(body)
+    rest = RestBody.of(wearer)
+    cardigan = build_garment("cardigan", wearer, 1000)
+    collar = find_holder(cardigan.vertices, cardigan.faces, rest)
+    assert collar is not None
+    assert collar.name == "collar"
+    np.testing.assert_array_equal(collar.vertices, cardigan.pinned)
+    # Off the neck it is not worn by its collar.
+    assert find_holder(cardigan.vertices + [0.0, 0.06, -0.04], cardigan.faces, rest) is None

@@ -122,6 +122,7 @@ class BodyForm:
         scale: lengths that are not measured grow with it, 1 for an adult of 1.75 m.
         shoulder_height: mean height of the joints on both sides [m]; so `hip_height`, `knee_height`, `ankle_height`.
         waist: height of the natural waist [m].
+        shoulder_half_width: how far the nearer shoulder joint is from the middle [m].
     """
 
     def __init__(self, body: ShapedBody) -> None:
@@ -140,6 +141,7 @@ class BodyForm:
         self.hand_skin: np.ndarray = self.arms[0].tip | self.arms[1].tip
         self.foot_skin: np.ndarray = self.legs[0].tip | self.legs[1].tip
         self.shoulder_height = float(np.mean([arm.joints[0, 1] for arm in self.arms]))
+        self.shoulder_half_width = min(abs(float(arm.joints[0, 0])) for arm in self.arms)
         self.hip_height, self.knee_height, self.ankle_height = (
             float(np.mean([leg.joints[k, 1] for leg in self.legs])) for k in range(3)
         )
@@ -251,7 +253,7 @@ class BodyForm:
     def shoulder_slope(self) -> float:
         """Angle [rad] by which the tops of the shoulders fall where straps lie, from half the way to the joint on."""
         points, _, owner = self.samples
-        width = min(abs(float(arm.joints[0, 0])) for arm in self.arms)
+        width = self.shoulder_half_width
         skin = points[~self.head[owner] & (points[:, 1] > self.armpit)]
         heights = []
         for share in _STRAP_SHARES:

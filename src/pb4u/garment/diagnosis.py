@@ -332,10 +332,11 @@ def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
 
 def _support_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> list[Finding]:
     """A garment without pins, its (vertices, 3) where it is worn, that will slide down."""
-    if is_held_up(vertices, faces, body):
+    holder = find_holder(vertices, faces, body)
+    if holder is None and is_held_up(vertices, faces, body):
         return []
-    if (holder := find_holder(vertices, faces, body)) is not None:
-        sentence = f"Its {holder.name}, {int(holder.vertices.sum())} vertices, is all that can hold the garment up."
+    if holder is not None:
+        sentence = f"Nothing but its {holder.name}, {int(holder.vertices.sum())} vertices, can hold the garment up."
         fix = "nothing: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
         return [Finding("unsupported", Severity.NOTE, sentence, fix)]
     sentence = "Nothing holds the garment up: none of it lies on the shoulders."

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
+from pb4u.garment.pins import collar_of, highest_reaching
 from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas
@@ -53,7 +54,7 @@ LEAST_AREA = 5e-4
 """Cloth [m^2] over such skin that is a rest: a few square centimetres, as of a strap."""
 STRAP_AREA = 6e-3
 """Cloth [m^2] on the shoulders below which it is straps: two of 3 cm by 10; a T-shirt has four times as much."""
-# Shares of the body's height between which a waistband sits, and its mean distance to the skin [m] at most.
+# Shares of the body's height between which a waistband sits, and the mean distance to the skin [m] of what holds.
 _WAIST, _CLOSE = (0.5, 0.75), 0.03
 _UP = np.array([0.0, 1.0, 0.0])
 
@@ -391,7 +392,7 @@ class Holder(NamedTuple):
     """What holds a garment that nothing else does.
 
     Args:
-        name: "straps" or "waistband".
+        name: "straps", "waistband" or "collar".
         vertices: (vertices,) bool, the cloth of it.
     """
 
@@ -400,10 +401,11 @@ class Holder(NamedTuple):
 
 
 def find_holder(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
-    """Straps that are too narrow to stay on the shoulders by friction, or a border close around the waist.
+    """Straps that are too narrow to stay on the shoulders by friction, an open front's collar, or a border at the waist.
 
-    None where broad cloth lies on the shoulders, and where nothing of the kind is found. A real waistband is elastic or
-    buttoned, and straps are sewn on under tension; cloth alone is neither.
+    None where broad cloth that is closed in front lies on the shoulders, and where nothing of the kind is found. A real
+    waistband is elastic or buttoned, and straps are sewn on under tension; cloth alone is neither. Nor does anything
+    keep the halves of an open front from parting and sliding down the arms: who wears them does.
 
     Args:
         vertices: (vertices, 3) of the garment where it is worn [m].
@@ -414,8 +416,10 @@ def find_holder(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Hold
     area = float(face_areas(vertices, faces[resting]).sum())
     if area >= LEAST_AREA:
         held = np.zeros(len(vertices), dtype=bool)
+        if area >= STRAP_AREA:
+            return _open_collar(vertices, faces, body)
         held[faces[resting].ravel()] = True
-        return Holder("straps", held) if area < STRAP_AREA else None
+        return Holder("straps", held)
     ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
     middle = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0))
     for loop in sorted(Topology(faces, len(vertices)).boundary_loops, key=lambda loop: -vertices[loop, 1].mean()):
@@ -430,3 +434,18 @@ def find_holder(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Hold
             held[loop] = True
             return Holder("waistband", held)
     return None
+
+
+def _open_collar(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
+    """The collar of a garment that is open in front: the border at its neck goes on to below its middle."""
+    loops = Topology(faces, len(vertices)).boundary_loops
+    if not loops:
+        return None
+    border = highest_reaching(vertices, loops)
+    middle = 0.5 * float(vertices[:, 1].min() + vertices[:, 1].max())
+    collar = collar_of(vertices, border)
+    if vertices[border, 1].min() > middle or np.abs(body.signed_distances(vertices[collar])).mean() > _CLOSE:
+        return None
+    held = np.zeros(len(vertices), dtype=bool)
+    held[collar] = True
+    return Holder("collar", held)

@@ -49,6 +49,28 @@ def resolve_pins(spec: str | Path | Sequence[int] | np.ndarray, garment: Garment
     )
 
 
+def highest_reaching(vertices: np.ndarray, loops: Sequence[np.ndarray]) -> np.ndarray:
+    """The border, vertices (n,) in order, whose highest vertex is above those of the others.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        loops: borders, at least one.
+    """
+    return max(loops, key=lambda loop: float(vertices[loop, 1].max()))
+
+
+def collar_of(vertices: np.ndarray, border: np.ndarray) -> np.ndarray:
+    """The vertices (k,) of a border that are a collar: its uppermost part.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        border: (n,) vertices of the border.
+    """
+    height = vertices[border, 1]
+    collar: np.ndarray = border[height > height.max() - _COLLAR_DEPTH]
+    return collar
+
+
 def _from_name(name: str, garment: Garment) -> np.ndarray:
     pinned = np.zeros(len(garment.vertices), dtype=bool)
     if name == "none":
@@ -58,9 +80,7 @@ def _from_name(name: str, garment: Garment) -> np.ndarray:
         raise InputError(f'{garment.name} has no border, so "{name}" cannot be pinned; give a file of vertex indices.')
     heights = [float(garment.vertices[loop, 1].mean()) for loop in loops]
     if name == "collar":
-        tops = [garment.vertices[loop, 1] for loop in loops]
-        highest = int(np.argmax([top.max() for top in tops]))
-        pinned[loops[highest][tops[highest] > tops[highest].max() - _COLLAR_DEPTH]] = True
+        pinned[collar_of(garment.vertices, highest_reaching(garment.vertices, loops))] = True
         return pinned
     if name == "waist":
         loop = int(np.argmax(heights))

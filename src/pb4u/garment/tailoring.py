@@ -158,9 +158,8 @@ def _arm_distance(lattice: Lattice, form: BodyForm) -> np.ndarray:
 
 def _neck_width(pattern: Pattern, form: BodyForm) -> float:
     """Half the width [m] of the neck hole, held clear of the ends of the shoulders, the more so the more they slope."""
-    shoulder = min(abs(float(arm.joints[0, 0])) for arm in form.arms)
     share = float(np.interp(form.shoulder_slope, *_NECK_SHARES))
-    return min(form.neck_half_width + pattern.neckline.spread * form.scale, share * shoulder)
+    return min(form.neck_half_width + pattern.neckline.spread * form.scale, share * form.shoulder_half_width)
 
 
 def _neck_cut(pattern: Pattern, form: BodyForm, lattice: Lattice) -> np.ndarray:
