@@ -46,9 +46,11 @@ def draw(runs: list[Path]) -> plt.Figure:
         means = np.convolve(stretch, np.full(SMOOTHED, 1 / SMOOTHED), "valid")
         axes[0].semilogy(steps[SMOOTHED - 1 :], means, label=run.name)
         scored = [line for line in lines(run) if "validation" in line]
-        for axis, key, factor in ((axes[1], "energy", 1.0), (axes[2], "survived", 100.0)):
-            values = [factor * line["validation"][key] for line in scored]
-            axis.plot([line["step"] for line in scored], values, marker="o", markersize=4)
+        for axis, key, factor in ((axes[1], "energy_without_gravity", 1.0), (axes[2], "survived", 100.0)):
+            # Earlier versions wrote an energy with gravity, which is another quantity.
+            known = [line for line in scored if line["validation"].get(key) is not None]
+            values = [factor * line["validation"][key] for line in known]
+            axis.plot([line["step"] for line in known], values, marker="o", markersize=4)
     axes[1].set_ylim(bottom=0.0)
     axes[2].set_ylim(0.0, 102.0)
     figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)

@@ -22,9 +22,10 @@ from pb4u.simulation.checkpoint import load_checkpoint
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.training import trainer as trainer_module
-from pb4u.training.budget import Budget
+from pb4u.training.budget import Budget, Counters
 from pb4u.training.curriculum import Curriculum
 from pb4u.training.journal import draw_curve
+from pb4u.training.objective import step_energies
 from pb4u.training.recovery import TrainingFailedError
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.trainer import RoundEnd, Trainer
@@ -190,9 +191,30 @@ def test_the_end_of_the_minutes_does_not_wait_for_a_round(monkeypatch: pytest.Mo
 
 def test_better_means_more_frames_survived_then_less_energy() -> None:
     assert Score(1.0, 9.0, 0.1).beats(Score(0.9, 1.0, 0.1))
-    assert Score(1.0, -1.1, 0.1).beats(Score(1.0, -1.0, 0.1), 0.005)
-    assert not Score(1.0, -1.001, 0.1).beats(Score(1.0, -1.0, 0.1), 0.005)
+    assert Score(1.0, 0.9, 0.1).beats(Score(1.0, 1.0, 0.1), 0.005)
+    assert not Score(1.0, 0.999, 0.1).beats(Score(1.0, 1.0, 0.1), 0.005)
     assert not Score(0.5, 0.0, 0.1).beats(Score(1.0, 5.0, 0.1))
+
+
+def test_a_score_is_of_what_resists_and_not_of_how_low_cloth_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = made(TINY, 2)
+
+    def far_lower(step: TimeStep, positions: Tensor, weight: float) -> Energies:
+        terms = step_energies(step, positions, weight).terms
+        return Energies({**terms, "gravity": terms["gravity"] - 1000.0})
+
+    usual = trainer.validation.score(trainer.model.eval())
+    monkeypatch.setattr("pb4u.training.validation.step_energies", far_lower)
+    lower = trainer.validation.score(trainer.model.eval())
+    assert usual.energy_without_gravity > 0.0
+    assert lower.energy_without_gravity == pytest.approx(usual.energy_without_gravity, rel=1e-4)
+
+
+def test_a_best_score_of_earlier_versions_is_not_compared_with() -> None:
+    counters = Counters(step=5, best=Score(1.0, 0.2, 0.1))
+    assert Counters.from_json(counters.to_json()) == counters
+    earlier = counters.to_json() | {"best": {"survived": 1.0, "energy": -0.25, "strain": 0.1}}
+    assert Counters.from_json(earlier) == replace(counters, best=None)
 
 
 def test_the_network_may_be_any_configuration() -> None:

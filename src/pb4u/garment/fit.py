@@ -401,7 +401,7 @@ class Holder(NamedTuple):
 
 
 def find_holder(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
-    """Straps that are too narrow to stay on the shoulders by friction, an open front's collar, or a border at the waist.
+    """Straps too narrow to stay on the shoulders by friction, the collar of an open front, or a border at the waist.
 
     None where broad cloth that is closed in front lies on the shoulders, and where nothing of the kind is found. A real
     waistband is elastic or buttoned, and straps are sewn on under tension; cloth alone is neither. Nor does anything

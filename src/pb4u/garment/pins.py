@@ -23,8 +23,9 @@ def resolve_pins(spec: str | Path | Sequence[int] | np.ndarray, garment: Garment
 
     Args:
         spec: "none"; "waist" or "hem", the highest or lowest border; "collar", the uppermost part of the border that
-            reaches highest; "loop:K", the border with the K-th most vertices from 0; a file with vertex indices (JSON list, or separated by blanks, commas or lines); or indices (n,).
-            Indices count from 0 in the author's mesh where there is one.
+            reaches highest; "loop:K", the border with the K-th most vertices from 0; a file with vertex indices (JSON
+            list, or separated by blanks, commas or lines); or indices (n,). Indices count from 0 in the author's mesh
+            where there is one.
         garment: garment to pin.
 
     Returns:

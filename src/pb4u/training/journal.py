@@ -61,7 +61,9 @@ class BarReporter(Reporter):
         self.bar.update(self.task, completed=min(progress, 1.0), terms=text)
 
     def validated(self, step: int, score: Score, best: bool) -> None:
-        self.score = f"  | validation {100 * score.survived:.0f}% {score.energy:.3g} J" + (" best" if best else "")
+        self.score = f"  | validation {100 * score.survived:.0f}% {score.energy_without_gravity:.3g} J" + (
+            " best" if best else ""
+        )
 
     def said(self, sentence: str) -> None:
         self.bar.console.print(f"pb4u: {sentence}")
@@ -192,9 +194,13 @@ def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
         linewidth=1,
     )
     lower.set_yscale("symlog")
-    scores = [line for line in lines if line.get("validation") and line["validation"]["energy"] is not None]
+    # Lines of earlier versions have a score with gravity, which is another quantity.
+    scores = [
+        (line["step"], line["validation"].get("energy_without_gravity")) for line in lines if line.get("validation")
+    ]
+    scores = [(step, energy) for step, energy in scores if energy is not None]
     lower.plot(
-        [line["step"] for line in scores], [line["validation"]["energy"] for line in scores], "o-", label="validation"
+        [step for step, _ in scores], [energy for _, energy in scores], "o-", label="validation, without gravity"
     )
     for line in lines:
         if "rollback" in line:

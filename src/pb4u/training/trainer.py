@@ -301,7 +301,7 @@ class Trainer:
         with self.learner.averaged():
             if self.workers.leads:
                 score = self.validation.score(self.model.eval())
-                outcome = outcome.new_tensor([score.survived, score.energy, score.strain])
+                outcome = outcome.new_tensor([score.survived, score.energy_without_gravity, score.strain])
             self.model.train()
         score = Score(*self.workers.sum(outcome).tolist())
         best = score.beats(self.counters.best, IMPROVEMENT)

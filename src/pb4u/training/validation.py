@@ -21,6 +21,9 @@ from pb4u.training.objective import REFERENCE_WEIGHT, step_energies
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.windows import Sample, WindowLoader
 
+# An energy [J] that no clip has: cloth that lies still has thousands of times as much.
+_NO_ENERGY = 1e-9
+
 
 @dataclass(frozen=True)
 class Score:
@@ -28,12 +31,14 @@ class Score:
 
     Args:
         survived: share of all frames that came before their garment was lost.
-        energy: mean of the potential of those frames [J].
+        energy_without_gravity: geometric mean, over the clips, of the mean potential of those frames less gravity's
+            [J]: weights then rank as by their ratio to the solver's energy, which gravity would turn round, as a
+            garment that sags has less of it.
         strain: mean of their 95th percentile strains.
     """
 
     survived: float
-    energy: float
+    energy_without_gravity: float
     strain: float
 
     def beats(self, other: Score | None, margin: float = 0.0) -> bool:
@@ -47,7 +52,7 @@ class Score:
             return True
         if self.survived != other.survived:
             return self.survived > other.survived
-        return self.energy < other.energy - margin * abs(other.energy)
+        return self.energy_without_gravity < (1.0 - margin) * other.energy_without_gravity
 
 
 class Validation:
@@ -76,18 +81,19 @@ class Validation:
     @torch.no_grad()
     def score(self, model: AccelerationModel) -> Score:
         """Roll every clip out with `model`; K follows the resolution."""
-        survived, energy, strain = 0, 0.0, 0.0
+        survived, strain, logarithms = 0, 0.0, []
         for sample in self.samples:
             frames, energies, strains = self._rollout(model, sample)
             survived += frames
-            energy += energies
             strain += strains
+            if frames:
+                logarithms.append(math.log(max(energies / frames, _NO_ENERGY)))
         total = self.frames * len(self.samples)
-        count = max(survived, 1)
-        return Score(survived / total, energy / count if survived else math.inf, strain / count)
+        energy = math.exp(sum(logarithms) / len(logarithms)) if logarithms else math.inf
+        return Score(survived / total, energy, strain / max(survived, 1))
 
     def _rollout(self, model: AccelerationModel, sample: Sample) -> tuple[int, float, float]:
-        """Frames before the garment is lost, and the sums of their energies [J] and strains."""
+        """Frames before the garment is lost, and the sums of their energies without gravity [J] and strains."""
         window = self.loader.load([sample], self.frames)
         timeline = window.timeline
         garments = timeline.garments
@@ -105,7 +111,7 @@ class Validation:
             drift = drift_from(timeline.skinned(state.frame), garments, after.positions)
             if watch.is_lost(stretched, drift, collision):
                 return frame, energy, strain
-            energy += float(energies.total)
+            energy += sum(float(term.sum()) for name, term in energies.terms.items() if name != "gravity")
             strain += stretched
         return self.frames, energy, strain
 
