@@ -79,6 +79,7 @@ class NetworkConfiguration(ABC):
             the paper. Above 1 the layout should name "descent" and "advance".
         carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
             flight, is taken; none in the paper. With any the layout should name the same two.
+        conjugate: join each pass with the move of the one before, at the lengths of least potential; not in the paper.
 
     Raises:
         InputError: less than 1 pass, a width below 1, a count below 0 or above `MOST_COUNTED`, or a share that is not
@@ -91,6 +92,7 @@ class NetworkConfiguration(ABC):
     pins: PinsAtPresent | PinsAtTarget | PinsAtTargetInEdges = field(default_factory=PinsAtPresent)
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
+    conjugate: bool = False
 
     def __post_init__(self) -> None:
         if self.width < 1:
@@ -128,6 +130,7 @@ class GraphNetwork(nn.Module, ABC):
         self.pins = configuration.pins
         self.passes = configuration.passes
         self.carried_shares = configuration.carried_shares
+        self.conjugate = configuration.conjugate
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:

@@ -15,6 +15,7 @@ from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import Network, NoNetwork
+from pb4u.simulation.pass_search import PassSearch, WholePass
 from pb4u.simulation.refinement import NoRefinement, Refinement, carried
 from pb4u.simulation.step_start import FreeFlight, StepStart
 from pb4u.threads import one_torch_thread
@@ -30,6 +31,7 @@ class StepMethod:
         refinement: lowers the incremental potential from there.
         contact: answers what is left inside the body.
         self_contact: keeps each of these from carrying cloth through cloth.
+        search: how far a step goes along a pass of the network.
     """
 
     start: StepStart = field(default_factory=FreeFlight)
@@ -37,6 +39,7 @@ class StepMethod:
     refinement: Refinement = field(default_factory=NoRefinement)
     contact: Contact = field(default_factory=NoContact)
     self_contact: SelfContact = field(default_factory=NoSelfContact)
+    search: PassSearch = field(default_factory=WholePass)
 
 
 def take(step: TimeStep, method: StepMethod) -> State:
@@ -77,5 +80,5 @@ def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:
         reached = accelerations.detach()
         if not bool(torch.isfinite(reached).all()):
             return
-        accelerations = reached + method.network.correction(step, reached)
+        accelerations = reached + method.search.move(step, reached, method.network.correction(step, reached))
         yield integrate(step, accelerations)

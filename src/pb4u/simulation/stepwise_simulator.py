@@ -25,6 +25,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
@@ -262,4 +263,5 @@ class NetworkSimulator(StepwiseSimulator):
             refinement,
             self.contact,
             self.potential.self_contact,
+            search_of(model.network),
         )

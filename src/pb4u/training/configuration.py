@@ -13,6 +13,7 @@ from pb4u.nn.acceleration_model import NetworkConfiguration
 from pb4u.presets.networks import network_preset
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 from pb4u.training.curriculum import Curriculum
+from pb4u.training.objective import LOSS_WEIGHTS
 
 AFTER_SETTLING = ("skinned", "slowed", "zero", "carried")
 
@@ -103,8 +104,9 @@ class TrainingConfiguration:
         most_propagation_steps: K is drawn from 1 to this at every step; 0 leaves it to the resolution.
         after_settling: velocity after the settling step: "skinned"; "slowed", half to all of that, so that bodies that
             set off are seen; "zero"; or "carried" as the family's code has it.
+        loss_weight: "joule", or "relative" to what the garment has now, so that light cloth counts as heavy cloth does.
         statistics_windows: windows whose statistics normalise the features.
-        gradient_norm: largest norm of the gradient; longer ones are scaled down to it.
+        gradient_norm: largest norm of the gradient, of the unit of the loss; longer ones are scaled down to it.
         ema_decay: decay of the averaged weights a step; the averaged weights are the result of a training.
         log_every: optimiser steps between lines.
         checkpoint_every: optimiser steps between checkpoints, which are made once the windows begun have ended.
@@ -127,6 +129,7 @@ class TrainingConfiguration:
     clearance: float = 2e-3
     most_propagation_steps: int = 28
     after_settling: str = "skinned"
+    loss_weight: str = "joule"
     statistics_windows: int = 100
     gradient_norm: float = 1.0
     ema_decay: float = 0.999
@@ -146,6 +149,8 @@ class TrainingConfiguration:
                 raise InputError(f"{name} must not be below 0, but is {getattr(self, name)}.")
         if self.after_settling not in AFTER_SETTLING:
             raise InputError(f"after_settling is one of {', '.join(AFTER_SETTLING)}, not {self.after_settling!r}.")
+        if self.loss_weight not in LOSS_WEIGHTS:
+            raise InputError(f"loss_weight is one of {', '.join(LOSS_WEIGHTS)}, not {self.loss_weight!r}.")
         if self.validation_clips < 1 or self.validation_frames < 2:
             raise InputError("A validation needs 1 clip or more of 2 frames or more.")
         if not (self.gradient_norm > 0 and 0.0 <= self.ema_decay < 1.0):

@@ -30,6 +30,8 @@ from pb4u.training.trainer import Trainer
 
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that ask a training to save and end; Windows has no SIGHUP."""
+_OF_NO_WEIGHT = frozenset({"network.passes", "network.conjugate"})
+"""Settings of a network that its weights do not hang on."""
 BUILT_IN = "built in"
 """Origin of the data of a run whose configuration alone makes them again."""
 
@@ -97,8 +99,10 @@ def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
     preset = request.preset or "small"
     configuration = training_preset(preset)
     if request.weights is not None:
-        if any(setting.partition("=")[0].strip().split(".")[0] == "network" for setting in request.settings):
-            raise InputError("--weights bring their own network: leave out --set network.")
+        keys = {setting.partition("=")[0].strip() for setting in request.settings}
+        if any(key.split(".")[0] == "network" for key in keys - _OF_NO_WEIGHT):
+            free = " and ".join(sorted(_OF_NO_WEIGHT))
+            raise InputError(f"--weights bring their own network: of its settings {free} alone can be given.")
         configuration = replace(configuration, network=from_pretrained(request.weights).configuration)
     configuration = with_settings(configuration, request.settings)
     steps = request.steps

@@ -22,6 +22,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
+from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_start import start_of
 from pb4u.simulation.timeline import SETTLING_DT
@@ -31,7 +32,14 @@ from pb4u.training.distribution import Workers
 from pb4u.training.journal import Journal, Reporter
 from pb4u.training.learner import Learner
 from pb4u.training.lost_garment import GarmentWatch, drift_from
-from pb4u.training.objective import comparable_total, further_losses, mean_energies, step_energies, strain_energy
+from pb4u.training.objective import (
+    comparable_total,
+    further_losses,
+    loss_weight,
+    mean_energies,
+    step_energies,
+    strain_energy,
+)
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.recovery import Recovery
 from pb4u.training.run_folder import RunFolder
@@ -83,6 +91,7 @@ class Trainer:
         self.loader = WindowLoader(Wardrobe(data, workers.device))
         self.validation = Validation(data, configuration, self.loader)
         self.share = workers.share(configuration.batch)
+        self.loss_weight = loss_weight(configuration.loss_weight)
         self.counters = Counters()
         self.journal = Journal(reporter, folder, workers.leads)
         self.recovery = Recovery(self.learner, workers, folder, self.journal)
@@ -177,7 +186,8 @@ class Trainer:
         settles = self.sampler.settles(number, length) if settle is None else settle
         state = window.start(self.configuration.noise, self.configuration.clearance)
         prepared = self.model.prepare(window.timeline.garments)
-        return Course(number, window, state, prepared, StepFeatures(prepared), GarmentWatch(), settles, length)
+        features, search = StepFeatures(prepared), search_of(self.model.network)
+        return Course(number, window, state, prepared, features, search, GarmentWatch(), settles, length)
 
     def _indices(self, number: int) -> range:
         """This process's samples of window `number`."""
@@ -218,7 +228,8 @@ class Trainer:
         ]
         step, prepared = course.next_step(), course.prepared.with_steps(steps)
         passes = self.model.network.passes
-        method = StepMethod(self.start, NetworkPass(self.network, prepared, passes, course.features, nullcontext))
+        network = NetworkPass(self.network, prepared, passes, course.features, nullcontext)
+        method = StepMethod(self.start, network, search=course.search)
         states = predictions(step, method)
         # The network has no part in the first, which the start alone leads to.
         after = next(states)
@@ -265,10 +276,11 @@ class Trainer:
         rate = self.configuration.curriculum.rate(self.progress) * self.counters.rate_factor
         finite = torch.isfinite(after.positions)
         positions = torch.where(finite, after.positions, step.state.positions)
-        terms = mean_energies(step_energies(step, positions, weight))
+        energies = step_energies(step, positions, weight)
         further = further_losses(prepared, step, positions, self.progress)
-        gradient = self.learner.gradient(torch.stack([terms["total"], *further.values()]).sum())
-        terms |= further
+        each = torch.stack([energies.per_garment, *further.values()]).sum(0)
+        gradient = self.learner.gradient((self.loss_weight.of(energies, step.garments) * each).mean())
+        terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
         watched = torch.stack([*(value.detach() for value in terms.values()), finite.all().to(positions)])
         *values, all_finite = self.workers.mean(watched).tolist()
         if all_finite < 1.0 or not all(math.isfinite(value) for value in (*values, gradient)):

@@ -13,6 +13,7 @@ from pb4u.garment.material import MATERIALS
 from pb4u.nn.acceleration_model import AccelerationModel
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_start import start_of
 from pb4u.training.configuration import TrainingConfiguration
@@ -97,7 +98,8 @@ class Validation:
         window = self.loader.load([sample], self.frames)
         timeline = window.timeline
         garments = timeline.garments
-        method = StepMethod(start_of(model.network), NetworkPass(model, model.prepare(garments), model.network.passes))
+        network = NetworkPass(model, model.prepare(garments), model.network.passes)
+        method = StepMethod(start_of(model.network), network, search=search_of(model.network))
         state, energy, strain, watch = window.start(0.0, self.clearance), 0.0, 0.0, GarmentWatch()
         for frame in range(self.frames):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)

@@ -18,6 +18,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import StepFeatures
+from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.timeline import Timeline
 from pb4u.training.configuration import MaterialSampling, TrainingConfiguration
 from pb4u.training.lost_garment import GarmentWatch
@@ -180,6 +181,7 @@ class Course:
         state: of the garments.
         prepared: what the network derived once from the garments.
         features: node features of them.
+        search: how far a step goes along a pass.
         watch: sees whether they are lost.
         settles: whether the next step is the settling one.
         left: steps to go.
@@ -190,6 +192,7 @@ class Course:
     state: State
     prepared: PreparedGarments
     features: StepFeatures
+    search: PassSearch
     watch: GarmentWatch
     settles: bool
     left: int

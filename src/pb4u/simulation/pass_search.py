@@ -1,0 +1,118 @@
+"""How far a step goes along a pass of the network: all of it, or the lengths of least potential."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import torch
+from torch import Tensor
+
+from pb4u.nn.acceleration_model import GraphNetwork
+from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.time_step import TimeStep, integrate
+
+_FLATTEST = 1e-3
+"""Smallest curvature along a joint of scaled directions: two that are nearly one must not be played off each other."""
+
+
+class PassSearch(ABC):
+    """Rule for what a step makes of a pass. Made for one run, as it may remember the passes before."""
+
+    @abstractmethod
+    def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
+        """Accelerations (vertices, 3) [m per step^2] to add; differentiable in `correction`.
+
+        Args:
+            step: that is taken.
+            accelerations: (vertices, 3) reached so far, from free flight [m per step^2].
+            correction: (vertices, 3) that the network predicts from there [m per step^2].
+        """
+
+
+class WholePass(PassSearch):
+    """Takes what the network predicts, as in the paper."""
+
+    def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
+        return correction
+
+
+class ConjugatePass(PassSearch):
+    """Joins a pass with the move of the pass before it, each at the length of least potential in every world.
+
+    Passes free less and less energy, each about two thirds of the one before: steepest descent with the network as its
+    preconditioner. Searching the plane of its direction and the last move is what makes a conjugate gradient of it, for
+    three gradients of the potential (locally optimal form: Knyazev 2001, SIAM J. Sci. Comput. 23). The last move of one
+    time step serves the next, as what is still missing at its end changes slowly.
+
+    In training the lengths carry no gradient: at their optimum they have none.
+    """
+
+    def __init__(self) -> None:
+        self.potential = IncrementalPotential()
+        self._last: Tensor | None = None
+
+    def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
+        directions = [torch.where(step.garments.pinned[:, None], 0.0, correction)]
+        if self._last is not None:
+            directions.append(self._last)
+        lengths = self._lengths(step, accelerations, torch.stack(directions).detach())
+        joined = torch.stack([_of_world(step, length) * d for length, d in zip(lengths, directions, strict=True)]).sum(
+            0
+        )
+        self._last = joined.detach()
+        return joined
+
+    @torch.no_grad()
+    def _lengths(self, step: TimeStep, accelerations: Tensor, directions: Tensor) -> Tensor:
+        """Lengths (directions, worlds) of each of `directions` (directions, vertices, 3), the first the network's."""
+        x = integrate(step, accelerations).positions
+        # The body's tangent planes where the whole pass leads are exact enough to choose by, and looked up once.
+        potential = self.potential.of(step).undifferentiated().with_contact_at(x + directions[0])
+        _, gradient = potential.energies_and_gradient(x)
+        changes = torch.stack([potential.energies_and_gradient(x + d)[1] - gradient for d in directions])
+
+        def by_world(products: Tensor) -> Tensor:
+            sums = products.new_zeros(*products.shape[:-1], step.garments.world_count)
+            return sums.index_add_(-1, step.garments.vertex_world, products).movedim(-1, 0)
+
+        curvature = by_world(torch.einsum("ivc,jvc->ijv", directions, changes))
+        slope = by_world(-torch.einsum("ivc,vc->iv", directions, gradient))
+        best = _newton_lengths(0.5 * (curvature + curvature.mT), slope).T
+        whole = torch.zeros_like(best)
+        whole[0] = 1.0
+        # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
+        choices = torch.stack([whole, best, 0.5 * (whole + best)])
+        energies = torch.stack([self._energies(step, potential, x, directions, lengths) for lengths in choices])
+        chosen = energies.nan_to_num(nan=torch.inf).argmin(0)
+        return choices.gather(0, chosen.expand(1, *best.shape))[0]
+
+    @staticmethod
+    def _energies(step: TimeStep, potential: StepPotential, x: Tensor, directions: Tensor, lengths: Tensor) -> Tensor:
+        moved = x + torch.stack([_of_world(step, n) * d for n, d in zip(lengths, directions, strict=True)]).sum(0)
+        return potential.energies(moved).per_world(step.garments)
+
+
+def _of_world(step: TimeStep, lengths: Tensor) -> Tensor:
+    """Lengths (vertices, 1) of the world of each vertex, from those of the worlds, (worlds,)."""
+    return lengths[step.garments.vertex_world, None]
+
+
+def _newton_lengths(curvature: Tensor, slope: Tensor) -> Tensor:
+    """Lengths (worlds, directions) of a Newton step; none where its model is not finite.
+
+    Args:
+        curvature: (worlds, directions, directions), symmetric.
+        slope: (worlds, directions) of descent.
+    """
+    finite = torch.isfinite(curvature).all((-1, -2)) & torch.isfinite(slope).all(-1)
+    curvature = torch.where(finite[:, None, None], curvature, torch.eye(slope.shape[1]).to(curvature))
+    slope = torch.where(finite[:, None], slope, 0.0)
+    scale = curvature.diagonal(dim1=-2, dim2=-1).abs().clamp_min(torch.finfo(curvature.dtype).tiny).sqrt()
+    values, vectors = torch.linalg.eigh(curvature / scale[:, :, None] / scale[:, None, :])
+    along = vectors.mT @ (slope / scale)[..., None] / values.abs().clamp_min(_FLATTEST)[..., None]
+    return (vectors @ along)[..., 0] / scale
+
+
+def search_of(network: GraphNetwork) -> PassSearch:
+    """Rule for the passes of `network`, for one run."""
+    return ConjugatePass() if network.conjugate else WholePass()
