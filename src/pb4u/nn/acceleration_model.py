@@ -80,9 +80,11 @@ class NetworkConfiguration(ABC):
         carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
             flight, is taken; none in the paper. With any the layout should name the same two.
         conjugate: join each pass with the move of the one before, at the lengths of least potential; not in the paper.
+        further_passes: most evaluations beyond `passes`, each made where the pass before freed much energy; for
+            networks that are `conjugate`.
 
     Raises:
-        InputError: less than 1 pass, a width below 1, a count below 0 or above `MOST_COUNTED`, or a share that is not
+        InputError: less than 1 pass, further passes of a network that is not conjugate, a width below 1, a count below 0 or above `MOST_COUNTED`, or a share that is not
             above 0 and up to 1.
     """
 
@@ -93,6 +95,7 @@ class NetworkConfiguration(ABC):
     passes: int = 1
     carried_shares: tuple[float, ...] = ()
     conjugate: bool = False
+    further_passes: int = 0
 
     def __post_init__(self) -> None:
         if self.width < 1:
@@ -103,6 +106,8 @@ class NetworkConfiguration(ABC):
                 raise InputError(f"network.{entry.name} must be from 0 to {MOST_COUNTED}, not {value}.")
         if self.passes < 1:
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
+        if self.further_passes and not self.conjugate:
+            raise InputError("Only the search of conjugate passes tells whether a further one is worth its time.")
         if not all(0.0 < share <= 1.0 for share in self.carried_shares):
             raise InputError(f"Shares of the body's motion lie above 0 and up to 1, not {self.carried_shares}.")
 
@@ -131,6 +136,7 @@ class GraphNetwork(nn.Module, ABC):
         self.passes = configuration.passes
         self.carried_shares = configuration.carried_shares
         self.conjugate = configuration.conjugate
+        self.further_passes = configuration.further_passes
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:

@@ -32,9 +32,11 @@ class Network(ABC):
 
     Attributes:
         passes: how often it is asked in a step.
+        further: how often it is asked again at most, while a pass frees much energy.
     """
 
     passes: int
+    further: int = 0
 
     @abstractmethod
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
@@ -64,6 +66,7 @@ class NetworkPass(Network):
         passes: how often it is asked in a step.
         features: node features of the garments, where they are already made.
         mode: entered while the network computes; no gradient by default, `nullcontext` in training.
+        further: how often it is asked again at most, while a pass frees much energy.
     """
 
     def __init__(
@@ -73,8 +76,10 @@ class NetworkPass(Network):
         passes: int = 1,
         features: StepFeatures | None = None,
         mode: Callable[[], AbstractContextManager] = torch.inference_mode,
+        further: int = 0,
     ) -> None:
-        self.network, self.prepared, self.passes, self.mode = network, prepared, passes, mode
+        self.network, self.prepared, self.mode = network, prepared, mode
+        self.passes, self.further = passes, further
         self.features = features or StepFeatures(prepared)
         self.device = next(network.parameters()).device
         self._colliders: tuple[PackedColliders, PackedColliders] | None = None

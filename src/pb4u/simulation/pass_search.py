@@ -10,13 +10,21 @@ from torch import Tensor
 from pb4u.nn.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.time_step import TimeStep, integrate
+from pb4u.scene.scene import STANDARD_GRAVITY
 
 _FLATTEST = 1e-3
 """Smallest curvature along a joint of scaled directions: two that are nearly one must not be played off each other."""
 
 
 class PassSearch(ABC):
-    """Rule for what a step makes of a pass. Made for one run, as it may remember the passes before."""
+    """Rule for what a step makes of a pass. Made for one run, as it may remember the passes before.
+
+    Attributes:
+        freed: height [m] to which the energy that the last pass freed would lift the garments, the most of any world;
+            0 where it is not looked at.
+    """
+
+    freed: float = 0.0
 
     @abstractmethod
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
@@ -68,7 +76,7 @@ class ConjugatePass(PassSearch):
         x = integrate(step, accelerations).positions
         # The body's tangent planes where the whole pass leads are exact enough to choose by, and looked up once.
         potential = self.potential.of(step).undifferentiated().with_contact_at(x + directions[0])
-        _, gradient = potential.energies_and_gradient(x)
+        before, gradient = potential.energies_and_gradient(x)
         changes = torch.stack([potential.energies_and_gradient(x + d)[1] - gradient for d in directions])
 
         def by_world(products: Tensor) -> Tensor:
@@ -83,13 +91,21 @@ class ConjugatePass(PassSearch):
         # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
         choices = torch.stack([whole, best, 0.5 * (whole + best)])
         energies = torch.stack([self._energies(step, potential, x, directions, lengths) for lengths in choices])
-        chosen = energies.nan_to_num(nan=torch.inf).argmin(0)
+        lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
+        self.freed = float(((before.per_world(step.garments) - lowest) / _weights(step)).max())
         return choices.gather(0, chosen.expand(1, *best.shape))[0]
 
     @staticmethod
     def _energies(step: TimeStep, potential: StepPotential, x: Tensor, directions: Tensor, lengths: Tensor) -> Tensor:
         moved = x + torch.stack([_of_world(step, n) * d for n, d in zip(lengths, directions, strict=True)]).sum(0)
         return potential.energies(moved).per_world(step.garments)
+
+
+def _weights(step: TimeStep) -> Tensor:
+    """Weight (worlds,) [N] of the garments of each world."""
+    masses = step.garments.vertex_masses
+    sums = masses.new_zeros(step.garments.world_count).index_add_(0, step.garments.vertex_world, masses)
+    return STANDARD_GRAVITY * sums
 
 
 def _of_world(step: TimeStep, lengths: Tensor) -> Tensor:

@@ -217,6 +217,8 @@ class NetworkSimulator(StepwiseSimulator):
         if propagation_steps is not None and network.propagates:
             require_propagation_steps(propagation_steps)
         self.passes = network.passes if passes is None else passes
+        # Who names a number of passes gets that number.
+        self.further = network.further_passes if passes is None else 0
         if self.passes < 1:
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
         if self.passes > 1 and ADVANCE not in network.layout.extra:
@@ -259,7 +261,7 @@ class NetworkSimulator(StepwiseSimulator):
             refinement = SafeguardedRefinement(self.refine, self.potential, record.count_made_anew)
         return StepMethod(
             start_of(model.network),
-            NetworkPass(model, prepared, self.passes),
+            NetworkPass(model, prepared, self.passes, further=self.further),
             refinement,
             self.contact,
             self.potential.self_contact,

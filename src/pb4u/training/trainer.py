@@ -227,8 +227,8 @@ class Trainer:
             for index, ruled in zip(self._indices(course.number), course.prepared.steps, strict=True)
         ]
         step, prepared = course.next_step(), course.prepared.with_steps(steps)
-        passes = self.model.network.passes
-        network = NetworkPass(self.network, prepared, passes, course.features, nullcontext)
+        passes, further = self.model.network.passes, self.model.network.further_passes
+        network = NetworkPass(self.network, prepared, passes, course.features, nullcontext, further)
         method = StepMethod(self.start, network, search=course.search)
         states = predictions(step, method)
         # The network has no part in the first, which the start alone leads to.

@@ -98,7 +98,9 @@ class Validation:
         window = self.loader.load([sample], self.frames)
         timeline = window.timeline
         garments = timeline.garments
-        network = NetworkPass(model, model.prepare(garments), model.network.passes)
+        network = NetworkPass(
+            model, model.prepare(garments), model.network.passes, further=model.network.further_passes
+        )
         method = StepMethod(start_of(model.network), network, search=search_of(model.network))
         state, energy, strain, watch = window.start(0.0, self.clearance), 0.0, 0.0, GarmentWatch()
         for frame in range(self.frames):

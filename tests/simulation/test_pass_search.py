@@ -1,0 +1,206 @@
+"""How far a step goes along a pass."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from ball_scene import ball_scene, sheet
+from torch import Tensor
+
+from pb4u.errors import InputError
+from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout
+from pb4u.model.pb4u_gnet import Pb4uConfiguration
+from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.physics.descent import JacobiDescent
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.time_step import TimeStep, integrate
+from pb4u.scene.packed import pack
+from pb4u.scene.state import State
+from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
+from pb4u.simulation.models import load_simulator
+from pb4u.simulation.network_pass import Network, NetworkPass
+from pb4u.simulation.pass_search import ConjugatePass, PassSearch, WholePass, search_of
+from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.stepwise_simulator import NetworkSimulator
+from pb4u.simulation.timeline import Timeline
+
+CONJUGATE = Pb4uConfiguration(
+    width=8, blocks=1, layout=FeatureLayout(extra=(DESCENT, ADVANCE)), passes=2, conjugate=True
+)
+
+
+def sheets(*cells: int, pinned: bool = False) -> TimeStep:
+    """Crumpled sheets in free fall, each in a world of its own."""
+    garments = [replace(sheet(count), pinned=np.arange((count + 1) ** 2) < 3 * pinned) for count in cells]
+    packed = pack(garments, torch.float64, worlds=range(len(cells)))
+    crumpled = packed.rest_positions.clone()
+    for garment in range(len(cells)):
+        mine = packed.vertex_garment == garment
+        generator = torch.Generator().manual_seed(cells[garment])
+        crumpled[mine] += 1e-3 * torch.randn(crumpled[mine].shape, generator=generator, dtype=torch.float64)
+    state = State(crumpled, torch.zeros_like(crumpled), 0)
+    return TimeStep(packed, state, None, 1 / 30, torch.tensor([0.0, -9.81, 0.0]).double(), crumpled + 0.002)
+
+
+class JacobiPass(Network):
+    """Descends each vertex on its own, by `share` of what that would ask for."""
+
+    def __init__(self, passes: int, share: float = 1.0) -> None:
+        self.passes, self.share, self.potential = passes, share, IncrementalPotential()
+
+    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        x = integrate(step, accelerations).positions
+        return self.share * JacobiDescent(step.garments, step.dt).at(self.potential.of(step).undifferentiated(), x)
+
+
+def energies_after(step: TimeStep, method: StepMethod) -> list[float]:
+    potential = IncrementalPotential().of(step)
+    return [float(potential.energies(state.positions).total) for state in predictions(step, method)]
+
+
+def test_whole_passes_are_what_the_network_predicts() -> None:
+    at = sheets(10)
+    correction = torch.ones_like(at.state.positions)
+    assert WholePass().move(at, torch.zeros_like(correction), correction) is correction
+
+
+@pytest.mark.parametrize("share", [0.2, 3.0, -1.0])
+def test_the_length_of_a_pass_does_not_matter(share: float) -> None:
+    at = sheets(10)
+    start, one = energies_after(at, StepMethod(network=JacobiPass(1), search=ConjugatePass()))
+    _, other = energies_after(at, StepMethod(network=JacobiPass(1, share), search=ConjugatePass()))
+    assert one < start
+    assert other == pytest.approx(one, abs=0.02 * (start - one))
+
+
+def test_passes_are_joined_into_a_conjugate_gradient() -> None:
+    at = sheets(10)
+    lowest = energies_after(at, StepMethod(network=JacobiPass(100), search=ConjugatePass()))[-1]
+    whole = energies_after(at, StepMethod(network=JacobiPass(20, 0.5)))
+    joined = energies_after(at, StepMethod(network=JacobiPass(20, 0.5), search=ConjugatePass()))
+    assert joined == sorted(joined, reverse=True), "no pass adds energy"
+    assert joined[-1] - lowest < 0.1 * (whole[-1] - lowest)
+
+
+def test_the_last_move_serves_the_next_step() -> None:
+    at, search, network = sheets(10), ConjugatePass(), JacobiPass(1)
+    first = energies_after(at, StepMethod(network=network, search=search))[-1]
+    assert energies_after(at, StepMethod(network=network, search=search))[-1] < first
+
+
+class Freeing(PassSearch):
+    """Says that the passes of a step freed the energies of some heights [m]."""
+
+    def __init__(self, *heights: float) -> None:
+        self.heights = iter(heights)
+
+    def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
+        self.freed = next(self.heights)
+        return correction
+
+
+@pytest.mark.parametrize(
+    ("heights", "taken"),
+    [((1.0, 1e-4), 2), ((0.0, 1.0, 1e-4), 3), ((0.0, 1.0, 1.0, 1e-3), 4), ((1.0, 1.0, 1.0, 1.0, 1.0), 5)],
+)
+def test_further_passes_are_made_while_much_is_freed(heights: tuple[float, ...], taken: int) -> None:
+    network = JacobiPass(2, 0.1)
+    network.further = 3
+    _, *passes = predictions(sheets(5), StepMethod(network=network, search=Freeing(*heights)))
+    assert len(passes) == taken
+
+
+def test_what_a_pass_freed_is_told_as_a_height() -> None:
+    at, search = sheets(10), ConjugatePass()
+    start, after = energies_after(at, StepMethod(network=JacobiPass(1), search=search))
+    weight = 9.81 * float(at.garments.vertex_masses.sum())
+    assert search.freed == pytest.approx((start - after) / weight, rel=1e-3)
+    assert WholePass().freed == 0.0
+
+
+def test_whole_passes_tell_nothing_that_further_ones_could_be_asked_by() -> None:
+    with pytest.raises(InputError, match="conjugate"):
+        replace(CONJUGATE, conjugate=False, further_passes=2)
+
+
+def test_who_names_a_number_of_passes_gets_it(tmp_path: Path) -> None:
+    network = replace(CONJUGATE, further_passes=3)
+    path = tmp_path / "a.safetensors"
+    save_checkpoint(
+        path, AccelerationModel(network.network()), network, TrainingRecord(1 / 30, (0.02, 0.03), (1, 9), 5)
+    )
+    for asked, passes, further in (({"refine": 0}, 2, 3), ({"refine": 0, "passes": 4}, 4, 0), ({}, 1, 0)):
+        simulator = load_simulator(path, device="cpu", **asked)
+        assert isinstance(simulator, NetworkSimulator)
+        assert (simulator.passes, simulator.further) == (passes, further)
+
+
+def test_every_world_has_lengths_of_its_own() -> None:
+    both, method = sheets(10, 7), StepMethod(network=JacobiPass(2))
+    *_, together = predictions(both, replace(method, search=ConjugatePass()))
+    for world, cells in enumerate((10, 7)):
+        *_, alone = predictions(sheets(cells), replace(method, search=ConjugatePass()))
+        mine = both.garments.vertex_world == world
+        torch.testing.assert_close(together.positions[mine], alone.positions, rtol=0, atol=1e-9)
+
+
+def test_pinned_vertices_take_their_places() -> None:
+    at = sheets(10, pinned=True)
+    *_, after = predictions(at, StepMethod(network=JacobiPass(2), search=ConjugatePass()))
+    pinned = at.garments.pinned
+    assert pinned.any()
+    assert torch.equal(after.positions[pinned], at.pin_positions[pinned])
+
+
+def test_cloth_on_a_body_gains_no_energy_by_a_pass() -> None:
+    timeline = Timeline.of(ball_scene())
+    rest, search = timeline.skinned(0), ConjugatePass()
+    state = State(rest, torch.zeros_like(rest), 0)
+    for _ in range(4):
+        at = timeline.step_from(state)
+        energies = energies_after(at, StepMethod(network=JacobiPass(2), search=search))
+        # Chosen with the body's tangent planes; twice-looked-up contacts may differ in the last digits.
+        assert all(after <= before + 1e-6 for before, after in pairwise(energies))
+        *_, state = predictions(at, StepMethod(network=JacobiPass(2), search=search))
+
+
+def test_what_is_not_finite_is_left_to_whoever_looks_for_it() -> None:
+    at = sheets(10)
+    correction = torch.full_like(at.state.positions, torch.nan)
+    assert torch.isnan(ConjugatePass().move(at, torch.zeros_like(correction), correction)).all()
+
+
+def test_lengths_carry_no_gradient_and_directions_do() -> None:
+    timeline = Timeline.of(ball_scene())
+    at = timeline.step_from(State(timeline.skinned(0), torch.zeros_like(timeline.skinned(0)), 0))
+    torch.manual_seed(0)
+    model = AccelerationModel(CONJUGATE.network())
+    prepared = model.prepare(pack(at.garments.garments, torch.float32))
+    network = NetworkPass(model, prepared, 2, mode=nullcontext)
+    *_, last = predictions(at, StepMethod(network=network, search=search_of(model.network)))
+    energy = IncrementalPotential().of(at).energies(last.positions).total
+    bias, weight = model.network.decoder.last.bias, model.network.decoder.last.weight
+    gradient = torch.autograd.grad(energy, (bias, weight))
+    assert any(float(part.abs().max()) > 0 for part in gradient)
+    # At the best length the energy does not change with it, which scaling the decoder would do.
+    along = sum(float((part * values.detach()).sum()) for part, values in zip(gradient, (bias, weight), strict=True))
+    size = sum(
+        float((part * values.detach()).abs().sum()) for part, values in zip(gradient, (bias, weight), strict=True)
+    )
+    assert abs(along) < 0.05 * size
+
+
+def test_a_checkpoint_keeps_whether_its_passes_are_joined(tmp_path: Path) -> None:
+    model = AccelerationModel(CONJUGATE.network())
+    save_checkpoint(tmp_path / "a.safetensors", model, CONJUGATE, TrainingRecord(1 / 30, (0.02, 0.03), (1, 9), 5))
+    read = load_checkpoint(tmp_path / "a.safetensors")
+    assert read.configuration == CONJUGATE
+    assert isinstance(search_of(read.model.network), ConjugatePass)
+    assert isinstance(search_of(replace(CONJUGATE, conjugate=False).network()), WholePass)
+    assert np.isfinite(read.record.dt)

@@ -1,0 +1,70 @@
+"""What a garment's loss counts beside those of others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from tests.training.ball_data import TINY, ball_data
+from tests.training.listening import Listener, made
+
+from pb4u.errors import InputError
+from pb4u.physics.incremental_potential import Energies
+from pb4u.scene.packed import PackedGarments
+from pb4u.training.objective import JouleWeight, RelativeWeight, loss_weight
+from pb4u.training.wardrobe import Wardrobe
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def two_garments() -> PackedGarments:
+    wardrobe = Wardrobe(ball_data(), "cpu")
+    material = wardrobe.data.outfits[0].garment.material
+    return wardrobe.packed([0, 0], [material, replace(material, density=2 * material.density)])
+
+
+def energies(stretch: tuple[float, float], gravity: tuple[float, float] = (-3.0, 5.0)) -> Energies:
+    return Energies({"stretch": torch.tensor(stretch), "gravity": torch.tensor(gravity)})
+
+
+def test_joules_count_alike() -> None:
+    assert torch.equal(JouleWeight().of(energies((0.1, 9.0)), two_garments()), torch.ones(2))
+
+
+def test_relative_weights_are_of_the_logarithm_of_the_energy_without_gravity() -> None:
+    garments = two_garments()
+    weigh = RelativeWeight(lift=0.0)
+    assert weigh.of(energies((0.1, 50.0)), garments).tolist() == pytest.approx([10.0, 0.02])
+    stretch = torch.tensor([0.3, 2.0], requires_grad=True)
+    of = Energies({"stretch": stretch, "gravity": torch.tensor([1.0, -4.0])})
+    (weighed,) = torch.autograd.grad((weigh.of(of, garments) * of.per_garment).sum(), stretch)
+    (logarithms,) = torch.autograd.grad(stretch.log().sum(), stretch)
+    torch.testing.assert_close(weighed, logarithms)
+
+
+def test_cloth_at_rest_counts_no_more_than_cloth_that_hangs() -> None:
+    garments = two_garments()
+    at_rest = RelativeWeight(lift=2e-3).of(energies((0.0, 0.0)), garments)
+    mass = float(garments.vertex_masses[garments.vertex_garment == 0].sum())
+    assert float(at_rest[0]) == pytest.approx(1.0 / (9.81 * mass * 2e-3), rel=1e-3)
+    assert float(at_rest[1]) == pytest.approx(0.5 * float(at_rest[0]), rel=1e-5)
+
+
+def test_a_training_takes_the_weight_of_its_configuration() -> None:
+    trainers = [made(replace(TINY, loss_weight=name, seed=3), 1, None, Listener()) for name in ("joule", "relative")]
+    gradients = []
+    for trainer in trainers:
+        trainer.gather_statistics()
+        trainer.train_round()
+        gradients.append(trainer.model.network.decoder.last.bias.grad)
+    assert not torch.allclose(*gradients)
+    # One garment, one step: its direction is the same before it is clipped.
+    torch.testing.assert_close(*(gradient / gradient.norm() for gradient in gradients), rtol=1e-3, atol=1e-5)
+
+
+def test_an_unknown_weight_is_refused_with_those_there_are() -> None:
+    with pytest.raises(InputError, match="joule"):
+        loss_weight("jowl")
+    with pytest.raises(InputError, match="relative"):
+        replace(TINY, loss_weight="jowl")
