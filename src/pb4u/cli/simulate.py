@@ -132,7 +132,10 @@ def simulate(
     ] = None,
     passes: Annotated[
         int | None,
-        typer.Option(help="How often a network is asked in each step. Default: its own number, or 1 with --refine."),
+        typer.Option(
+            help="How often a network is asked in each step. Default: its own number, more where a step needs it, or 1 with "
+            "--refine."
+        ),
     ] = None,
     refine: Annotated[
         int | None,

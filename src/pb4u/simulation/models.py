@@ -92,7 +92,8 @@ def load_simulator(
         refine: most solver iterations after each step of a network, or of the quick solver; fewer where the cloth is
             near balance.
         propagation_steps: override of K for a network; None follows the paper's rule.
-        passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
+        passes: evaluations of a network in a step; None is its own number, with its further ones where a step needs
+            them, or 1 where the solver refines.
         device: "auto", "cpu" or "cuda".
         first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
             paper, "placed" as it is, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto":
