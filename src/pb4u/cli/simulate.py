@@ -133,8 +133,8 @@ def simulate(
     passes: Annotated[
         int | None,
         typer.Option(
-            help="How often a network is asked in each step. Default: its own number, more where a step needs it, or 1 with "
-            "--refine."
+            help="How often a network is asked in each step. Default: its own number, more where a step needs it, or 1 "
+            "with --refine."
         ),
     ] = None,
     refine: Annotated[

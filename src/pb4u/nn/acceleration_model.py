@@ -84,8 +84,8 @@ class NetworkConfiguration(ABC):
             networks that are `conjugate`.
 
     Raises:
-        InputError: less than 1 pass, further passes of a network that is not conjugate, a width below 1, a count below 0 or above `MOST_COUNTED`, or a share that is not
-            above 0 and up to 1.
+        InputError: less than 1 pass, further passes of a network that is not conjugate, a width below 1, a count below
+            0 or above `MOST_COUNTED`, or a share that is not above 0 and up to 1.
     """
 
     width: int = 128
