@@ -29,23 +29,23 @@ def energies(stretch: tuple[float, float], gravity: tuple[float, float] = (-3.0,
 
 
 def test_joules_count_alike() -> None:
-    assert torch.equal(JouleWeight().of(energies((0.1, 9.0)), two_garments()), torch.ones(2))
+    assert torch.equal(JouleWeight().of(energies((0.1, 9.0)), two_garments(), None), torch.ones(2))
 
 
 def test_relative_weights_are_of_the_logarithm_of_the_energy_without_gravity() -> None:
     garments = two_garments()
     weigh = RelativeWeight(lift=0.0)
-    assert weigh.of(energies((0.1, 50.0)), garments).tolist() == pytest.approx([10.0, 0.02])
+    assert weigh.of(energies((0.1, 50.0)), garments, None).tolist() == pytest.approx([10.0, 0.02])
     stretch = torch.tensor([0.3, 2.0], requires_grad=True)
     of = Energies({"stretch": stretch, "gravity": torch.tensor([1.0, -4.0])})
-    (weighed,) = torch.autograd.grad((weigh.of(of, garments) * of.per_garment).sum(), stretch)
+    (weighed,) = torch.autograd.grad((weigh.of(of, garments, None) * of.per_garment).sum(), stretch)
     (logarithms,) = torch.autograd.grad(stretch.log().sum(), stretch)
     torch.testing.assert_close(weighed, logarithms)
 
 
 def test_cloth_at_rest_counts_no_more_than_cloth_that_hangs() -> None:
     garments = two_garments()
-    at_rest = RelativeWeight(lift=2e-3).of(energies((0.0, 0.0)), garments)
+    at_rest = RelativeWeight(lift=2e-3).of(energies((0.0, 0.0)), garments, None)
     mass = float(garments.vertex_masses[garments.vertex_garment == 0].sum())
     assert float(at_rest[0]) == pytest.approx(1.0 / (9.81 * mass * 2e-3), rel=1e-3)
     assert float(at_rest[1]) == pytest.approx(0.5 * float(at_rest[0]), rel=1e-5)

@@ -80,6 +80,8 @@ class NetworkConfiguration(ABC):
         carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
             flight, is taken; none in the paper. With any the layout should name the same two.
         conjugate: join each pass with the move of the one before, at the lengths of least potential; not in the paper.
+        descent_size: root mean square at which each garment's descent is shown, in edge lengths; accelerations are scaled
+            back, so that a pass is as good near the minimum as far from it. 0 shows it as it is; the paper has none.
         further_passes: most evaluations beyond `passes`, each made where the pass before freed much energy; for
             networks that are `conjugate`.
 
@@ -96,6 +98,7 @@ class NetworkConfiguration(ABC):
     carried_shares: tuple[float, ...] = ()
     conjugate: bool = False
     further_passes: int = 0
+    descent_size: float = 0.0
 
     def __post_init__(self) -> None:
         if self.width < 1:
@@ -108,6 +111,8 @@ class NetworkConfiguration(ABC):
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
         if self.further_passes and not self.conjugate:
             raise InputError("Only the search of conjugate passes tells whether a further one is worth its time.")
+        if not 0.0 <= self.descent_size <= 1.0:
+            raise InputError(f"A descent is shown at a size from 0 to 1 edge lengths, not {self.descent_size}.")
         if not all(0.0 < share <= 1.0 for share in self.carried_shares):
             raise InputError(f"Shares of the body's motion lie above 0 and up to 1, not {self.carried_shares}.")
 
@@ -137,6 +142,7 @@ class GraphNetwork(nn.Module, ABC):
         self.carried_shares = configuration.carried_shares
         self.conjugate = configuration.conjugate
         self.further_passes = configuration.further_passes
+        self.descent_size = configuration.descent_size
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
@@ -193,12 +199,14 @@ class PreparedGarments:
         steps: propagation steps of each garment.
         scale: (vertices, 1) dimensionless factors on the accelerations, or None for 1.
         losses: losses that the method minimises in training besides the incremental potential.
+        descent_size: root mean square at which descents are shown, in edge lengths; 0 shows them as they are.
     """
 
     builder: GraphBuilder
     steps: tuple[int, ...]
     scale: Tensor | None
     losses: tuple[FurtherLoss, ...] = ()
+    descent_size: float = 0.0
 
     @property
     def graph(self) -> Callable[..., Graph]:
@@ -273,7 +281,8 @@ class AccelerationModel(nn.Module):
         static = garment_graph(garments, layout.material_range, dtype, derived.edges)
         builder = GraphBuilder(static, layout, network.world_edges, derived.finder, derived.rest, network.pins)
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
-        prepared = PreparedGarments(builder, steps, network.update_scale(static), derived.losses)
+        scale = network.update_scale(static)
+        prepared = PreparedGarments(builder, steps, scale, derived.losses, network.descent_size)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
     def for_inference(self, precision: torch.dtype = torch.float32) -> AccelerationModel:

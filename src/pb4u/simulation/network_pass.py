@@ -26,6 +26,9 @@ _ORIGIN_GRID = 1.0 / 16.0
 _LINEAR_UP_TO = 0.05
 """Share of an edge up to which descent is shown as it is."""
 
+_SMALLEST_DESCENT = 1e-6
+"""Root mean square of a descent, in edge lengths, that is no longer shown larger: cloth at rest in single precision."""
+
 
 class Network(ABC):
     """Adds to the accelerations of a step.
@@ -85,13 +88,17 @@ class NetworkPass(Network):
         self._colliders: tuple[PackedColliders, PackedColliders] | None = None
 
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        extra, scale = self.features.scaled(step, accelerations)
         with self.mode():
-            return self.network(self.graph(step, accelerations), self.prepared).to(accelerations)
+            return scale * self.network(self._graph(step, extra), self.prepared).to(accelerations)
 
     def graph(self, step: TimeStep, accelerations: Tensor) -> Graph:
         """What the network sees after `accelerations` (vertices, 3) [m per step^2]."""
+        return self._graph(step, self.features.scaled(step, accelerations)[0])
+
+    def _graph(self, step: TimeStep, made: Mapping[str, Tensor]) -> Graph:
         assert step.collider is not None
-        extra = {name: value.to(self.device) for name, value in self.features.of(step, accelerations).items()}
+        extra = {name: value.to(self.device) for name, value in made.items()}
         state = replace(
             step.state,
             positions=step.state.positions.to(self.device),
@@ -173,6 +180,7 @@ class StepFeatures:
 
     def __init__(self, prepared: PreparedGarments) -> None:
         self._incident_length = prepared.builder.static.incident_length
+        self._descent_size = prepared.descent_size
         self._features: dict[str, StepFeature] = {}
         for feature in prepared.builder.layout.extra:
             if feature not in _MAKERS:
@@ -187,3 +195,25 @@ class StepFeatures:
         return {
             name: feature.of(step, accelerations, self._incident_length) for name, feature in self._features.items()
         }
+
+    @torch.no_grad()
+    def scaled(self, step: TimeStep, accelerations: Tensor) -> tuple[Mapping[str, Tensor], Tensor]:
+        """Features as the network sees them, and the factors (vertices, 1) on what it predicts from them.
+
+        Where it asks for a size of the descent, each garment's is shown at that root mean square, and the prediction
+        scaled as it was: near the minimum then looks like far from it, as it does to Newton's method.
+
+        Args:
+            step: that is taken.
+            accelerations: (vertices, 3) from free flight to where the pass starts [m per step^2].
+        """
+        features = dict(self.of(step, accelerations))
+        if not self._descent_size:
+            return features, accelerations.new_ones(len(accelerations), 1)
+        descent, garments = features[DESCENT.name], step.garments
+        owner = garments.vertex_garment
+        squares = descent.new_zeros(garments.garment_count).index_add_(0, owner, descent.square().sum(1))
+        size = (squares / torch.bincount(owner, minlength=garments.garment_count)).sqrt().clamp_min(_SMALLEST_DESCENT)
+        factor = (size / self._descent_size)[owner, None]
+        features[DESCENT.name] = descent / factor
+        return features, factor.to(accelerations)

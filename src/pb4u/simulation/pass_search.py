@@ -22,9 +22,11 @@ class PassSearch(ABC):
     Attributes:
         freed: height [m] to which the energy that the last pass freed would lift the garments, the most of any world;
             0 where it is not looked at.
+        freed_energies: (worlds,) that energy [J]; None where it is not looked at.
     """
 
     freed: float = 0.0
+    freed_energies: Tensor | None = None
 
     @abstractmethod
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
@@ -92,7 +94,8 @@ class ConjugatePass(PassSearch):
         choices = torch.stack([whole, best, 0.5 * (whole + best)])
         energies = torch.stack([self._energies(step, potential, x, directions, lengths) for lengths in choices])
         lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
-        self.freed = float(((before.per_world(step.garments) - lowest) / _weights(step)).max())
+        self.freed_energies = before.per_world(step.garments) - lowest
+        self.freed = float((self.freed_energies / _weights(step)).max())
         return choices.gather(0, chosen.expand(1, *best.shape))[0]
 
     @staticmethod

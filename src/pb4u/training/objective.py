@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import torch
 from torch import Tensor
 
-from pb4u.errors import unknown_name
+from pb4u.errors import InputError, unknown_name
 from pb4u.nn.acceleration_model import PreparedGarments
 from pb4u.physics.contact.collision import Collision
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential
@@ -53,19 +53,20 @@ class LossWeight(ABC):
     """What the loss of each garment counts, beside those of other garments and other steps."""
 
     @abstractmethod
-    def of(self, energies: Energies, garments: PackedGarments) -> Tensor:
+    def of(self, energies: Energies, garments: PackedGarments, freed: Tensor | None) -> Tensor:
         """Weights (garments,), without a gradient.
 
         Args:
             energies: of the step, for each garment.
             garments: the pack that they are of.
+            freed: (worlds,) energy [J] that the pass freed, where its search tells.
         """
 
 
 class JouleWeight(LossWeight):
     """Every joule counts the same, as in the paper: what is heavy, stiff or lost decides."""
 
-    def of(self, energies: Energies, garments: PackedGarments) -> Tensor:
+    def of(self, energies: Energies, garments: PackedGarments, freed: Tensor | None) -> Tensor:
         return torch.ones_like(energies.per_garment).detach()
 
 
@@ -83,13 +84,43 @@ class RelativeWeight(LossWeight):
     def __init__(self, lift: float = 1e-3) -> None:
         self.lift = lift
 
-    def of(self, energies: Energies, garments: PackedGarments) -> Tensor:
+    def of(self, energies: Energies, garments: PackedGarments, freed: Tensor | None) -> Tensor:
         own = energies.per_garment.detach() - energies.terms["gravity"].detach()
-        masses = torch.zeros_like(own).index_add_(0, garments.vertex_garment, garments.vertex_masses.to(own))
-        return 1.0 / (own + self.lift * STANDARD_GRAVITY * masses)
+        return 1.0 / (own + _lifting(garments, self.lift).to(own))
 
 
-LOSS_WEIGHTS: dict[str, LossWeight] = {"joule": JouleWeight(), "relative": RelativeWeight()}
+class ProgressWeight(LossWeight):
+    """A joule counts the less, the more of them the pass freed, in 1/J.
+
+    Descending this is raising the logarithm of what a pass frees: it asks for the best direction alike far from the
+    minimum and near it, where a simulation that goes well is, in silk and in leather. For conjugate passes.
+
+    Args:
+        lift: height [m] to which the energy added to all would lift the garment, below which nothing is seen.
+    """
+
+    def __init__(self, lift: float = 1e-4) -> None:
+        self.lift = lift
+
+    def of(self, energies: Energies, garments: PackedGarments, freed: Tensor | None) -> Tensor:
+        if freed is None:
+            raise InputError("loss_weight=progress needs a network whose passes are conjugate: network.conjugate=True.")
+        of_world = freed[garments.garment_world].clamp_min(0.0).to(energies.per_garment)
+        return 1.0 / (of_world + _lifting(garments, self.lift).to(of_world))
+
+
+def _lifting(garments: PackedGarments, height: float) -> Tensor:
+    """Energies (garments,) [J] that lift the garments by `height` [m]."""
+    masses = garments.vertex_masses
+    sums = masses.new_zeros(garments.garment_count).index_add_(0, garments.vertex_garment, masses)
+    return height * STANDARD_GRAVITY * sums
+
+
+LOSS_WEIGHTS: dict[str, LossWeight] = {
+    "joule": JouleWeight(),
+    "relative": RelativeWeight(),
+    "progress": ProgressWeight(),
+}
 """By the name that a configuration gives them."""
 
 

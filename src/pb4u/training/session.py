@@ -30,7 +30,7 @@ from pb4u.training.trainer import Trainer
 
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that ask a training to save and end; Windows has no SIGHUP."""
-_OF_NO_WEIGHT = frozenset({"network.passes", "network.conjugate", "network.further_passes"})
+_OF_NO_WEIGHT = frozenset({"network.passes", "network.conjugate", "network.further_passes", "network.descent_size"})
 """Settings of a network that its weights do not hang on."""
 BUILT_IN = "built in"
 """Origin of the data of a run whose configuration alone makes them again."""

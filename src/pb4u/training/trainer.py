@@ -234,7 +234,7 @@ class Trainer:
         # The network has no part in the first, which the start alone leads to.
         after = next(states)
         for after in states:
-            if not self.learn(prepared, step, after):
+            if not self.learn(prepared, step, after, course.search.freed_energies):
                 return False
         state = State(after.positions.detach(), after.velocities.detach(), after.frame)
         course.state = self.set_off(course, state) if course.settles else state
@@ -264,13 +264,14 @@ class Trainer:
         }
         return State(settled.positions, velocities[self.configuration.after_settling], frame)
 
-    def learn(self, prepared: PreparedGarments, step: TimeStep, after: State) -> bool:
+    def learn(self, prepared: PreparedGarments, step: TimeStep, after: State, freed: Tensor | None) -> bool:
         """One optimiser step on the energies of `step`; False where they or their gradient are not finite.
 
         Args:
             prepared: what the network derived once from the garments.
             step: that was taken.
             after: where it led, differentiable.
+            freed: (worlds,) energy [J] that the pass freed, where its search tells.
         """
         weight = self.configuration.curriculum.collision(self.progress)
         rate = self.configuration.curriculum.rate(self.progress) * self.counters.rate_factor
@@ -279,7 +280,7 @@ class Trainer:
         energies = step_energies(step, positions, weight)
         further = further_losses(prepared, step, positions, self.progress)
         each = torch.stack([energies.per_garment, *further.values()]).sum(0)
-        gradient = self.learner.gradient((self.loss_weight.of(energies, step.garments) * each).mean())
+        gradient = self.learner.gradient((self.loss_weight.of(energies, step.garments, freed) * each).mean())
         terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
         watched = torch.stack([*(value.detach() for value in terms.values()), finite.all().to(positions)])
         *values, all_finite = self.workers.mean(watched).tolist()
