@@ -64,6 +64,49 @@ def test_descent_is_bounded_however_bad_the_state() -> None:
     assert float(features.of(at, wild)["descent"].norm(dim=1).max()) < 1.0
 
 
+def test_a_descent_is_shown_at_one_size_and_predictions_scaled_back() -> None:
+    at = a_step()
+    sized = replace(TINY, descent_size=0.03)
+    features, plain = StepFeatures(prepared_for(model(sized), at)), StepFeatures(prepared_for(model(), at))
+    nothing = torch.zeros_like(at.state.positions)
+    shown, factors = features.scaled(at, nothing)
+    assert float(shown["descent"].square().sum(1).mean().sqrt()) == pytest.approx(0.03, rel=1e-5)
+    torch.testing.assert_close(factors * shown["descent"], plain.of(at, nothing)["descent"])
+    as_it_is, ones = plain.scaled(at, nothing)
+    assert torch.equal(as_it_is["descent"], plain.of(at, nothing)["descent"])
+    assert torch.equal(ones, torch.ones_like(ones))
+
+
+def test_a_pass_near_the_minimum_is_as_one_far_from_it() -> None:
+    # Descent alone is seen, and seen at one size: a tenth of it is answered by a tenth of the correction.
+    sized = replace(
+        TINY, descent_size=0.03, layout=FeatureLayout(node=(), mesh_edge=("rest_direction",), extra=(DESCENT,))
+    )
+    at, network = a_step(), model(sized)
+    moves = []
+    for share in (1.0, 0.1):
+        asked = NetworkPass(network, prepared_for(network, at), 1)
+        asked.features.of = lambda step, reached, share=share: {"descent": share * 1e-2 * step.state.velocities}
+        moves.append(asked.correction(at, torch.zeros_like(at.state.positions)))
+    assert float(moves[0].norm()) > 0.0
+    torch.testing.assert_close(moves[1], 0.1 * moves[0], rtol=1e-4, atol=1e-9)
+
+
+def test_cloth_at_rest_is_not_shown_larger_than_it_is() -> None:
+    at = a_step()
+    features = StepFeatures(prepared_for(model(replace(TINY, descent_size=0.03)), at))
+    features.of = lambda step, reached: {"descent": torch.zeros_like(reached), "advance": reached}
+    shown, factors = features.scaled(at, torch.zeros_like(at.state.positions))
+    assert not shown["descent"].any()
+    assert bool(torch.isfinite(factors).all())
+
+
+@pytest.mark.parametrize("size", [-0.1, 1.5])
+def test_a_size_that_no_descent_has_is_refused(size: float) -> None:
+    with pytest.raises(InputError, match="shown at a size"):
+        replace(TINY, descent_size=size)
+
+
 def test_every_pass_starts_where_the_last_left_off() -> None:
     at = a_step()
     network = model()

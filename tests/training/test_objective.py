@@ -12,7 +12,7 @@ from tests.training.listening import Listener, made
 from pb4u.errors import InputError
 from pb4u.physics.incremental_potential import Energies
 from pb4u.scene.packed import PackedGarments
-from pb4u.training.objective import JouleWeight, RelativeWeight, loss_weight
+from pb4u.training.objective import JouleWeight, ProgressWeight, RelativeWeight, loss_weight
 from pb4u.training.wardrobe import Wardrobe
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -49,6 +49,17 @@ def test_cloth_at_rest_counts_no_more_than_cloth_that_hangs() -> None:
     mass = float(garments.vertex_masses[garments.vertex_garment == 0].sum())
     assert float(at_rest[0]) == pytest.approx(1.0 / (9.81 * mass * 2e-3), rel=1e-3)
     assert float(at_rest[1]) == pytest.approx(0.5 * float(at_rest[0]), rel=1e-5)
+
+
+def test_progress_weights_are_of_the_logarithm_of_what_a_pass_freed() -> None:
+    garments = two_garments()
+    freed = torch.tensor([0.25, 4.0])[garments.garment_world]
+    weights = ProgressWeight(lift=0.0).of(energies((9.0, 9.0)), garments, freed)
+    assert weights.tolist() == pytest.approx((1.0 / freed[garments.garment_world]).tolist())
+    none_freed = ProgressWeight(lift=1e-4).of(energies((9.0, 9.0)), garments, torch.tensor([0.0, -1.0]))
+    assert bool(torch.isfinite(none_freed).all())
+    with pytest.raises(InputError, match="conjugate"):
+        ProgressWeight().of(energies((9.0, 9.0)), garments, None)
 
 
 def test_a_training_takes_the_weight_of_its_configuration() -> None:

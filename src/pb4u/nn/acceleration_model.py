@@ -80,8 +80,9 @@ class NetworkConfiguration(ABC):
         carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
             flight, is taken; none in the paper. With any the layout should name the same two.
         conjugate: join each pass with the move of the one before, at the lengths of least potential; not in the paper.
-        descent_size: root mean square at which each garment's descent is shown, in edge lengths; accelerations are scaled
-            back, so that a pass is as good near the minimum as far from it. 0 shows it as it is; the paper has none.
+        descent_size: root mean square at which each garment's descent is shown, in edge lengths; accelerations are
+            scaled back, so that a pass is as good near the minimum as far from it. 0 shows it as it is, and the paper
+            shows none.
         further_passes: most evaluations beyond `passes`, each made where the pass before freed much energy; for
             networks that are `conjugate`.
 
