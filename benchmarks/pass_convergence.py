@@ -1,6 +1,6 @@
 """How near the minimum of a step its passes come: ranks networks, where whole clips differ by a tenth by chance.
 
-    python benchmarks/pass_convergence.py [--models pb4u-wide,FILE] [--garments tshirt,dress] [--motions walk,dance,jump]
+    python benchmarks/pass_convergence.py [--models pb4u-wide,FILE] [--garments tshirt,dress] [--motions walk,jump]
         [--triangles 2500] [--frames 30] [--every 4] [--json FILE]
 
 Along a rollout of the quick solver, every few frames: the height to which the energy above the minimum would lift the
