@@ -98,6 +98,7 @@ def test_of_a_training_s_folder_the_best_weights_are_the_model(
         (("--out", "run", "--minutes", "0"), "must be above 0"),
         (("--out", "run", "--weights", "pb4u-smal"), "There is no model file pb4u-smal"),
         (("--out", "run", "--weights", "pb4u-small", "--set", "network.width=4"), "bring their own network"),
+        (("--out", "run", "--weights", "pb4u-small", "--preset", "wide"), "add --set network.conjugate=True"),
         (("--resume", "."), "is no folder of a training"),
         (("--out", "run", "--device", "tpu", "--pack", "pack.npz"), "auto, cpu or cuda"),
     ],

@@ -43,6 +43,9 @@ pb4u_paper = Pb4uConfiguration(
 pb4u_small = replace(pb4u_paper, width=64, blocks=4)
 pb4u_small_carried = with_start_shares(pb4u_small)
 pb4u_small_two_passes = replace(pb4u_small_carried, passes=2)
+# Descents are shown three times as large as they are on the solver's own states: smaller or larger, weights that knew
+# nothing of it left more of a step.
+pb4u_small_conjugate = replace(pb4u_small_two_passes, conjugate=True, further_passes=3, descent_size=0.03)
 _small_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
 
 mgn = MeshGraphNetConfiguration()
@@ -141,6 +144,10 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
     ),
     "pb4u_small_carried": (pb4u_small_carried, "the small one, each step started part of the way with the body"),
     "pb4u_small_two_passes": (pb4u_small_two_passes, "that one, evaluated twice a step"),
+    "pb4u_small_conjugate": (
+        pb4u_small_conjugate,
+        "that one, its passes joined and asked for where a step needs them, the descent shown at one size",
+    ),
     "without_propagation_control": (replace(pb4u_paper, control=FixedSteps(15)), "15 steps at every resolution"),
     "without_update_scaling": (replace(pb4u_paper, scaling=NoScaling()), "updates as predicted at every resolution"),
     "without_both": (replace(pb4u_paper, control=FixedSteps(15), scaling=NoScaling()), "neither of the two"),

@@ -116,10 +116,11 @@ def _lifting(garments: PackedGarments, height: float) -> Tensor:
     return height * STANDARD_GRAVITY * sums
 
 
+PROGRESS = "progress"
 LOSS_WEIGHTS: dict[str, LossWeight] = {
     "joule": JouleWeight(),
     "relative": RelativeWeight(),
-    "progress": ProgressWeight(),
+    PROGRESS: ProgressWeight(),
 }
 """By the name that a configuration gives them."""
 

@@ -23,6 +23,7 @@ from pb4u.training.configuration import (
 )
 from pb4u.training.distribution import Workers, workers
 from pb4u.training.journal import Reporter, draw_curve, reporter
+from pb4u.training.objective import PROGRESS
 from pb4u.training.packed_data import TrainingData, load_training_data, save_training_data
 from pb4u.training.presets import DEFAULT_STEPS, training_preset
 from pb4u.training.run_folder import CURVE, RunFolder
@@ -105,6 +106,11 @@ def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
             raise InputError(f"--weights bring their own network: of its settings {free} alone can be given.")
         configuration = replace(configuration, network=from_pretrained(request.weights).configuration)
     configuration = with_settings(configuration, request.settings)
+    if configuration.loss_weight == PROGRESS and not configuration.network.conjugate:
+        raise InputError(
+            "loss_weight=progress goes by what the search of conjugate passes frees: add --set network.conjugate=True "
+            "(and --set network.descent_size=0.03, which it was made for), or --set loss_weight=joule."
+        )
     steps = request.steps
     if steps is None and request.minutes is None:
         steps = DEFAULT_STEPS[preset]
