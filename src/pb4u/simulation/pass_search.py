@@ -54,7 +54,8 @@ class ConjugatePass(PassSearch):
     three gradients of the potential (locally optimal form: Knyazev 2001, SIAM J. Sci. Comput. 23). The last move of one
     time step serves the next, as what is still missing at its end changes slowly.
 
-    In training the lengths carry no gradient: at their optimum they have none.
+    In training the lengths carry no gradient: at their optimum they have none. A pass can still add energy, as standing
+    still is not among what is compared.
     """
 
     def __init__(self) -> None:

@@ -67,7 +67,7 @@ class JouleWeight(LossWeight):
     """Every joule counts the same, as in the paper: what is heavy, stiff or lost decides."""
 
     def of(self, energies: Energies, garments: PackedGarments, freed: Tensor | None) -> Tensor:
-        return torch.ones_like(energies.per_garment).detach()
+        return torch.ones_like(energies.per_garment)
 
 
 class RelativeWeight(LossWeight):
