@@ -10,6 +10,7 @@ from torch import Tensor
 from pb4u.nn.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.time_step import TimeStep, integrate
+from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY
 
 _FLATTEST = 1e-3
@@ -20,13 +21,18 @@ class PassSearch(ABC):
     """Rule for what a step makes of a pass. Made for one run, as it may remember the passes before.
 
     Attributes:
-        freed: height [m] to which the energy that the last pass freed would lift the garments, the most of any world;
-            0 where it is not looked at.
-        freed_energies: (worlds,) that energy [J]; None where it is not looked at.
+        freed: (worlds,) energy [J] that the last pass freed; None where it is not looked at.
     """
 
-    freed: float = 0.0
-    freed_energies: Tensor | None = None
+    freed: Tensor | None = None
+
+    def freed_height(self, garments: PackedGarments) -> float:
+        """Height [m] to which that energy would lift the garments, the most of any world; 0 where it is not looked at.
+
+        Args:
+            garments: of the step that the pass was of.
+        """
+        return 0.0 if self.freed is None else float((self.freed / _weights(garments)).max())
 
     @abstractmethod
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
@@ -95,8 +101,7 @@ class ConjugatePass(PassSearch):
         choices = torch.stack([whole, best, 0.5 * (whole + best)])
         energies = torch.stack([self._energies(step, potential, x, directions, lengths) for lengths in choices])
         lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
-        self.freed_energies = before.per_world(step.garments) - lowest
-        self.freed = float((self.freed_energies / _weights(step)).max())
+        self.freed = before.per_world(step.garments) - lowest
         return choices.gather(0, chosen.expand(1, *best.shape))[0]
 
     @staticmethod
@@ -105,10 +110,10 @@ class ConjugatePass(PassSearch):
         return potential.energies(moved).per_world(step.garments)
 
 
-def _weights(step: TimeStep) -> Tensor:
+def _weights(garments: PackedGarments) -> Tensor:
     """Weight (worlds,) [N] of the garments of each world."""
-    masses = step.garments.vertex_masses
-    sums = masses.new_zeros(step.garments.world_count).index_add_(0, step.garments.vertex_world, masses)
+    masses = garments.vertex_masses
+    sums = masses.new_zeros(garments.world_count).index_add_(0, garments.vertex_world, masses)
     return STANDARD_GRAVITY * sums
 
 

@@ -84,7 +84,7 @@ def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
     yield integrate(step, accelerations)
     for number in range(method.network.passes + method.network.further):
-        if number >= method.network.passes and method.search.freed < FREED_MUCH:
+        if number >= method.network.passes and method.search.freed_height(step.garments) < FREED_MUCH:
             return
         reached = accelerations.detach()
         if not bool(torch.isfinite(reached).all()):

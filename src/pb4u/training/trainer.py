@@ -234,7 +234,7 @@ class Trainer:
         # The network has no part in the first, which the start alone leads to.
         after = next(states)
         for after in states:
-            if not self.learn(prepared, step, after, course.search.freed_energies):
+            if not self.learn(prepared, step, after, course.search.freed):
                 return False
         state = State(after.positions.detach(), after.velocities.detach(), after.frame)
         course.state = self.set_off(course, state) if course.settles else state
