@@ -10,9 +10,18 @@ from tests.training.ball_data import TINY, ball_data
 from tests.training.listening import Listener, made
 
 from pb4u.errors import InputError
+from pb4u.physics.contact.collision import REFERENCE_AREA
 from pb4u.physics.incremental_potential import Energies
 from pb4u.scene.packed import PackedGarments
-from pb4u.training.objective import JouleWeight, ProgressWeight, RelativeWeight, loss_weight
+from pb4u.training.objective import (
+    JouleWeight,
+    ProgressWeight,
+    RelativeWeight,
+    comparable_total,
+    loss_weight,
+    mean_energies,
+    step_energies,
+)
 from pb4u.training.wardrobe import Wardrobe
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -60,6 +69,33 @@ def test_progress_weights_are_of_the_logarithm_of_what_a_pass_freed() -> None:
     assert bool(torch.isfinite(none_freed).all())
     with pytest.raises(InputError, match="conjugate"):
         ProgressWeight().of(energies((9.0, 9.0)), garments, None)
+
+
+def test_what_is_inside_the_skin_costs_more_and_what_rests_on_it_does_not() -> None:
+    trainer = made(TINY, 1)
+    course = trainer.begin(0, 2)
+    step, garments = course.next_step(), course.window.timeline.garments
+    planes = step.contacts.now
+    assert planes is not None
+
+    def terms(distance: float) -> tuple[dict[str, float], dict[str, float]]:
+        at = planes.points + distance * planes.normals
+        with_it, without = step_energies(step, at, 5e3, 1e5), step_energies(step, at, 5e3)
+        return with_it.floats(), without.floats()
+
+    resting, plain = terms(1e-3)
+    assert resting.pop("inside") == 0.0 < resting["collision"]
+    assert resting == pytest.approx(plain)
+    inside, plain = terms(-4e-3)
+    depth, areas = 4e-3, float(garments.vertex_areas[planes.touchable].sum())
+    assert inside["inside"] == pytest.approx(1e5 * areas / REFERENCE_AREA * depth**3, rel=0.05)
+    assert {name: inside[name] for name in plain if name != "total"} == pytest.approx(
+        {name: value for name, value in plain.items() if name != "total"}
+    )
+    means = mean_energies(step_energies(step, planes.points - 4e-3 * planes.normals, 2e4, 1e5))
+    assert comparable_total({name: float(value) for name, value in means.items()}, 2e4) == pytest.approx(
+        plain["total"], rel=1e-4
+    )
 
 
 def test_a_training_takes_the_weight_of_its_configuration() -> None:

@@ -65,9 +65,9 @@ def test_an_exploding_training_goes_back_lowers_its_rate_and_says_so(monkeypatch
     trainer = made(TINY, 30, listener=listener)
     original, calls = trainer_module.step_energies, [0]
 
-    def wild(step: TimeStep, positions: Tensor, weight: float) -> Energies:
+    def wild(step: TimeStep, positions: Tensor, *weights: float) -> Energies:
         calls[0] += 1
-        energies = original(step, positions, weight)
+        energies = original(step, positions, *weights)
         spoilt = torch.nan if calls[0] == 15 else 1.0
         return Energies({name: value * spoilt for name, value in energies.terms.items()})
 

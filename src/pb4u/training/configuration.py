@@ -106,6 +106,7 @@ class TrainingConfiguration:
             set off are seen; "zero"; or "carried" as the family's code has it.
         loss_weight: "joule"; "relative" to what the garment has now, so that light cloth counts as heavy cloth does; or
             "progress", relative to what the pass freed.
+        inside_weight: weight of a second collision term in the loss, which begins at the skin [J/m^3]; 0 for none.
         statistics_windows: windows whose statistics normalise the features.
         gradient_norm: largest norm of the gradient, of the unit of the loss; longer ones are scaled down to it.
         ema_decay: decay of the averaged weights a step; the averaged weights are the result of a training.
@@ -131,6 +132,7 @@ class TrainingConfiguration:
     most_propagation_steps: int = 28
     after_settling: str = "skinned"
     loss_weight: str = "joule"
+    inside_weight: float = 0.0
     statistics_windows: int = 100
     gradient_norm: float = 1.0
     ema_decay: float = 0.999
@@ -145,7 +147,7 @@ class TrainingConfiguration:
         for name in ("batch", "interleaved", "statistics_windows", "log_every", "checkpoint_every", "validate_every"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be 1 or more, not {getattr(self, name)}.")
-        for name in ("noise", "clearance", "most_propagation_steps", "patience", "seed"):
+        for name in ("noise", "clearance", "most_propagation_steps", "inside_weight", "patience", "seed"):
             if getattr(self, name) < 0:
                 raise InputError(f"{name} must not be below 0, but is {getattr(self, name)}.")
         if self.after_settling not in AFTER_SETTLING:

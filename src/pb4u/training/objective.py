@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -19,15 +20,32 @@ REFERENCE_WEIGHT = 5e3
 """Weight of the collision term at which losses of different times are compared [J/m^3]."""
 
 
-def step_energies(step: TimeStep, positions: Tensor, collision_weight: float) -> Energies:
+@dataclass(frozen=True)
+class Inside(Collision):
+    """A second collision term that begins at the skin, for the loss alone.
+
+    Cloth that rests lies above the skin, where collisions have to weigh what they do in a simulation: a network that
+    learns with heavier ones leaves everything hovering, with too little pressure for friction to hold it. Inside the
+    skin that weight is too little to keep cloth from learning to sink.
+    """
+
+    clearance: float = 0.0
+    name = "inside"
+
+
+def step_energies(step: TimeStep, positions: Tensor, collision_weight: float, inside_weight: float = 0.0) -> Energies:
     """Energies of a step for each garment; differentiable.
 
     Args:
         step: time step that was taken.
         positions: (vertices, 3) [m] at its end.
         collision_weight: weight of the collision term [J/m^3].
+        inside_weight: weight of the term for what is inside the skin [J/m^3]; 0 for none.
     """
-    return IncrementalPotential().with_term(Collision(weight=collision_weight)).of(step).energies(positions)
+    potential = IncrementalPotential().with_term(Collision(weight=collision_weight))
+    if inside_weight:
+        potential = replace(potential, terms=(*potential.terms, Inside(weight=inside_weight)))
+    return potential.of(step).energies(positions)
 
 
 def mean_energies(energies: Energies) -> dict[str, Tensor]:
@@ -133,13 +151,14 @@ def loss_weight(name: str) -> LossWeight:
 
 
 def comparable_total(terms: dict[str, float], collision_weight: float) -> float:
-    """Total loss [J] as it would be with collisions at the reference weight.
+    """Total loss [J] as it would be with collisions at the reference weight and none of what is added `Inside`.
 
     Args:
         terms: mean energies [J] by name, with their "total".
         collision_weight: weight of the collision term in them [J/m^3].
     """
-    return terms["total"] - terms["collision"] * (1.0 - REFERENCE_WEIGHT / collision_weight)
+    heavier = terms["collision"] * (1.0 - REFERENCE_WEIGHT / collision_weight)
+    return terms["total"] - heavier - terms.get(Inside.name, 0.0)
 
 
 def strain_energy(terms: dict[str, float], collision_weight: float) -> float:

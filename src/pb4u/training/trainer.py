@@ -277,7 +277,7 @@ class Trainer:
         rate = self.configuration.curriculum.rate(self.progress) * self.counters.rate_factor
         finite = torch.isfinite(after.positions)
         positions = torch.where(finite, after.positions, step.state.positions)
-        energies = step_energies(step, positions, weight)
+        energies = step_energies(step, positions, weight, self.configuration.inside_weight)
         further = further_losses(prepared, step, positions, self.progress)
         each = torch.stack([energies.per_garment, *further.values()]).sum(0)
         gradient = self.learner.gradient((self.loss_weight.of(energies, step.garments, freed) * each).mean())
