@@ -45,7 +45,7 @@ pb4u_small_carried = with_start_shares(pb4u_small)
 pb4u_small_two_passes = replace(pb4u_small_carried, passes=2)
 # Descents are shown three times as large as they are on the solver's own states: smaller or larger, weights that knew
 # nothing of it left more of a step.
-pb4u_small_conjugate = replace(pb4u_small_two_passes, conjugate=True, further_passes=3, descent_size=0.03)
+pb4u_small_conjugate = replace(pb4u_small_two_passes, conjugate=True, further_passes=8, descent_size=0.03)
 _small_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
 
 mgn = MeshGraphNetConfiguration()
