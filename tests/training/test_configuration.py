@@ -54,6 +54,7 @@ def test_settings_replace_fields_of_every_kind() -> None:
         ("batch=1.5", "'1.5' is of another kind"),
         ("batch", "has no ="),
         ("batch=0", "batch must be 1 or more"),
+        ("inside_weight=-1.0", "inside_weight must not be below 0"),
         ("data.triangles=many", "of another kind"),
         ("network.layout.extra=descent", "of another kind"),
         ("material.density=0.2", "of another shape"),

@@ -12,6 +12,7 @@ from tests.training.listening import Listener, made
 from pb4u.errors import InputError
 from pb4u.physics.contact.collision import REFERENCE_AREA
 from pb4u.physics.incremental_potential import Energies
+from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 from pb4u.training.objective import (
     JouleWeight,
@@ -96,6 +97,18 @@ def test_what_is_inside_the_skin_costs_more_and_what_rests_on_it_does_not() -> N
     assert comparable_total({name: float(value) for name, value in means.items()}, 2e4) == pytest.approx(
         plain["total"], rel=1e-4
     )
+
+
+def test_a_training_adds_what_is_inside_where_its_configuration_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+
+    def noted(step: TimeStep, positions: torch.Tensor, weight: float, inside: float) -> Energies:
+        asked.append(inside)
+        return step_energies(step, positions, weight, inside)
+
+    monkeypatch.setattr("pb4u.training.trainer.step_energies", noted)
+    made(replace(TINY, inside_weight=2e4), 1, None, Listener()).train_round()
+    assert set(asked) == {2e4}
 
 
 def test_a_training_takes_the_weight_of_its_configuration() -> None:

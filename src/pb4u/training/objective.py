@@ -110,8 +110,9 @@ class RelativeWeight(LossWeight):
 class ProgressWeight(LossWeight):
     """A joule counts the less, the more of them the pass freed, in 1/J.
 
-    Descending this is raising the logarithm of what a pass frees: it asks for the best direction alike far from the
-    minimum and near it, where a simulation that goes well is, in silk and in leather. For conjugate passes.
+    Descending this is raising the logarithm of what a pass frees, of the terms that its search knows: it asks for the
+    best direction alike far from the minimum and near it, where a simulation that goes well is, in silk and in leather.
+    For conjugate passes.
 
     Args:
         lift: height [m] to which the energy added to all would lift the garment, below which nothing is seen.
@@ -151,7 +152,7 @@ def loss_weight(name: str) -> LossWeight:
 
 
 def comparable_total(terms: dict[str, float], collision_weight: float) -> float:
-    """Total loss [J] as it would be with collisions at the reference weight and none of what is added `Inside`.
+    """Total loss [J] as it would be with collisions at the reference weight and without the term `Inside`.
 
     Args:
         terms: mean energies [J] by name, with their "total".

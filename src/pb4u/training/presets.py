@@ -68,9 +68,9 @@ wide = replace(
     ),
     # What is left of a step differs a thousandfold, by cloth and by how far it is from the minimum.
     loss_weight="progress",
-    # With none an arm that is half way out of its sleeve is left there.
+    # Without it a sleeve that an arm swung out of stays inside the arm.
     inside_weight=1e5,
-    # About the mean of a hundred steps; steps of which hardly anything is left have many times it.
+    # One to three times the mean of a hundred steps; steps of which hardly anything is left have many times it.
     gradient_norm=20.0,
     # By the rule: random K left 4 % more of a step after 5,000 steps; finer meshes were not compared.
     most_propagation_steps=0,
