@@ -94,6 +94,11 @@ class PackedGarments:
         return self.garment_world[self.vertex_garment]
 
     @cached_property
+    def garment_masses(self) -> Tensor:
+        """Mass (garments,) [kg] of each garment."""
+        return self.vertex_masses.new_zeros(self.garment_count).index_add_(0, self.vertex_garment, self.vertex_masses)
+
+    @cached_property
     def vertex_edge_lengths(self) -> Tensor:
         """Mean rest edge length (vertices,) float64 [m] of the garment that each vertex is of."""
         lengths = torch.tensor(self.mean_edge_lengths, dtype=torch.float64, device=self.vertex_garment.device)

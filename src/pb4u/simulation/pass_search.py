@@ -32,7 +32,9 @@ class PassSearch(ABC):
         Args:
             garments: of the step that the pass was of.
         """
-        return 0.0 if self.freed is None else float((self.freed / _weights(garments)).max())
+        if self.freed is None:
+            return 0.0
+        return float((self.freed / (STANDARD_GRAVITY * garments.by_world(garments.garment_masses))).max())
 
     @abstractmethod
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
@@ -108,13 +110,6 @@ class ConjugatePass(PassSearch):
     def _energies(step: TimeStep, potential: StepPotential, x: Tensor, directions: Tensor, lengths: Tensor) -> Tensor:
         moved = x + torch.stack([_of_world(step, n) * d for n, d in zip(lengths, directions, strict=True)]).sum(0)
         return potential.energies(moved).per_world(step.garments)
-
-
-def _weights(garments: PackedGarments) -> Tensor:
-    """Weight (worlds,) [N] of the garments of each world."""
-    masses = garments.vertex_masses
-    sums = masses.new_zeros(garments.world_count).index_add_(0, garments.vertex_world, masses)
-    return STANDARD_GRAVITY * sums
 
 
 def _of_world(step: TimeStep, lengths: Tensor) -> Tensor:

@@ -130,9 +130,7 @@ class ProgressWeight(LossWeight):
 
 def _lifting(garments: PackedGarments, height: float) -> Tensor:
     """Energies (garments,) [J] that lift the garments by `height` [m]."""
-    masses = garments.vertex_masses
-    sums = masses.new_zeros(garments.garment_count).index_add_(0, garments.vertex_garment, masses)
-    return height * STANDARD_GRAVITY * sums
+    return height * STANDARD_GRAVITY * garments.garment_masses
 
 
 PROGRESS = "progress"
