@@ -139,17 +139,20 @@ def test_strong_shoulders_are_no_part_of_the_neck() -> None:
     assert 0.9 < heavy.neck_half_width / usual.neck_half_width < 1.1
 
 
-def test_straps_lie_nearer_to_the_neck_where_shoulders_slope() -> None:
-    """On a tall, heavy woman without muscles they slid off where they lie on the usual one."""
-    sloping = load_body("woman", {"height": 0.99, "weight": 0.97, "muscle": 0.03})
+@pytest.mark.parametrize(
+    "shape", [{"height": 0.99, "weight": 0.97, "muscle": 0.03}, {"height": 0.84, "weight": 0.6, "muscle": 0.12}]
+)
+def test_straps_lie_nearer_to_the_neck_where_shoulders_slope(shape: dict[str, float]) -> None:
+    """On these women they slid off where they lie on the usual one; the second's shoulders fall by 18 degrees."""
     shares = []
-    for body in (sloping, load_body("woman")):
+    for body in (load_body("woman", shape), load_body("woman")):
         form, garment = BodyForm(body), build_garment("dress", body, SMALL)
         width = min(abs(float(arm.joints[0, 0])) for arm in form.arms)
         hole = max((garment.vertices[loop] for loop in garment.topology.boundary_loops), key=lambda p: p[:, 1].max())
         shares.append(float(np.abs(hole[:, 0]).max()) / width)
         assert np.abs(hole[:, 0]).max() > form.neck_half_width
-    assert shares[0] < shares[1] < 0.57
+    assert shares[0] < 0.49
+    assert 0.5 < shares[1] < 0.57
 
 
 def test_the_cardigan_is_open_in_front() -> None:

@@ -56,7 +56,8 @@ def test_the_loss_falls_and_what_is_kept_can_be_simulated_with(tmp_path: Path) -
     assert [line["step"] for line in lines if "total" in line] == sorted(
         {line["step"] for line in lines if "total" in line}
     )
-    assert draw_curve(lines, tmp_path / "curve.png")
+    assert "inside" not in lines[0]
+    assert draw_curve([*lines, lines[-1] | {"inside": 0.01}], tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 5000
 
 
@@ -268,6 +269,14 @@ def test_a_rollback_before_the_first_checkpoint_keeps_the_statistics(monkeypatch
 
 def test_a_round_takes_no_more_steps_than_are_left() -> None:
     trainer = made(replace(TINY, interleaved=4), 6)
+    assert trainer.run() == "finished"
+    assert trainer.counters.step == 6
+
+
+def test_further_passes_take_no_more_steps_than_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pb4u.simulation.step.FREED_MUCH", -float("inf"))
+    further = replace(TINY.network, conjugate=True, further_passes=2)
+    trainer = made(replace(TINY, network=further, interleaved=4), 6)
     assert trainer.run() == "finished"
     assert trainer.counters.step == 6
 

@@ -57,10 +57,10 @@ class WholePass(PassSearch):
 class ConjugatePass(PassSearch):
     """Joins a pass with the move of the pass before it, each at the length of least potential in every world.
 
-    Passes free less and less energy, each about two thirds of the one before: steepest descent with the network as its
-    preconditioner. Searching the plane of its direction and the last move is what makes a conjugate gradient of it, for
-    three gradients of the potential (locally optimal form: Knyazev 2001, SIAM J. Sci. Comput. 23). The last move of one
-    time step serves the next, as what is still missing at its end changes slowly.
+    Alone, passes free less and less energy, each a fixed share of the one before: steepest descent with the network as
+    its preconditioner. Searching the plane of its direction and the last move is what makes a conjugate gradient of
+    it, for three gradients of the potential (locally optimal form: Knyazev 2001, SIAM J. Sci. Comput. 23). The last
+    move of one time step serves the next, as what is still missing at its end changes slowly.
 
     In training the lengths carry no gradient: at their optimum they have none. A pass can still add energy, as standing
     still is not among what is compared.

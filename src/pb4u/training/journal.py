@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.training.objective import LOSS_TERMS
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.validation import Score
 
@@ -44,7 +44,7 @@ class Reporter:
 
 
 class BarReporter(Reporter):
-    """Shows a bar with the time left and the six terms on a terminal.
+    """Shows a bar with the time left and the terms of the loss on a terminal.
 
     Args:
         bar: a `rich` progress bar.
@@ -56,7 +56,7 @@ class BarReporter(Reporter):
         self.score = ""
 
     def progressed(self, step: int, progress: float, seconds: float, means: Mapping[str, float]) -> None:
-        terms = "  ".join(f"{name} {means[name]:.2e}" for name in IncrementalPotential().names if name in means)
+        terms = "  ".join(f"{name} {means[name]:.2e}" for name in LOSS_TERMS if name in means)
         text = f"step {step}  total {means['total']:.2e}, median {means['median']:.2e}  {terms}{self.score}"
         self.bar.update(self.task, completed=min(progress, 1.0), terms=text)
 
@@ -178,10 +178,11 @@ def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
     FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, sharex=True)
     x = [line["step"] for line in steps]
-    for name in IncrementalPotential().names:
+    for name in LOSS_TERMS:
+        values = [line.get(name, math.nan) for line in steps]
         # Gravity energy has no lower bound and may be negative, which a logarithmic axis cannot show.
-        if name != "gravity":
-            upper.plot(x, [max(line[name], 1e-9) for line in steps], label=name, linewidth=1)
+        if name != "gravity" and not all(map(math.isnan, values)):
+            upper.plot(x, [max(value, 1e-9) for value in values], label=name, linewidth=1)
     upper.set_yscale("log")
     upper.set_ylabel("energy of a step [J]")
     upper.legend(ncols=3, fontsize=8)

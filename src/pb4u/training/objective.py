@@ -33,6 +33,10 @@ class Inside(Collision):
     name = "inside"
 
 
+LOSS_TERMS = (*IncrementalPotential().names, Inside.name)
+"""Names of the terms that a loss may have."""
+
+
 def step_energies(step: TimeStep, positions: Tensor, collision_weight: float, inside_weight: float = 0.0) -> Energies:
     """Energies of a step for each garment; differentiable.
 
@@ -42,10 +46,9 @@ def step_energies(step: TimeStep, positions: Tensor, collision_weight: float, in
         collision_weight: weight of the collision term [J/m^3].
         inside_weight: weight of the term for what is inside the skin [J/m^3]; 0 for none.
     """
+    inside = [Inside(weight=inside_weight)] if inside_weight else []
     potential = IncrementalPotential().with_term(Collision(weight=collision_weight))
-    if inside_weight:
-        potential = replace(potential, terms=(*potential.terms, Inside(weight=inside_weight)))
-    return potential.of(step).energies(positions)
+    return replace(potential, terms=(*potential.terms, *inside)).of(step).energies(positions)
 
 
 def mean_energies(energies: Energies) -> dict[str, Tensor]:

@@ -200,9 +200,9 @@ class Trainer:
         A window whose garment is lost leaves the round: nothing that follows would be worth learning.
         """
         length = self.configuration.curriculum.window_length(self.progress)
-        together, passes = self.configuration.interleaved, self.model.network.passes
+        together, network = self.configuration.interleaved, self.model.network
         if self.budget.steps is not None:
-            left = math.ceil((self.budget.steps - self.counters.step) / passes)
+            left = math.ceil((self.budget.steps - self.counters.step) / (network.passes + network.further_passes))
             together = min(together, left)
             length = min(length, math.ceil(left / together))
         first = self.counters.window
