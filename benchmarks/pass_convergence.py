@@ -20,7 +20,6 @@ import numpy as np
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solver
 from pb4u.scene.assembly import make_scene
-from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import predictions, take
@@ -53,7 +52,7 @@ def heights(models: dict[str, StepwiseSimulator], scene: str, options: argparse.
         lowest = Solver().minimise(potential.of(step), states[frame + 1].positions)
         evaluated = potential.of(step).undifferentiated()
         least = float(evaluated.energies(lowest.positions).total)
-        weight = STANDARD_GRAVITY * float(step.garments.vertex_masses.sum())
+        weight = float(step.garments.world_weights.sum())
         for name, model in models.items():
             method = model.method(timeline, record)
             for _ in predictions(timeline.step_from(states[frame - 1]), method):

@@ -23,7 +23,7 @@ from pb4u.geometry.implicit_surface import ImplicitSurface, Lattice
 REST_CLEARANCE = 0.007
 # The widest neck hole as a share of the shoulders, by how they slope [rad]: under sleeves, and between straps. On 18
 # degrees straps of stiff, heavy cloth (leather) slide off a jumping body at 0.52 and stay at 0.45; on 21 and 40 those
-# of wool slide at 0.57 and 0.48 and stay at 0.45; on 16, the built-in woman's, leather stays at 0.56.
+# of wool slide at 0.58 and 0.48 and stay at 0.45; on 16, the built-in woman's, leather stays at 0.56.
 _NECK_SHARES = (np.deg2rad((22.0, 30.0)), (0.58, 0.48))
 _STRAPPED_NECK_SHARES = (np.deg2rad((16.5, 18.5)), (0.58, 0.45))
 # Room [m] in the lattice around a garment, more than its ease and what its fields are smoothed by.

@@ -117,7 +117,6 @@ class Solver:
         self._pattern: StiffnessPattern
         self._preconditioner: AgeingPreconditioner
         self._free: Tensor
-        self._weight: Tensor
 
     def minimise(
         self,
@@ -175,7 +174,7 @@ class Solver:
             if moved is None:
                 return Solution(x, energies, residual, iteration, False, freed)
             x, cloth, energy = moved
-            freed = float((energy / self._weight).max())
+            freed = float((energy / garments.world_weights).max())
             iteration += 1
 
     def _prepare(self, potential: StepPotential) -> None:
@@ -189,7 +188,6 @@ class Solver:
             basis = PatchBasis(garments, self._pattern.free)
             self._preconditioner = AgeingPreconditioner(basis, self._pattern.free)
             self._free = torch.from_numpy(self._pattern.free)
-            self._weight = STANDARD_GRAVITY * _sums(garments.vertex_masses[:, None], garments)
             self._garments = garments
 
     def _residual(self, garments: PackedGarments, gradient: Tensor) -> float:

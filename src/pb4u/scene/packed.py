@@ -22,6 +22,7 @@ from pb4u.garment.garment import Garment
 from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.proximity.nearest_points import Found
 from pb4u.geometry.proximity.surface_tree import SurfaceTree
+from pb4u.scene.scene import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +98,11 @@ class PackedGarments:
     def garment_masses(self) -> Tensor:
         """Mass (garments,) [kg] of each garment."""
         return self.vertex_masses.new_zeros(self.garment_count).index_add_(0, self.vertex_garment, self.vertex_masses)
+
+    @cached_property
+    def world_weights(self) -> Tensor:
+        """Weight (worlds,) [N] of the garments of each world: energy over it is the height that lifts them."""
+        return STANDARD_GRAVITY * self.by_world(self.garment_masses)
 
     @cached_property
     def vertex_edge_lengths(self) -> Tensor:

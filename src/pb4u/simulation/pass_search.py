@@ -11,7 +11,6 @@ from pb4u.nn.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import PackedGarments
-from pb4u.scene.scene import STANDARD_GRAVITY
 
 _FLATTEST = 1e-3
 """Smallest curvature along a joint of scaled directions: two that are nearly one must not be played off each other."""
@@ -32,9 +31,7 @@ class PassSearch(ABC):
         Args:
             garments: of the step that the pass was of.
         """
-        if self.freed is None:
-            return 0.0
-        return float((self.freed / (STANDARD_GRAVITY * garments.by_world(garments.garment_masses))).max())
+        return 0.0 if self.freed is None else float((self.freed / garments.world_weights).max())
 
     @abstractmethod
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:

@@ -179,10 +179,9 @@ def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
     upper, lower = figure.subplots(2, 1, sharex=True)
     x = [line["step"] for line in steps]
     for name in LOSS_TERMS:
-        values = [line.get(name, math.nan) for line in steps]
         # Gravity energy has no lower bound and may be negative, which a logarithmic axis cannot show.
-        if name != "gravity" and not all(map(math.isnan, values)):
-            upper.plot(x, [max(value, 1e-9) for value in values], label=name, linewidth=1)
+        if name != "gravity" and any(name in line for line in steps):
+            upper.plot(x, [max(line.get(name, math.nan), 1e-9) for line in steps], label=name, linewidth=1)
     upper.set_yscale("log")
     upper.set_ylabel("energy of a step [J]")
     upper.legend(ncols=3, fontsize=8)
