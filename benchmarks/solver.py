@@ -27,7 +27,7 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.garment.dressing import SkinnedPlacement
 from pb4u.garment.library import build_garment
-from pb4u.measure.metrics import ENERGIES, measure, strain_percentile
+from pb4u.measures.metrics import ENERGIES, measure, strain_percentile
 from pb4u.motion.library import load_motion
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.solver.newton_solver import Iteration, Solver

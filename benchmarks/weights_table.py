@@ -22,7 +22,7 @@ from filelock import FileLock, Timeout
 from pb4u.garment.library import LEVELS
 from pb4u.io.atomic_file import replace_file
 from pb4u.jobs.job import digest
-from pb4u.measure.metrics import ENERGIES, measure
+from pb4u.measures.metrics import ENERGIES, measure
 from pb4u.paper.reference_energies import ratio, stored_floor
 from pb4u.scene.catalogue import SEEDS, TRAINING_GARMENTS, catalogue_scene
 from pb4u.scene.trajectory import Trajectory

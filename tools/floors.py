@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from pb4u.garment.library import LEVELS
-from pb4u.measure.metrics import ENERGIES, measure
+from pb4u.measures.metrics import ENERGIES, measure
 from pb4u.paper.reference_energies import FLOORS_FILE
 from pb4u.scene.catalogue import catalogue_scene, scene_names
 from pb4u.scene.trajectory import Trajectory

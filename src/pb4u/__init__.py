@@ -35,7 +35,7 @@ _HOMES = {
     "load_motion": "pb4u.motion.library:load_motion",
     "load_simulator": "pb4u.simulation.models:load_simulator",
     "make_scene": "pb4u.scene.assembly:make_scene",
-    "measure": "pb4u.measure.metrics:measure",
+    "measure": "pb4u.measures.metrics:measure",
     "read_garment": "pb4u.garment.garment_file:read_garment",
 }
 
@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from pb4u.garment.garment_file import read_garment
     from pb4u.garment.library import build_garment
     from pb4u.garment.material import Material
-    from pb4u.measure.metrics import measure
+    from pb4u.measures.metrics import measure
     from pb4u.motion.library import load_motion
     from pb4u.motion.motion import Motion
     from pb4u.scene.assembly import make_scene

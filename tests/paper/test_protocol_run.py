@@ -16,7 +16,7 @@ from tests.simulation.ball_scene import ball_scene
 from pb4u.errors import InputError, Pb4uError
 from pb4u.jobs.job import Failure
 from pb4u.jobs.worker_pool import Attempt, Outcome, WorkerPool
-from pb4u.measure.metrics import ENERGIES
+from pb4u.measures.metrics import ENERGIES
 from pb4u.paper import report, rollout
 from pb4u.paper.protocol_plan import EvaluationRequest
 from pb4u.paper.protocol_run import evaluate

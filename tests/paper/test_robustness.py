@@ -12,7 +12,7 @@ from tests.paper.test_protocol_run import Here
 from tests.simulation.ball_scene import ball_scene
 
 from pb4u.errors import InputError
-from pb4u.measure.divergence import SLID, SLID_FRAMES, hold_shifts, slid_from
+from pb4u.measures.divergence import SLID, SLID_FRAMES, hold_shifts, slid_from
 from pb4u.paper import rollout
 from pb4u.paper.page import Table
 from pb4u.paper.protocol_plan import REFINE, EvaluationRequest, plan

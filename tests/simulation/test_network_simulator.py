@@ -12,7 +12,7 @@ import torch
 from ball_scene import ball_scene
 
 from pb4u.errors import InputError, InputWarning, Pb4uError
-from pb4u.measure.metrics import measure
+from pb4u.measures.metrics import measure
 from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.network.graph.graph import Graph
 from pb4u.network.pb4u_gnet import Pb4uConfiguration

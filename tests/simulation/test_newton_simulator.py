@@ -15,7 +15,7 @@ from torch import Tensor
 from pb4u.errors import InputError, MissingExtraError
 from pb4u.garment.dressing import Placement
 from pb4u.garment.garment import Garment
-from pb4u.measure.metrics import measure
+from pb4u.measures.metrics import measure
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.bending import Bending, dihedral_angles
 from pb4u.physics.time_step import TimeStep

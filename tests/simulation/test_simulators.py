@@ -11,7 +11,7 @@ import torch
 from ball_scene import ball_scene
 
 from pb4u.errors import InputError
-from pb4u.measure.metrics import measure
+from pb4u.measures.metrics import measure
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.specification import SceneSpecification

@@ -15,7 +15,7 @@ import pytest
 from tests.viewer.clips import header, trajectory
 
 from pb4u.errors import InputError
-from pb4u.measure.metrics import Ruler, measure
+from pb4u.measures.metrics import Ruler, measure
 from pb4u.scene.trajectory import Trajectory
 from pb4u.viewer.clip import GrowingClip, RecordedClip
 from pb4u.viewer.export_panel import deliver

@@ -10,7 +10,7 @@ from pb4u.dataset.clip import ClipJob
 from pb4u.dataset.dataset_folder import INDEX, DatasetFolder
 from pb4u.errors import MissingExtraError
 from pb4u.garment.material import Material
-from pb4u.measure.metrics import ENERGIES, OF_A_CLIP, STRAINS
+from pb4u.measures.metrics import ENERGIES, OF_A_CLIP, STRAINS
 
 if TYPE_CHECKING:
     import pyarrow

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pb4u.errors import Pb4uError
-from pb4u.measure.divergence import SLID, SLID_FRAMES
+from pb4u.measures.divergence import SLID, SLID_FRAMES
 from pb4u.paper.page import Block, Plot, Remark, Table
 from pb4u.paper.pictures import draw_still
 from pb4u.paper.summary import FAR_FROM_FLOOR, MOST_INSIDE, Row, Summary

@@ -179,9 +179,9 @@ def run(job: RolloutJob) -> Rollout:
     Raises:
         InputError: something of it cannot be used, or changed since it was planned.
     """
-    from pb4u.measure.divergence import hold_shifts, skinned_centres, slid_from
-    from pb4u.measure.limbs import Bones
-    from pb4u.measure.metrics import measure
+    from pb4u.measures.divergence import hold_shifts, skinned_centres, slid_from
+    from pb4u.measures.limbs import Bones
+    from pb4u.measures.metrics import measure
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.models import load_simulator
     from pb4u.simulation.simulator import RunRecord

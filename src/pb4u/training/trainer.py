@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.measure.metrics import strain_percentile
+from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from pb4u.garment.material import MATERIALS
-from pb4u.measure.metrics import strain_percentile
+from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass

@@ -14,7 +14,7 @@ import torch
 from pb4u.collision.crossing_search import CrossingSearch
 from pb4u.errors import InputError
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.measure.metrics import Ruler, visible_skin
+from pb4u.measures.metrics import Ruler, visible_skin
 from pb4u.network.graph.features import MaterialRange
 from pb4u.network.graph.garment_graph import garment_graph
 from pb4u.network.propagation_control import ConstantDistance

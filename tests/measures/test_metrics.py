@@ -11,7 +11,7 @@ from ball_scene import sheet
 
 from pb4u.errors import InputError
 from pb4u.garment.material import Material
-from pb4u.measure.metrics import ENERGIES, first_diverged, measure, visible_skin
+from pb4u.measures.metrics import ENERGIES, first_diverged, measure, visible_skin
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
 MATERIAL = Material(density=0.2, lame_mu=23600.0, lame_lambda=44400.0, bending=4e-5)

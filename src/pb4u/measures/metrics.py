@@ -18,8 +18,8 @@ from pb4u.garment.material import Material
 from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
-from pb4u.measure.divergence import first_lost
-from pb4u.measure.limbs import Bones, limbs_through_cloth
+from pb4u.measures.divergence import first_lost
+from pb4u.measures.limbs import Bones, limbs_through_cloth
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep

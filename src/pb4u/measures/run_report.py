@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pb4u.measure.divergence import skinned_centres
-from pb4u.measure.limbs import Bones, limbs_sentence
-from pb4u.measure.metrics import measure
+from pb4u.measures.divergence import skinned_centres
+from pb4u.measures.limbs import Bones, limbs_sentence
+from pb4u.measures.metrics import measure
 from pb4u.progress import Progress, unheard
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory

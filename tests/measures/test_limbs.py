@@ -10,9 +10,9 @@ import pytest
 
 from pb4u.body.body_model import PosedBody
 from pb4u.collision.crossings import segments_through_faces
-from pb4u.measure.limbs import Bones, limbs_sentence, limbs_through_cloth
-from pb4u.measure.metrics import measure
-from pb4u.measure.run_report import run_report
+from pb4u.measures.limbs import Bones, limbs_sentence, limbs_through_cloth
+from pb4u.measures.metrics import measure
+from pb4u.measures.run_report import run_report
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory
