@@ -150,5 +150,5 @@ def test_unknown_model_lists_near_names() -> None:
         load_simulator("sovler")
     with pytest.raises(InputError, match="no model file"):
         load_simulator("absent.safetensors")
-    with pytest.raises(InputError, match="0 or more"):
+    with pytest.raises(InputError, match="from 0 to 10,000"):
         load_simulator("solver", refine=-1)
