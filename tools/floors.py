@@ -2,7 +2,7 @@
 
 python tools/floors.py [--levels base,11K] [--only test/tshirt/walk-2000,...] [--recordings FOLDER] [--frames 30]
 
-Results go to src/pb4u/evaluation/floors.json, one entry a scene, level and number of frames; entries already there are
+Results go to src/pb4u/paper/reference_energies.json, one entry a scene, level and number of frames; entries already there are
 kept.
 """
 
