@@ -170,7 +170,8 @@ def load_checkpoint_of(name: str) -> Checkpoint:
     Args:
         name: its name or path.
 
-    Raises InputError where there is none, or its file cannot be used.
+    Raises:
+        InputError: there is none, or its file cannot be used.
     """
     from pb4u.simulation.checkpoint import from_pretrained
 

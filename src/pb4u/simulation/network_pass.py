@@ -175,7 +175,10 @@ class StepFeatures:
     """The extra features that prepared garments' layout names.
 
     Args:
-        prepared: of the network that reads them. Raises InputError where the layout names one that nobody makes.
+        prepared: of the network that reads them.
+
+    Raises:
+        InputError: the layout names one that nobody makes.
     """
 
     def __init__(self, prepared: PreparedGarments) -> None:
