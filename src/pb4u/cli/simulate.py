@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -62,6 +62,23 @@ def simulate(
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
+    measure: Annotated[
+        Literal["excess"] | None,
+        typer.Option(
+            help="Also measure excess, which costs three solves a frame: the energy above the least of each step, as "
+            "the height to which it would lift the garments. Needs --json.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.npz",
+            help="Also measure the mean distance of the vertices from those of a trajectory, such as the solver's. "
+            "Needs --json.",
+            rich_help_panel=_OUTPUT,
+        ),
+    ] = None,
     save_scene: Annotated[
         Path | None,
         typer.Option(
@@ -95,12 +112,14 @@ def simulate(
     """
     run = run_of(Run() if scene is None else Run.open(scene), flags)
     _refuse_useless(str(run.model), flags)
-    keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])
+    if (measure or reference) and not json:
+        raise InputError("--measure and --reference are told by --json; give that too.")
+    keep_inputs([scene, reference], [("--save-scene", save_scene), ("--json", json)])
     targets = list(out) if out else _default_targets(run)
     for target in targets:
         check_target(target)
     seen = view_of(targets, view, elevation, turntable, size, colour, background)
-    _simulate(run, targets, seen, save_scene, live, json)
+    _simulate(run, targets, seen, save_scene, live, json, bool(measure), reference)
 
 
 def _refuse_useless(model: str, flags: Mapping[str, Any]) -> None:
@@ -130,6 +149,8 @@ def _simulate(
     save_scene: Path | None,
     live: Path | None,
     json: str | None,
+    excess: bool,
+    reference: Path | None,
 ) -> None:
     from pb4u.export.live_caches import check_live_folder
     from pb4u.simulation.models import simulator_of
@@ -141,11 +162,12 @@ def _simulate(
         check_writable(save_scene, "--save-scene")
     if live is not None:
         check_live_folder(live)
-    keep_inputs(run.files, [("--save-scene", save_scene), ("--json", json)], targets)
+    keep_inputs([*run.files, reference], [("--save-scene", save_scene), ("--json", json)], targets)
     simulator = simulator_of(run)
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
         _warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
     scene = scene_for(run, simulator)
+    against = _reference(reference, run, simulator, scene)
     if save_scene is not None:
         run.save(save_scene)
     record = RunRecord()
@@ -159,7 +181,7 @@ def _simulate(
         from pb4u.measures.run_report import run_report
 
         with progress_bar("measuring") as progress:
-            report = run_report(trajectory, simulator, scene, record, progress)
+            report = run_report(trajectory, simulator, scene, record, progress, excess, against)
         write_json(report, json)
         diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
@@ -190,6 +212,18 @@ def _simulate(
         from pb4u.measures.limbs import limbs_sentence
 
         _warn(f"{limbs_sentence(through, trajectory.frame_count)}")
+
+
+def _reference(path: Path | None, run: Run, simulator: Simulator, scene: Scene) -> Trajectory | None:
+    """Trajectory to measure the distance from, refused before any work where it does not fit."""
+    if path is None:
+        return None
+    from pb4u.measures.excess import require_reference
+    from pb4u.scene.trajectory import Trajectory
+
+    reference = Trajectory.open(path)
+    require_reference(reference, simulator.header(scene).faces, run.fps, run.written_frames)
+    return reference
 
 
 def _advice(model: str) -> str:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 OPTIONS: dict[str, frozenset[str]] = {
     "solver": frozenset({"contact", "self_contact", "first_frame"}),
     "quick-solver": frozenset({"contact", "self_contact", "first_frame", "refine"}),
+    "gradient-descent": frozenset({"contact", "self_contact", "first_frame", "refine", "passes"}),
+    "warm-start": frozenset({"contact", "self_contact", "first_frame", "refine"}),
     "skinning": frozenset(),
     "newton": frozenset({"device"}),
 }
@@ -44,6 +46,8 @@ def model_descriptions() -> dict[str, str]:
     descriptions |= {
         "solver": "minimises the physics energies each frame: the reference",
         "quick-solver": "at most --refine iterations of it a step, without a network: the fastest on a processor",
+        "gradient-descent": "control: the default network's start, search and passes with the gradient, no network",
+        "warm-start": "control: where the default network's steps start, and nothing after",
         "skinning": "no physics: the garment follows the body",
         "newton": "the cloth solver of the newton package"
         + ("" if find_spec("newton") else ' (needs the "newton" extra)'),
@@ -76,8 +80,8 @@ def load_simulator(name: str | Path = "auto", **options: Any) -> Simulator:
     """Simulator called `name`, loaded.
 
     Args:
-        name: "auto", "solver", "quick-solver", "skinning", "newton", a shipped network, a checkpoint file, or a .pth of
-            the released code of Pb4U-GNet, HOOD or ContourCraft.
+        name: "auto", "solver", "quick-solver", "gradient-descent", "warm-start", "skinning", "newton", a shipped
+            network, a checkpoint file, or a .pth of the released code of Pb4U-GNet, HOOD or ContourCraft.
         options: fields of `Run` on the simulation by name: contact, self_contact, refine, propagation_steps, passes,
             device, precision, first_frame.
 
@@ -100,6 +104,7 @@ def simulator_of(run: Run) -> Simulator:
         InputError: an unknown model, a bad file or an impossible option.
     """
     from pb4u.physics.incremental_potential import IncrementalPotential
+    from pb4u.simulation.control_simulator import GRADIENT_DESCENT, WARM_START, ControlSimulator
     from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.step_start import CarriedStart, FreeFlight
@@ -110,7 +115,7 @@ def simulator_of(run: Run) -> Simulator:
     potential = IncrementalPotential() if run.self_contact is False else IncrementalPotential().with_self_contact()
     contact: Contact = ContactResponse() if run.contact else NoContact()
     # The solver improves a state more, and settles it better, than one long step of a network at the same cost.
-    solves = model in OPTIONS or run.refine > 0
+    solves = (model in OPTIONS and not looks_at(model, "refine")) or run.refine > 0
     first_frame = _first_frame(run.first_frame, "settled" if solves else "long_step", potential)
     if model == "skinning":
         return SkinningSimulator()
@@ -124,14 +129,25 @@ def simulator_of(run: Run) -> Simulator:
         from pb4u.simulation.newton_simulator import NewtonSimulator
 
         return NewtonSimulator(run.device)
-    device = _device(run.device)
     # Where the solver refines, it improves a state more than a further pass does.
     passes = 1 if run.passes is None and run.refine else run.passes
+    if model in (GRADIENT_DESCENT, WARM_START):
+        like = load_checkpoint_of(_shipped_network(model)).model.network
+        return ControlSimulator(model, like, run.refine, contact, passes, first_frame, potential)
+    device = _device(run.device)
     precision = _precision(run.precision, device, run.refine)
     checkpoint = load_checkpoint_of(model)
     return NetworkSimulator(
         checkpoint, run.propagation_steps, run.refine, contact, device, passes, first_frame, potential, precision
     )
+
+
+def _shipped_network(control: str) -> str:
+    """Name of the network that a control stands beside."""
+    name = default_model()
+    if name == "solver":
+        raise InputError(f"{control} starts and searches as the default network does, and no network is installed.")
+    return name
 
 
 def _require_possible(run: Run, model: str) -> None:
