@@ -71,7 +71,8 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl. Default: walk, or the sequence's own.",
+            help="Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl, from a video GVHMR .pt, WHAM .pkl or TRAM .npy "
+            "(FILE:PERSON of several). Default: walk, or the body's own.",
         ),
     ] = None,
     fps: Annotated[
@@ -96,6 +97,17 @@ def simulate(
             help="Hold hanging arms this many degrees away from the torso. Default: arms of a recording by as much as "
             "they would go into the body; 0 leaves them as recorded."
         ),
+    ] = None,
+    raw_motion: Annotated[
+        bool | None,
+        typer.Option(
+            "--raw-motion/--steady-motion",
+            help="Leave motion from a video as it is. Default: smoothed, and feet that stand are held.",
+        ),
+    ] = None,
+    recorded_fps: Annotated[
+        float | None,
+        typer.Option(help="Frames per second of a recording. Default: what its file tells, or 30."),
     ] = None,
     as_recorded: Annotated[
         bool | None,
@@ -228,7 +240,8 @@ def simulate(
             crop=crop or (None if motion else described.scene.crop),
             **_given(
                 body=body, motion=motion, fps=fps, lead_in=lead_in, keep_lead_in=keep_lead_in, arms_away=arms_away,
-                frames=frames, seed=seed, as_recorded=as_recorded, omitted=omitted,
+                frames=frames, seed=seed, as_recorded=as_recorded, omitted=omitted, raw_motion=raw_motion,
+                recorded_fps=recorded_fps,
             ),
         ),
         **_given(

@@ -64,6 +64,8 @@ def make_scene(
     crop: tuple[int, int] | None = None,
     fps: float = SceneSpecification.fps,
     arms_away: float | None = SceneSpecification.arms_away,
+    raw_motion: bool = SceneSpecification.raw_motion,
+    recorded_fps: float | None = SceneSpecification.recorded_fps,
     seed: int = SceneSpecification.seed,
 ) -> Scene:
     """Garments on a moving body, ready to simulate.
@@ -87,6 +89,8 @@ def make_scene(
         fps: frames per second of the simulation [1/s].
         arms_away: degrees by which hanging arms are held away from the torso; default: arms of a recording by as much
             as they would go into the body.
+        raw_motion: leave motion from a video as it is, neither smoothed nor its feet held.
+        recorded_fps: frames per second of a recording; default what its file tells, or 30.
         seed: seed of procedural motion and of everything random.
 
     Raises:
@@ -107,6 +111,8 @@ def make_scene(
         crop=crop,
         fps=fps,
         arms_away=arms_away,
+        raw_motion=raw_motion,
+        recorded_fps=recorded_fps,
         seed=seed,
     )
     return assemble(specification)
@@ -301,7 +307,8 @@ def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
     motion = DEFAULT_MOTION if specification.motion is None else specification.motion
     crop, arms_away = specification.crop, specification.arms_away
     if isinstance(motion, str | Path):
-        return load_motion(motion, crop, seed=specification.seed, arms_away_degrees=arms_away), str(motion)
+        options = {"raw": specification.raw_motion, "recorded_fps": specification.recorded_fps}
+        return load_motion(motion, crop, seed=specification.seed, arms_away_degrees=arms_away, **options), str(motion)
     if not isinstance(motion, Motion):
         raise InputError(f"The motion must be a name, a path or a Motion, not {motion!r}.")
     for given, option in ((crop is not None, "crop"), (arms_away is not None, "arms_away")):

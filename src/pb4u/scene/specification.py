@@ -88,6 +88,8 @@ class SceneSpecification:
         arms_away: degrees by which hanging arms are held away from the torso; None: arms of a recording by as much as
             they would go into the body.
         seed: seed of procedural motion and of everything random.
+        raw_motion: whether motion from a video is left as it is, neither smoothed nor its feet held.
+        recorded_fps: frames per second of a recording; None is what its file tells, or 30.
         as_recorded: whether an SMPL recording is played as it is, on its own shape, place and height.
         omitted: file of the body vertices that are left out of contact; None is the body's own.
 
@@ -106,6 +108,8 @@ class SceneSpecification:
     fps: float = 30.0
     arms_away: float | None = None
     seed: int = 0
+    raw_motion: bool = False
+    recorded_fps: float | None = None
     as_recorded: bool = False
     omitted: str | Path | None = None
 
@@ -118,6 +122,11 @@ class SceneSpecification:
         require_name("motion", self.motion, optional=True)
         require_switch("keep_lead_in", self.keep_lead_in)
         require_switch("as_recorded", self.as_recorded)
+        require_switch("raw_motion", self.raw_motion)
+        if self.recorded_fps is not None:
+            require_number("frames per second of the recording", self.recorded_fps)
+            if not 1.0 <= self.recorded_fps <= 1000.0:
+                raise InputError(f"A recording has between 1 and 1000 frames per second, not {self.recorded_fps:g}.")
         require_name("omitted", self.omitted, optional=True)
         require_whole("number of frames", self.frames, optional=True)
         require_whole("lead-in", self.lead_in)
@@ -177,6 +186,8 @@ def with_companions(path: Path) -> list[Path]:
     """
     suffixes = {".amc": (".asf",), ".pc2": (".obj",), ".obj": (".pc2", ".mdd"), ".mdd": (".obj",)}
     beside = suffixes.get(path.suffix.lower(), ())
+    if path.suffix.lower() == ".npy":  # of TRAM
+        return [path, *{each for up in path.absolute().parents[:2] if (each := up / "camera.npy").is_file()}]
     near = (each for each in path.absolute().parent.glob("*") if each.suffix.lower() in beside)
     return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem)]
 
