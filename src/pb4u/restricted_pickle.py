@@ -10,7 +10,7 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -211,7 +211,7 @@ class _JoblibUnpickler(_Names, pickle._Unpickler):
 
     def __init__(self, file: BinaryIO, allowance: Allowance) -> None:
         self._file, self._allowance, self._plain = file, allowance, 0
-        super().__init__(self, encoding="latin1")  # type: ignore[arg-type]
+        super().__init__(self, encoding="latin1")
         self._constructors = _constructors(allowance)
         self._constructors["joblib.numpy_pickle", "NumpyArrayWrapper"] = _InlineArray
 
@@ -230,12 +230,12 @@ class _JoblibUnpickler(_Names, pickle._Unpickler):
 
     def load_build(self) -> None:
         """Set the state of an object; the bytes of an array follow it."""
-        super().load_build()
+        super().load_build()  # type: ignore[misc]
         wrapper = self.stack[-1]  # type: ignore[attr-defined]
         if isinstance(wrapper, _InlineArray):
             self.stack[-1] = wrapper.read(self._file, self._allowance)  # type: ignore[attr-defined]
 
-    dispatch = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}
+    dispatch: ClassVar[dict[int, Any]] = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}
 
 
 class _InlineArray(_Shell):

@@ -271,11 +271,11 @@ def test_weights_are_no_motion(tmp_path):
 
 def test_a_torch_file_that_is_none_is_refused(tmp_path):
     (tmp_path / "a.pt").write_bytes(b"solid nothing")
-    with pytest.raises(InputError, match="no whole file of torch.save"):
+    with pytest.raises(InputError, match=r"no whole file of torch\.save"):
         load_motion(tmp_path / "a.pt")
     whole = gvhmr(tmp_path / "b.pt").read_bytes()
     (tmp_path / "c.pt").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match="no whole file of torch.save"):
+    with pytest.raises(InputError, match=r"no whole file of torch\.save"):
         load_motion(tmp_path / "c.pt")
 
 
@@ -348,7 +348,7 @@ def test_tram_files_that_do_not_fit_are_refused(tmp_path, smpl_body):
         load_motion(path)
     (tmp_path / "camera.npy").write_bytes(camera)
     np.save(path, {"pred_rotmat": Code()}, allow_pickle=True)
-    with pytest.raises(InputError, match='asks for "builtins.exec"'):
+    with pytest.raises(InputError, match=r'asks for "builtins\.exec"'):
         load_motion(path)
     np.save(path, np.zeros(3))
     with pytest.raises(InputError, match="and no dictionary"):

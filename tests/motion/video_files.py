@@ -84,7 +84,7 @@ def wham_people(
 
 
 def write_tram(folder: Path, poses: PoseSequence, body: ShapedBody, tilt: np.ndarray) -> Path:
-    """`hps/hps_track_0.npy` and `camera.npy` of a camera that moves and turns, and that is tilted by `tilt` (3,) [rad]."""
+    """`hps/hps_track_0.npy` and `camera.npy` of a camera that moves, turns and is tilted by `tilt` (3,) [rad]."""
     vectors = rotation_vectors(poses, body)
     frames = len(vectors)
     time = np.arange(frames) / 30.0

@@ -15,7 +15,7 @@ from pb4u.array_archive import DamagedArchiveError, open_archive
 from pb4u.errors import InputError
 from pb4u.motion.recording import Recording
 from pb4u.motion.smpl_recording import full_poses, shape_note, smpl_recording
-from pb4u.reading_limits import megabytes, require_size, told_names
+from pb4u.reading_limits import require_size, told_names
 
 # The demo writes its video anew at this rate and numbers the frames by it.
 _RATE = 30.0
@@ -56,11 +56,8 @@ def _tensors(path: Path) -> Any:
     require_size(path, _MOST_BYTES, "a result of GVHMR")
     try:
         with open_archive(path) as archive:
-            unpacked = sum(member.file_size for member in archive.infolist())
             if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
-                raise InputError(
-                    f"{path}: its members are packed, to {megabytes(unpacked)}; torch.save never does that."
-                )
+                raise InputError(f"{path}: its members are packed, which torch.save never does.")
         # Mapped: what is not looked at is not read.
         return torch.load(path, map_location="cpu", weights_only=True, mmap=True)
     except DamagedArchiveError:

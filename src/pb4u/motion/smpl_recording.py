@@ -126,8 +126,8 @@ def vto_recording(path: Path, content: Any) -> Recording:
 
     Args:
         path: the file, for messages.
-        content: what it holds: `poses` (frames, 72), or `body_pose` (frames, 69) and `global_orient` (frames, 3) as HOOD
-            writes them, and `trans` (frames, 3).
+        content: what it holds: `poses` (frames, 72), or `body_pose` (frames, 69) and `global_orient` (frames, 3) as
+            HOOD writes them, and `trans` (frames, 3).
 
     Raises:
         InputError: a key is missing or a shape is wrong.

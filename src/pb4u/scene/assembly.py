@@ -307,8 +307,15 @@ def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
     motion = DEFAULT_MOTION if specification.motion is None else specification.motion
     crop, arms_away = specification.crop, specification.arms_away
     if isinstance(motion, str | Path):
-        options = {"raw": specification.raw_motion, "recorded_fps": specification.recorded_fps}
-        return load_motion(motion, crop, seed=specification.seed, arms_away_degrees=arms_away, **options), str(motion)
+        clip = load_motion(
+            motion,
+            crop,
+            seed=specification.seed,
+            arms_away_degrees=arms_away,
+            raw=specification.raw_motion,
+            recorded_fps=specification.recorded_fps,
+        )
+        return clip, str(motion)
     if not isinstance(motion, Motion):
         raise InputError(f"The motion must be a name, a path or a Motion, not {motion!r}.")
     for given, option in ((crop is not None, "crop"), (arms_away is not None, "arms_away")):
