@@ -35,7 +35,7 @@ _HOMES = {
     "load_motion": "pb4u.motion.library:load_motion",
     "load_simulator": "pb4u.simulation.models:load_simulator",
     "make_scene": "pb4u.scene.assembly:make_scene",
-    "measure": "pb4u.evaluation.metrics:measure",
+    "measure": "pb4u.measures.metrics:measure",
     "read_garment": "pb4u.garment.garment_file:read_garment",
 }
 
@@ -66,12 +66,12 @@ if TYPE_CHECKING:
     from pb4u.body.body_model import ShapedBody as Body
     from pb4u.body.library import load_body
     from pb4u.errors import InputError, Pb4uError
-    from pb4u.evaluation.metrics import measure
     from pb4u.export.registry import export as export_trajectory
     from pb4u.garment.garment import Garment
     from pb4u.garment.garment_file import read_garment
     from pb4u.garment.library import build_garment
     from pb4u.garment.material import Material
+    from pb4u.measures.metrics import measure
     from pb4u.motion.library import load_motion
     from pb4u.motion.motion import Motion
     from pb4u.scene.assembly import make_scene

@@ -16,8 +16,8 @@ import pytest
 from filelock import FileLock
 from tests.garment.cloth_shapes import quad_tube, saved
 
-from pb4u.atomic_file import MARK, replace_file, sweep, working_folder
 from pb4u.errors import Interrupted
+from pb4u.io.atomic_file import MARK, replace_file, sweep, working_folder
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
@@ -157,7 +157,7 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path, monkeypatch: p
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pb4u.atomic_file.os.fsync", interrupt)
+    monkeypatch.setattr("pb4u.io.atomic_file.os.fsync", interrupt)
     with pytest.raises(KeyboardInterrupt):
         replace_file(tmp_path / "a", b"new")
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a", "old")]

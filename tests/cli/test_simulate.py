@@ -13,12 +13,12 @@ from PIL import Image
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
-from pb4u.evaluation.divergence import skinned_centres
-from pb4u.evaluation.limbs import Bones
-from pb4u.evaluation.metrics import ENERGIES, GEOMETRY, first_diverged, measure
 from pb4u.export.live_caches import PROGRESS
 from pb4u.export.selection import on_source
 from pb4u.geometry.obj_file import read_obj
+from pb4u.measures.divergence import skinned_centres
+from pb4u.measures.limbs import Bones
+from pb4u.measures.metrics import ENERGIES, GEOMETRY, first_diverged, measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
@@ -338,7 +338,7 @@ def test_shape_parameters_add_up_and_none_is_given_twice(pb4u: Callable, tmp_pat
 def test_a_run_that_is_broken_from_its_start_fails(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pb4u.evaluation.metrics.first_diverged", lambda *_, **__: 0)
+    monkeypatch.setattr("pb4u.measures.metrics.first_diverged", lambda *_, **__: 0)
     ended = pb4u("simulate", *SMALL, "--frames", 1, "--out", tmp_path / "a.npz")
     assert ended.code == 1
     assert "broken at its first frame" in ended.err

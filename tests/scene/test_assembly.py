@@ -14,6 +14,8 @@ from tests.garment.cloth_shapes import saved
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.body.vertex_sequence import VertexSequence
+from pb4u.collision.crossings import self_crossings
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
@@ -22,8 +24,6 @@ from pb4u.garment.library import build_garment
 from pb4u.garment.material import MATERIALS
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.nearest_surface import TriangleSurface
-from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.motion.library import load_motion
 from pb4u.scene.assembly import assemble, make_scene
 from pb4u.scene.scene import Scene

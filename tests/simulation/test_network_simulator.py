@@ -12,15 +12,15 @@ import torch
 from ball_scene import ball_scene
 
 from pb4u.errors import InputError, InputWarning, Pb4uError
-from pb4u.evaluation.metrics import measure
-from pb4u.graph.graph import Graph
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
-from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
+from pb4u.measures.metrics import measure
+from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.network.graph.graph import Graph
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import local_origin
+from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 from pb4u.simulation.timeline import Timeline

@@ -11,14 +11,14 @@ import torch
 from ball_scene import ball_scene
 
 from pb4u.errors import InputError
-from pb4u.evaluation.metrics import measure
-from pb4u.physics.contact.response import ContactResponse, NoContact
+from pb4u.measures.metrics import measure
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.specification import SceneSpecification
 from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import Network
+from pb4u.simulation.penetration_response import ContactResponse, NoContact
 from pb4u.simulation.run_specification import RunSpecification
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 from pb4u.simulation.step import StepMethod, take

@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import typer
 
-from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError
 from pb4u.export.registry import formats_help, is_same_file, would_overwrite, written_files
 from pb4u.garment.dictionary_entry import DictionaryEntry
+from pb4u.io.atomic_file import json_text, replace_file
 from pb4u.scene.specification import with_companions
 
 Switch: TypeAlias = Literal["on", "off"]

@@ -321,16 +321,16 @@ def _simulate(
         print(wrote(targets, trajectory.frame_count))
     diverged, through = None, None
     if json:
-        from pb4u.evaluation.run_report import run_report
+        from pb4u.measures.run_report import run_report
 
         with progress_bar("measuring") as progress:
             report = run_report(trajectory, simulator, scene, record, progress)
         write_json(report, json)
         diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
-        from pb4u.evaluation.divergence import skinned_centres
-        from pb4u.evaluation.limbs import Bones, limbs_through_cloth
-        from pb4u.evaluation.metrics import first_diverged
+        from pb4u.measures.divergence import skinned_centres
+        from pb4u.measures.limbs import Bones, limbs_through_cloth
+        from pb4u.measures.metrics import first_diverged
 
         diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
         bones = Bones.of(scene, trajectory)
@@ -352,7 +352,7 @@ def _simulate(
             f"the body carries it; {_advice(simulator.name)}."
         )
     if through:
-        from pb4u.evaluation.limbs import limbs_sentence
+        from pb4u.measures.limbs import limbs_sentence
 
         _warn(f"{limbs_sentence(through, trajectory.frame_count)}")
 

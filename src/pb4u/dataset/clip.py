@@ -123,7 +123,7 @@ def make(job: ClipJob) -> Clip:
         InputError: something of it cannot be used, or changed since it was planned.
         Pb4uError: the state stopped being finite before the first frame to write.
     """
-    from pb4u.evaluation.run_report import run_report
+    from pb4u.measures.run_report import run_report
     from pb4u.simulation.simulator import RunRecord
 
     began = time.perf_counter()

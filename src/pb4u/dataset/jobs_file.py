@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pb4u.errors import InputError, unknown_name
-from pb4u.reading_limits import read_text
+from pb4u.io.reading_limits import read_text
 from pb4u.simulation.run_specification import ENTRIES, RunSpecification, read_tables
 
 if sys.version_info >= (3, 11):

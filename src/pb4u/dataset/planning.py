@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
+from pb4u.compat.garment_dictionary import read_dictionary_garment
 from pb4u.dataset.clip import ClipJob
 from pb4u.errors import InputError, unknown_name
 from pb4u.garment.dictionary_entry import DictionaryEntry
-from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import MATERIALS, load_material

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.array_archive import DamagedArchiveError, open_archive
 from pb4u.errors import InputError
+from pb4u.io.array_archive import DamagedArchiveError, open_archive
+from pb4u.io.reading_limits import require_size, told_names
 from pb4u.motion.recording import Recording
 from pb4u.motion.smpl_recording import full_poses, shape_note, smpl_recording
-from pb4u.reading_limits import require_size, told_names
 
 # The demo writes its video anew at this rate and numbers the frames by it.
 _RATE = 30.0

@@ -8,6 +8,7 @@ from pkgutil import resolve_name
 from typing import cast
 
 from pb4u.errors import InputError, unknown_name
+from pb4u.io.restricted_pickle import load_pickle
 from pb4u.motion.ground import on_level_ground
 from pb4u.motion.motion import Motion
 from pb4u.motion.procedural import CLIPS, ProceduralMotion
@@ -17,7 +18,6 @@ from pb4u.motion.retargeting import RecordedMotion
 from pb4u.motion.smpl_recording import vto_recording
 from pb4u.motion.steadying import steadied
 from pb4u.motion.wham import holds_people, wham_recording
-from pb4u.restricted_pickle import load_pickle
 
 READERS = {
     ".amc": "pb4u.motion.asf_amc:read_amc",

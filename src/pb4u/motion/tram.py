@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import between, multiply, rotate
+from pb4u.io.reading_limits import told_names
+from pb4u.io.restricted_pickle import load_object_array
+from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.recording import Recording
 from pb4u.motion.repair import without_gaps
 from pb4u.motion.smpl_recording import shape_note, smpl_recording
-from pb4u.reading_limits import told_names
-from pb4u.restricted_pickle import load_object_array
-from pb4u.stored_numbers import stored_numbers
 
 # The files do not tell the rate of their video.
 _RATE = 30.0

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.io.reading_limits import told_names
+from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.recording import Recording
 from pb4u.motion.repair import without_gaps
 from pb4u.motion.smpl_recording import shape_note, smpl_recording
-from pb4u.reading_limits import told_names
-from pb4u.stored_numbers import stored_numbers
 
 # The file does not tell the rate of its video.
 _RATE = 30.0

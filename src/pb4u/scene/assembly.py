@@ -6,7 +6,8 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from pb4u.body.body_model import PosedBody, ShapedBody
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
+from pb4u.collision.remeshing import remesh
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.diagnosis import require_fine, require_worn
@@ -22,7 +24,6 @@ from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
 from pb4u.garment.fit import RestBody, find_holder
 from pb4u.garment.garment import Garment, SourceMap
-from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import layered, worn_order
 from pb4u.garment.library import build_garment, garment_names
@@ -30,13 +31,14 @@ from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.remeshing import remesh
-from pb4u.motion.as_recorded import RecordingAsItIs
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.motion.motion import Motion
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+
+if TYPE_CHECKING:
+    from pb4u.compat.recording_as_released import RecordingAsItIs
 
 DEFAULT_FRAMES = 60
 """Frames written of a motion without end when none are asked for: two seconds at 30 frames per second."""
@@ -248,7 +250,8 @@ def _recording(specification: SceneSpecification) -> RecordingAsItIs:
     motion = specification.motion
     if not isinstance(motion, str | Path) or not Path(motion).suffix:
         raise InputError("To play a recording as recorded, give its file as the motion: a .pkl or .npz of SMPL.")
-    return RecordingAsItIs(Path(motion), specification.crop, specification.arms_away)
+    kind: type[RecordingAsItIs] = resolve_name("pb4u.compat.recording_as_released:RecordingAsItIs")
+    return kind(Path(motion), specification.crop, specification.arms_away)
 
 
 def _load_body(
@@ -358,7 +361,8 @@ def _load_garment(specification: GarmentSpecification, body: ShapedBody | Vertex
     cloth = _load_material(specification.material or DEFAULT_MATERIAL)
     entry = DictionaryEntry.parse(garment)
     if entry is not None:
-        return _worn(_remeshed(read_dictionary_garment(entry, cloth), triangles), body)
+        read = resolve_name("pb4u.compat.garment_dictionary:read_dictionary_garment")
+        return _worn(_remeshed(read(entry, cloth), triangles), body)
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
         if triangles is not None:

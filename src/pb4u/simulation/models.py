@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 from pb4u.errors import InputError, unknown_name
@@ -27,6 +28,8 @@ _WHY_WITHOUT_SELF_CONTACT = {
     "newton": "newton runs with its own self-contact off",
 }
 """What simulators that cannot keep cloth from crossing say when they are asked to."""
+_RELEASED_FIRST_FRAMES = ("release", "hood", "mgn", "contourcraft")
+_RELEASED_WEIGHTS = (".pth", ".pt")
 _PRECISIONS = ("float32", "bfloat16")
 _DEVICES = ("auto", "cpu", "cuda")
 _TRAINING_STATE = "pb4u_training"
@@ -103,11 +106,10 @@ def load_simulator(
 
     Raises InputError for an unknown name, a bad file or an impossible option.
     """
-    from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
     from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
+    from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
     from pb4u.simulation.simulator import SkinningSimulator
-    from pb4u.simulation.start_protocols import MovingStart, SkinnedStart, StandingStart
     from pb4u.simulation.step_start import CarriedStart, FreeFlight
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolverSimulator, SolverSimulator
 
@@ -116,13 +118,11 @@ def load_simulator(
         "settled": Settled(potential=potential),
         "long_step": OneLongStep(),
         "placed": AsPlaced(),
-        "release": StandingStart(),
-        "hood": StandingStart(push=1.0),
-        "mgn": MovingStart(),
-        "contourcraft": SkinnedStart(),
     }
-    if first_frame not in ("auto", *ways):
-        raise unknown_name("first frame", first_frame, ("auto", *ways))
+    if first_frame in _RELEASED_FIRST_FRAMES:
+        ways[first_frame] = resolve_name("pb4u.compat.first_frames:FIRST_FRAMES")[first_frame]
+    elif first_frame not in ("auto", *ways):
+        raise unknown_name("first frame", first_frame, ("auto", *ways, *_RELEASED_FIRST_FRAMES))
     if refine < 0:
         raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
     if precision not in ("auto", *_PRECISIONS):
@@ -181,9 +181,11 @@ def load_checkpoint_of(name: str) -> Checkpoint:
     Raises InputError where there is none, or its file cannot be used.
     """
     from pb4u.simulation.checkpoint import from_pretrained
-    from pb4u.simulation.released_weights import SUFFIXES, read_released
 
-    return read_released(name).checkpoint() if Path(name).suffix.lower() in SUFFIXES else from_pretrained(name)
+    if Path(name).suffix.lower() in _RELEASED_WEIGHTS:
+        checkpoint: Checkpoint = resolve_name("pb4u.compat.released_weights:read_released")(name).checkpoint()
+        return checkpoint
+    return from_pretrained(name)
 
 
 def _refuse_other_files_of_a_training(path: Path) -> None:
@@ -199,7 +201,7 @@ def _refuse_other_files_of_a_training(path: Path) -> None:
 def _header(path: Path) -> dict[str, str]:
     from safetensors import SafetensorError, safe_open
 
-    from pb4u.reading_limits import require_small_header
+    from pb4u.io.reading_limits import require_small_header
 
     try:
         require_small_header(path)

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import tomli_w
 
-from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning, Interrupted, unknown_name
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.reading_limits import read_text
 from pb4u.progress import Progress, shown, unheard
-from pb4u.reading_limits import read_text
 from pb4u.scene.specification import (
     GarmentSpecification,
     SceneSpecification,

@@ -12,9 +12,9 @@ from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 
-from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, unknown_name
 from pb4u.export.registry import WRITERS, export
+from pb4u.io.atomic_file import replace_file
 from pb4u.simulation.run_specification import RunSpecification
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.film import SUFFIXES as FILM_SUFFIXES
