@@ -62,11 +62,23 @@ def simulate(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="woman, man, anny (extra), SMPL-family model file, or a sequence of vertices. "
+            help="woman, man, anny (extra), SMPL-family model file, rigged character (.glb, .vrm), or a sequence of "
+            "vertices. "
             f"Default: {SceneSpecification.body}.",
         ),
     ] = None,
     body_shape: ShapeFlag = None,
+    clip: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Clip that a rigged character performs. Default: its first."),
+    ] = None,
+    body_parts: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Mesh or material that makes a character's body; repeatable. Default: all but hair, eyes and clothes.",
+        ),
+    ] = None,
     motion: Annotated[
         str | None,
         typer.Option(
@@ -241,7 +253,7 @@ def simulate(
             **_given(
                 body=body, motion=motion, fps=fps, lead_in=lead_in, keep_lead_in=keep_lead_in, arms_away=arms_away,
                 frames=frames, seed=seed, as_recorded=as_recorded, omitted=omitted, raw_motion=raw_motion,
-                recorded_fps=recorded_fps,
+                recorded_fps=recorded_fps, clip=clip, body_parts=tuple(body_parts) if body_parts else None,
             ),
         ),
         **_given(

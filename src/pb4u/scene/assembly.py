@@ -13,6 +13,7 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
+from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
@@ -31,6 +32,7 @@ from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.motion.motion import Motion
@@ -60,6 +62,8 @@ def make_scene(
     material: MaterialChoice | Sequence[MaterialChoice] = None,
     pins: PinChoice | Sequence[PinChoice] = None,
     body_shape: Mapping[str, float] | None = None,
+    clip: str | None = None,
+    body_parts: Sequence[str] | None = None,
     frames: int | None = None,
     lead_in: int = SceneSpecification.lead_in,
     keep_lead_in: bool = SceneSpecification.keep_lead_in,
@@ -84,6 +88,8 @@ def make_scene(
         material: built-in name, JSON file or Material; default that of a loaded Garment, else "default".
         pins: name, boundary loop, file or indices of vertices that follow the body; default the garment's own.
         body_shape: shape parameters of the body, see `pb4u assets`.
+        clip: name of the clip that a rigged character performs; default its first.
+        body_parts: names of the meshes or materials that make a character's body; default told by their names.
         frames: frames to write; default the whole recording, or 60 of a motion without end.
         lead_in: frames simulated before the first written one, from the rest pose into the motion.
         keep_lead_in: write those frames as well, before the `frames` asked for.
@@ -106,6 +112,8 @@ def make_scene(
         garments=_specified(garment, triangles, material, pins),
         body=body,
         body_shape=body_shape or {},
+        clip=clip,
+        body_parts=None if body_parts is None else tuple(body_parts),
         motion=motion,
         frames=frames,
         lead_in=lead_in,
@@ -271,7 +279,8 @@ def _shaped_body(specification: SceneSpecification, shape: Mapping[str, float]) 
             f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
         )
     if isinstance(body, str | Path):
-        return load_body(body, {**shape, **specification.body_shape})
+        given = {**shape, **specification.body_shape}
+        return load_body(body, given, clip=specification.clip, parts=specification.body_parts)
     if not isinstance(body, ShapedBody | VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
     if specification.body_shape:
@@ -280,7 +289,18 @@ def _shaped_body(specification: SceneSpecification, shape: Mapping[str, float]) 
 
 
 def _perform(body: ShapedBody, specification: SceneSpecification) -> _Performance:
-    """A body with bones performs a motion."""
+    """A body with bones performs a motion; a character its own clip, where no motion is given."""
+    if isinstance(body, Character):
+        for note in body.notes:
+            _say(note)
+        if specification.motion is None and (body.clip is not None or not body.is_human):
+            return _perform_clip(body, specification)
+        if not body.is_human:
+            raise InputError(
+                f"{body.name} performs its own clips alone: its bones are not a human's; leave out --motion."
+            )
+    if isinstance(body, Character) and specification.clip is not None:
+        raise InputError(f"{body.name} performs either its clip {specification.clip} or --motion; leave one out.")
     clip, name = _load_motion(specification)
     frames, fps = specification.frames, specification.fps
     available = clip.available_frames(fps)
@@ -294,6 +314,24 @@ def _perform(body: ShapedBody, specification: SceneSpecification) -> _Performanc
     for note in notes:
         _say(note)
     return _Performance(body.posed(prepend_lead_in(poses, body, specification.lead_in)), frames, name, notes)
+
+
+def _perform_clip(body: Character, specification: SceneSpecification) -> _Performance:
+    """A character performs its own clip; one that has none stands."""
+    frames, fps, lead_in = specification.frames, specification.fps, specification.lead_in
+    for given, flag in ((specification.crop is not None, "crop"), (specification.arms_away is not None, "arms-away")):
+        if given:
+            raise InputError(
+                f"{body.name} performs its own clip, to which --{flag} cannot be applied; change the clip in its file."
+            )
+    name = "stand" if body.clip is None else body.clip.name
+    if specification.clip is None and len(body.clip_names) > 1:
+        _say(f"{body.name} performs {name}, the first of its clips {', '.join(body.clip_names[:10])}; --clip chooses.")
+    available = frames or DEFAULT_FRAMES if body.clip is None else body.available_frames(fps)
+    if frames is not None and frames > available:
+        _say_shorter(name, available, frames, fps)
+    poses = character_lead_in(body, body.clip_poses(fps, available), fps, lead_in)
+    return _Performance(PosedCharacter(body, poses, fps), min(frames or available, available), name, body.notes)
 
 
 def _replay(body: ShapedBody, recording: RecordingAsItIs, specification: SceneSpecification) -> _Performance:

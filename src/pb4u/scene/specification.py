@@ -79,7 +79,9 @@ class SceneSpecification:
         garments: the garments worn, inner first.
         body: built-in name, model or sequence file, or a body already loaded.
         body_shape: shape parameters of the body by name, see `pb4u assets`; a loaded body has its shape.
-        motion: built-in name, recording or Motion; None is the default, or the body's own where it is a sequence.
+        clip: name of the clip that a rigged character performs; None is its first.
+        body_parts: names of the meshes or materials that make a character's body; None is told by their names.
+        motion: built-in name, recording or Motion; None is the default, or the body's own where it has one.
         frames: frames to write; None is the whole recording, or two seconds of a motion without end.
         lead_in: frames simulated before the first written one, from the rest pose into the motion (reference 1.9).
         keep_lead_in: write those frames as well, before the `frames` asked for.
@@ -100,6 +102,8 @@ class SceneSpecification:
     garments: tuple[GarmentSpecification, ...] = field(default_factory=lambda: (GarmentSpecification(),))
     body: str | Path | ShapedBody | AnimatedBody = "woman"
     body_shape: Mapping[str, float] = field(default_factory=dict, hash=False)
+    clip: str | None = None
+    body_parts: tuple[str, ...] | None = None
     motion: str | Path | Motion | None = None
     frames: int | None = None
     lead_in: int = 30
@@ -119,6 +123,12 @@ class SceneSpecification:
         if self.crop is not None:
             object.__setattr__(self, "crop", _checked_crop(self.crop))
         require_name("body", self.body)
+        require_name("clip", self.clip, optional=True)
+        if self.body_parts is not None:
+            parts = [self.body_parts] if isinstance(self.body_parts, str) else list(self.body_parts)
+            for part in parts:
+                require_name("part of the body", part)
+            object.__setattr__(self, "body_parts", tuple(parts))
         require_name("motion", self.motion, optional=True)
         require_switch("keep_lead_in", self.keep_lead_in)
         require_switch("as_recorded", self.as_recorded)
