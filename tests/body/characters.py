@@ -174,9 +174,9 @@ def _add_mesh(
         size = float(np.ptp(vertices[:, 1]))
         belly = np.exp(-(((vertices[number] - [0.0, 0.6 * size, 0.07 * size]) / (0.08 * size)) ** 2).sum(axis=1))
         broad = np.zeros((len(number), 3))
-        broad[:, 2] = 0.05 * size * belly
+        broad[:, 2] = 0.015 * size * belly
         wide = np.zeros((len(number), 3))
-        wide[:, 0] = 0.02 * size * np.sign(vertices[number, 0]) * belly
+        wide[:, 0] = 0.005 * size * np.sign(vertices[number, 0]) * belly
         primitive["targets"] = [{"POSITION": writer.array(each.astype(np.float32))} for each in (broad, wide)]
         mesh |= {"weights": [0.25, 0.0], "extras": {"targetNames": ["Belly", "Wide"]}}
     skin = writer.add(
@@ -209,7 +209,7 @@ def _add_clip(
             local = local * np.array([1.0, 1.0, -1.0, -1.0])
         channel(first + bone, "rotation", local[:, [1, 2, 3, 0]])
     channel(first, "translation", joint_positions(body.skeleton, poses)[:, 0] * flip)
-    swell = 0.5 + 0.5 * np.sin(np.arange(len(poses)) / 3.0)
+    swell = 0.5 + 0.5 * np.sin(np.arange(len(poses)) / 9.0)
     channel(mesh, "weights", np.stack([swell, 1.0 - swell], axis=1).reshape(-1))
     writer.add("animations", clip)
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 from pb4u.body.baked_body import BUILT_IN, BakedBody
 from pb4u.body.body_model import BodyModel, ShapedBody
 from pb4u.body.character_file import read_character
+from pb4u.body.sam3d_body import VERTICES, is_sam3d_folder
 from pb4u.body.smpl import SmplBody
 from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence, load_vertex_sequence
 from pb4u.errors import InputError, unknown_name
@@ -36,6 +37,7 @@ _FORMATS = (
     _Format("pb4u.body.smpl:SmplBody", (".npz",), ("v_template", "shapedirs", "kintree_table")),
     _Format("pb4u.body.library:read_pickled_body", (".pkl",)),
     _Format(_CHARACTER, GLTF_SUFFIXES),
+    _Format("pb4u.body.sam3d_body:read_sam3d_body", (".npz", _FOLDER), (VERTICES,)),
     _Format("pb4u.body.vertex_sequence:load_vertex_sequence", (".npz", *SUFFIXES, _FOLDER)),
 )
 _MODELS = {"anny": "pb4u.body.anny_body:AnnyBody"}
@@ -122,6 +124,8 @@ def _read(path: Path) -> BodyModel | VertexSequence:
     members: set[str] = set()
     if suffix == ".npz":
         members = set(member_names(path))
+    elif suffix == _FOLDER and is_sam3d_folder(path):
+        members = {VERTICES}
     fitting = (f for f in _FORMATS if suffix in f.suffixes and (not f.members or members & set(f.members)))
     # What is of no known kind is refused by the reader of the last one, which lists the kinds.
     return resolve_name(next(fitting, _FORMATS[-1]).reader)(path)

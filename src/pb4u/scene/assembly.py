@@ -36,6 +36,7 @@ from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.motion.motion import Motion
+from pb4u.motion.steadying import CUTOFF
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 
@@ -379,6 +380,11 @@ def _play(body: VertexSequence, specification: SceneSpecification) -> _Performan
     if motion is not None:
         ignored = motion if isinstance(motion, str | Path) else motion.name
         _say(f"{body.name} is a sequence of vertices that moves by itself; the motion {ignored} is not used.")
+    if body.from_video and not specification.raw_motion:
+        _say(
+            f"{body.name}: taken from a video, so it is smoothed (what is faster than {CUTOFF:g} Hz); --raw-motion does not."
+        )
+        body = body.smoothed(CUTOFF)
     # A body that never moves has no end: it stands for as long as is asked.
     standing = (frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
     held = body.resampled(fps).with_held_start(specification.lead_in + standing)
