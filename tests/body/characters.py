@@ -14,8 +14,10 @@ from scipy.spatial.transform import Rotation
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.body.skeleton import PoseSequence, joint_positions
+from pb4u.body.skinning import SkinningWeights
 from pb4u.geometry.rotation import conjugate, multiply
 from pb4u.motion.library import load_motion
+from pb4u.motion.smpl_recording import nominal_skeleton
 
 _KINDS = {"float32": 5126, "uint16": 5123, "uint32": 5125, "uint8": 5121}
 _TYPES = {(): "SCALAR", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
@@ -132,6 +134,34 @@ def write_woman(
         _add_clip(writer, name, poses, body, flip, first, mesh)
     if change:
         change(writer)
+    return writer.save(path)
+
+
+def write_doll(path: Path) -> Path:
+    """A character of a tetrahedron on each of SMPL's joints, with a clip of four key frames."""
+    skeleton = nominal_skeleton("smpl")
+    corners = 0.03 * np.array([[1.0, -1, 1], [-1, -1, 1], [0, -1, -1], [0, 1, 0]])
+    owner = np.repeat(np.arange(skeleton.bone_count), 4)
+    faces = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]) + 4 * np.arange(skeleton.bone_count)[:, None, None]
+    vertices = (skeleton.joints[:, None] + corners).reshape(-1, 3)
+    weights = SkinningWeights(owner[:, None], np.ones((len(owner), 1), dtype=np.float32))
+    body = ShapedBody(
+        "doll", "smpl", vertices, faces.reshape(-1, 3), skeleton, weights, np.ones(len(owner), dtype=bool)
+    )
+    writer = GltfWriter()
+    armature = writer.add("nodes", {"name": "Armature", "children": []})
+    writer.document["scenes"][0]["nodes"].append(armature)
+    inverse = np.tile(np.eye(4, dtype=np.float32), (skeleton.bone_count, 1, 1))
+    inverse[:, :3, 3] = -skeleton.joints
+    for bone, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents.tolist(), strict=True)):
+        offset = skeleton.joints[bone] - (skeleton.joints[parent] if parent >= 0 else 0.0)
+        writer.add("nodes", {"name": name, "translation": offset.tolist()})
+        writer.document["nodes"][1 + parent if parent >= 0 else armature].setdefault("children", []).append(1 + bone)
+    _add_mesh(writer, armature, "Body0", "Skin", body, vertices, body.faces, inverse, 1, morphs=True)
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (4, skeleton.bone_count, 1))
+    poses = PoseSequence(turns, np.outer(np.arange(4), [0.0, 0.0, 0.1]), 30.0)
+    mesh = len(writer.document["nodes"]) - 1
+    _add_clip(writer, "slide", poses, body, np.ones(3), 1, mesh)
     return writer.save(path)
 
 

@@ -184,7 +184,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
         contact=contact,
         rig=Rig(replace(tree, world=world), bone_nodes, binds, tuple(morphs)),
         source_vertices=welded,
-        clip=_clip(file, clip),
+        clip=_clip(file, tree, clip),
         clip_names=tuple(_clip_names(file)),
         notes=tuple(notes),
     )
@@ -231,7 +231,9 @@ def _tree(file: GltfFile) -> NodeTree:
             mesh = file.entries("meshes")[entry["mesh"]]
             targets = max((len(each.get("targets", ())) for each in mesh["primitives"]), default=0)
             given = entry.get("weights", mesh.get("weights", [0.0] * targets))
-            weights[node] = np.array(given, dtype=np.float64)[None, :targets].reshape(1, targets)
+            if len(given) != targets:
+                raise ValueError(f"node {node} has {len(given)} weights for {targets} morph targets")
+            weights[node] = np.array(given, dtype=np.float64).reshape(1, targets)
     poses = NodePoses(translations[None], rotations[None], scales[None], weights)
     return NodeTree(tuple(str(e.get("name", "")) for e in entries), parents, tuple(order), poses, np.eye(4))
 
@@ -479,7 +481,7 @@ def _clip_names(file: GltfFile) -> list[str]:
     return [str(entry.get("name") or f"clip {k}") for k, entry in enumerate(file.entries("animations"))]
 
 
-def _clip(file: GltfFile, wanted: str | None) -> Clip | None:
+def _clip(file: GltfFile, tree: NodeTree, wanted: str | None) -> Clip | None:
     """The clip of a name, or the first."""
     entries, names = file.entries("animations"), _clip_names(file)
     if wanted is not None and wanted not in names:
@@ -512,6 +514,8 @@ def _clip(file: GltfFile, wanted: str | None) -> Clip | None:
             raise ValueError(f"the clip {names[index]} has key frames that do not rise, or are not finite")
         if times[-1] > 1e5 or not 0 <= target["node"] < len(file.entries("nodes")):
             raise ValueError(f"the clip {names[index]} has a key frame at {times[-1]:g} s, or moves no node")
+        if target["path"] == "weights" and values.shape[1] != tree.poses.weights[target["node"]].shape[1]:
+            raise ValueError(f"the clip {names[index]} has another number of weights than there are morph targets")
         if kind == "CUBICSPLINE":
             values = values.reshape(len(times), 3, -1)
         channels.append(Channel(target["node"], target["path"], times, values, kind))

@@ -382,7 +382,7 @@ def _play(body: VertexSequence, specification: SceneSpecification) -> _Performan
         _say(f"{body.name} is a sequence of vertices that moves by itself; the motion {ignored} is not used.")
     if body.from_video and not specification.raw_motion:
         _say(
-            f"{body.name}: taken from a video, so it is smoothed (what is faster than {CUTOFF:g} Hz); --raw-motion does not."
+            f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."
         )
         body = body.smoothed(CUTOFF)
     # A body that never moves has no end: it stands for as long as is asked.
