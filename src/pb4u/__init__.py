@@ -19,16 +19,15 @@ __version__ = "0.1.0"
 _HOMES = {
     "Body": "pb4u.body.body_model:ShapedBody",
     "Garment": "pb4u.garment.garment:Garment",
-    "GarmentSpecification": "pb4u.scene.specification:GarmentSpecification",
     "InputError": "pb4u.errors:InputError",
     "Material": "pb4u.garment.material:Material",
     "Motion": "pb4u.motion.motion:Motion",
     "Pb4uError": "pb4u.errors:Pb4uError",
-    "RunSpecification": "pb4u.simulation.run_specification:RunSpecification",
+    "Run": "pb4u.run:Run",
     "Scene": "pb4u.scene.scene:Scene",
-    "SceneSpecification": "pb4u.scene.specification:SceneSpecification",
     "Simulator": "pb4u.simulation.simulator:Simulator",
     "Trajectory": "pb4u.scene.trajectory:Trajectory",
+    "WornGarment": "pb4u.run:WornGarment",
     "build_garment": "pb4u.garment.library:build_garment",
     "export_trajectory": "pb4u.export.registry:export",
     "load_body": "pb4u.body.library:load_body",
@@ -42,16 +41,15 @@ _HOMES = {
 __all__ = [
     "Body",
     "Garment",
-    "GarmentSpecification",
     "InputError",
     "Material",
     "Motion",
     "Pb4uError",
-    "RunSpecification",
+    "Run",
     "Scene",
-    "SceneSpecification",
     "Simulator",
     "Trajectory",
+    "WornGarment",
     "build_garment",
     "export_trajectory",
     "load_body",
@@ -74,12 +72,11 @@ if TYPE_CHECKING:
     from pb4u.measures.metrics import measure
     from pb4u.motion.library import load_motion
     from pb4u.motion.motion import Motion
+    from pb4u.run import Run, WornGarment
     from pb4u.scene.assembly import make_scene
     from pb4u.scene.scene import Scene
-    from pb4u.scene.specification import GarmentSpecification, SceneSpecification
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.models import load_simulator
-    from pb4u.simulation.run_specification import RunSpecification
     from pb4u.simulation.simulator import Simulator
 
 

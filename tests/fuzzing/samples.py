@@ -59,10 +59,10 @@ from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.progress import unheard
+from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import load_checkpoint, save_checkpoint, weights_file
 from pb4u.simulation.models import load_checkpoint_of
-from pb4u.simulation.run_specification import RunSpecification
 from pb4u.training.packed_data import load_training_data, save_training_data
 from pb4u.training.run_folder import RunFolder
 
@@ -433,9 +433,9 @@ def _texts() -> Iterator[Sample]:
     yield Sample("pins", {"pins.txt": b"0 1 2\n3,4\n"}, (pins,))
     yield Sample("pins in JSON", {"pins.json": b"[0, 1, 2, 5]"}, (pins,))
     with tempfile.TemporaryDirectory() as folder:
-        described = RunSpecification().save(Path(folder) / "scene.toml").read_bytes()
+        described = Run().save(Path(folder) / "scene.toml").read_bytes()
     scene = described + b'\n[[garments]]\ngarment = "skirt"\ntriangles = 500\npins = [1, 2]\nmaterial = "silk"\n'
-    yield Sample("scene file", {"scene.toml": scene}, (RunSpecification.open,))
+    yield Sample("scene file", {"scene.toml": scene}, (Run.open,))
     jobs = b'[fixed]\nframes = 8\n[product]\nmotion = ["walk", "run"]\nseed = {first = 0, count = 3}\n'
     jobs += b'[[clips]]\ngarment = ["tanktop", "skirt"]\nbody_shape = {height = 0.6}\nscene = "scene.toml"\n'
     yield Sample("jobs file", {"jobs.toml": jobs, "scene.toml": scene}, (read_jobs,))

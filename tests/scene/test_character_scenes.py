@@ -10,8 +10,8 @@ from tests.body.characters import write_doll, write_woman
 
 from pb4u.body import character_file
 from pb4u.errors import InputError
+from pb4u.run import Run
 from pb4u.scene.assembly import make_scene
-from pb4u.simulation.run_specification import RunSpecification
 
 
 @pytest.fixture(autouse=True)
@@ -50,14 +50,12 @@ def test_what_a_clip_leaves_no_room_for_is_refused(tmp_path):
 
 def test_new_options_go_through_a_scene_file(tmp_path):
     doll = write_doll(tmp_path / "doll.glb")
-    text = (
-        f'[scene]\nbody = "{doll.name}"\nclip = "slide"\nbody_parts = ["Skin"]\nraw_motion = true\nrecorded_fps = 60\n'
-    )
+    text = f'[scene]\nbody = "{doll.name}"\nclip = "slide"\nbody_parts = "Skin"\nraw_motion = true\nrecorded_fps = 60\n'
     (tmp_path / "scene.toml").write_text(text)
-    scene = RunSpecification.open(tmp_path / "scene.toml").scene
-    assert (scene.clip, scene.body_parts, scene.raw_motion, scene.recorded_fps) == ("slide", ("Skin",), True, 60)
-    RunSpecification.open(tmp_path / "scene.toml").save(tmp_path / "again.toml")
-    assert RunSpecification.open(tmp_path / "again.toml").scene.body_parts == ("Skin",)
+    scene = Run.open(tmp_path / "scene.toml")
+    assert (scene.clip, scene.body_parts, scene.raw_motion, scene.recorded_fps) == ("slide", "Skin", True, 60)
+    Run.open(tmp_path / "scene.toml").save(tmp_path / "again.toml")
+    assert Run.open(tmp_path / "again.toml").body_parts == "Skin"
 
 
 def test_a_rate_that_nothing_is_recorded_at_is_refused():

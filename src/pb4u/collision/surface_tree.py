@@ -93,7 +93,8 @@ class SurfaceTree:
             lasting: whether to look further than asked, so that the result serves as the next `known`.
             among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
 
-        Raises ValueError when they are given together.
+        Raises:
+            ValueError: they are given together.
         """
         if among is not None and (known is not None or lasting):
             raise ValueError("pairs of some vertices are neither taken from known pairs nor kept as such")

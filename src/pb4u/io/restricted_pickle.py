@@ -71,8 +71,9 @@ def load_pickle(path: str | Path) -> Any:
     Chumpy objects become plain arrays; pickles of Python 2 are read as latin-1. The classes and functions that the file
     names are never called: known ones are replaced by constructors of this module, all others are refused.
 
-    Raises InputError when the file cannot be read, names anything else, holds what contains itself, or would take more
-    memory than it may.
+    Raises:
+        InputError: the file cannot be read, names anything else, holds what contains itself, or would take more memory
+            than it may.
     """
     path = Path(path)
     try:
@@ -103,7 +104,8 @@ def load_torch_archive(path: str | Path) -> Any:
     Besides what `load_pickle` takes, tensors and parameters of 16, 32 and 64 bit floating point and whole numbers are
     known, on whichever device they lay; all other names are refused.
 
-    Raises InputError when the file is no whole archive of torch 1.6 or later, or names anything else.
+    Raises:
+        InputError: the file is no whole archive of torch 1.6 or later, or names anything else.
     """
     path = Path(path)
     try:

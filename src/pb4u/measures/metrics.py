@@ -272,7 +272,7 @@ class Ruler:
             lost = dict.fromkeys(ENERGIES, float("nan"))
             whole = lost | dict.fromkeys(GEOMETRY, float("nan"))
             return FrameMetrics(whole, lost, [lost | each for each in each_strains])
-        step = self._step(t, x)
+        step = self.step(t, x)
         ours, paper = (_energies(potential.of(step).energies(x).terms) for potential in self.potentials)
         metrics = _summed(ours) | strains
         if self.surface is not None:
@@ -291,7 +291,7 @@ class Ruler:
         garments = [energies | each for energies, each in zip(ours, each_strains, strict=True)]
         return FrameMetrics(metrics, _summed(paper), garments)
 
-    def _step(self, t: int, x: Tensor) -> TimeStep:
+    def step(self, t: int, x: Tensor) -> TimeStep:
         """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still."""
         state = State(x, torch.zeros_like(x), -1)
         if t:

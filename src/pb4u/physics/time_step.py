@@ -41,7 +41,8 @@ class TimeStep:
             gives them no place: predictions then move them as any other.
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
 
-    Raises InputError for a time step that is not positive, or shapes that do not match.
+    Raises:
+        InputError: a time step that is not positive, or shapes that do not match.
     """
 
     garments: PackedGarments

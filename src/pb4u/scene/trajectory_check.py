@@ -61,7 +61,8 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
         members: arrays (...) of the file by name; `_LAYOUT` has the shape of each, lengths are in [m].
         path: path of the file, for the refusal.
 
-    Raises InputError naming the first member that does not fit.
+    Raises:
+        InputError: a member does not fit; the first is named.
     """
 
     def refuse(what: str) -> InputError:

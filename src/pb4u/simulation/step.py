@@ -49,11 +49,14 @@ class StepMethod:
 
 
 def take(step: TimeStep, method: StepMethod) -> State:
-    """State at the end of a time step; nothing given is changed. Raises DivergedError where it is not finite.
+    """State at the end of a time step; nothing given is changed.
 
     Args:
         step: that is taken.
         method: what takes it.
+
+    Raises:
+        DivergedError: it is not finite.
     """
     with one_torch_thread():
         # Where the garments would be: led there by the start of the step, corrected by every pass of the network.

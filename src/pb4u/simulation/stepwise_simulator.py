@@ -145,7 +145,8 @@ class QuickSolverSimulator(StepwiseSimulator):
         first_frame: makes frame 0; settled by default.
         potential: the energies, and whether cloth feels cloth; the six terms by default.
 
-    Raises InputError for less than 1 iteration.
+    Raises:
+        InputError: less than 1 iteration.
     """
 
     name = QUICK_SOLVER
@@ -191,8 +192,9 @@ class NetworkSimulator(StepwiseSimulator):
         potential: the energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
         precision: data type of the network's products.
 
-    Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next, and for
-    a number of propagation steps out of range.
+    Raises:
+        InputError: less than 1 pass, or more than 1 of a network that cannot tell one pass from the next, and for a
+            number of propagation steps out of range.
     """
 
     def __init__(

@@ -146,7 +146,11 @@ LOSS_WEIGHTS: dict[str, LossWeight] = {
 
 
 def loss_weight(name: str) -> LossWeight:
-    """The weight called `name`. Raises InputError listing the names."""
+    """The weight called `name`.
+
+    Raises:
+        InputError: there is none; the names are listed.
+    """
     if name not in LOSS_WEIGHTS:
         raise unknown_name("loss weight", name, LOSS_WEIGHTS)
     return LOSS_WEIGHTS[name]

@@ -357,11 +357,14 @@ class Trainer:
         return seen if self.origin is None else seen.after(self.origin)
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
-        """Go on from a checkpoint. Raises InputError where it is not of this configuration.
+        """Go on from a checkpoint.
 
         Args:
             tensors: what `Learner.state` gave, by name.
             counters: what `Counters.to_json` gave.
+
+        Raises:
+            InputError: it is not of this configuration.
         """
         self.counters = self.recovery.resume(tensors, counters)
 

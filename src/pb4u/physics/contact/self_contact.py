@@ -139,7 +139,8 @@ class SelfContact(ABC):
             garments: static quantities.
             x: (vertices, 3) [m].
 
-        Raises InputError where what crosses cannot be untangled.
+        Raises:
+            InputError: what crosses cannot be untangled.
         """
 
     @abstractmethod
