@@ -128,13 +128,20 @@ class Run:
 
     Args:
         garments: Garments worn, inner first.
-        body: woman, man, anny (extra), a model file of the SMPL family, or a sequence of vertices.
+        body: woman, man, anny (extra), a model file of the SMPL family, a rigged character (.glb, .gltf, .vrm),
+            or a sequence of vertices.
         body_shape: Shape of the body, such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of a file of the SMPL
             family; `pb4u assets` lists the names.
-        motion: Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl. Default: walk, or the sequence's own.
+        clip: Clip that a rigged character performs. Default: its first.
+        body_parts: Meshes or materials that make the body of a character, separated by commas. Default: all but hair,
+            eyes and clothes, as their names tell.
+        motion: Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl, or from a video GVHMR .pt, WHAM .pkl or TRAM
+            .npy (FILE:PERSON of several people). Default: walk, or the body's own.
         crop: Frames A to B-1 of a recording, at its own rate.
         arms_away: Degrees by which hanging arms are held away from the torso. Default: arms of a recording by as much
             as they would go into the body; 0 leaves them as recorded.
+        raw_motion: Leave motion from a video as it is, neither smoothed nor its feet held.
+        recorded_fps: Frames per second of a recording. Default: what its file tells, or 30.
         lead_in: Frames from the rest pose into the motion, simulated but not written.
         keep_lead_in: Write the lead-in frames as well, before those that --frames counts.
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
@@ -167,9 +174,13 @@ class Run:
     garments: tuple[WornGarment, ...] = field(default_factory=lambda: (WornGarment(),))
     body: Annotated[str | Path | ShapedBody | AnimatedBody, Flag(BODY, "NAME|FILE", is_file=True)] = "woman"
     body_shape: Annotated[Mapping[str, float], Flag(BODY, "KEY=VALUE,..")] = field(default_factory=dict, hash=False)
+    clip: Annotated[str | None, Flag(BODY, "NAME")] = None
+    body_parts: Annotated[str | None, Flag(BODY, "NAME,..")] = None
     motion: Annotated[str | Path | Motion | None, Flag(BODY, "NAME|FILE", is_file=True)] = None
     crop: Annotated[tuple[int, int] | None, Flag(BODY, "A:B")] = None
     arms_away: Annotated[float | None, Flag(BODY, "DEGREES", least=0, most=90)] = None
+    raw_motion: Annotated[bool, Flag(BODY, names=("--raw-motion/--steady-motion",))] = False
+    recorded_fps: Annotated[float | None, Flag(BODY, "N", least=1, most=1000)] = None
     lead_in: Annotated[int, Flag(BODY, "N", least=0)] = 30
     keep_lead_in: Annotated[bool, Flag(BODY, names=("--keep-lead-in/--drop-lead-in",))] = False
     frames: Annotated[int | None, Flag(SCENE, "N", least=1)] = None
@@ -430,6 +441,8 @@ def with_companions(path: Path) -> list[Path]:
     """
     suffixes = {".amc": (".asf",), ".pc2": (".obj",), ".obj": (".pc2", ".mdd"), ".mdd": (".obj",)}
     beside = suffixes.get(path.suffix.lower(), ())
+    if path.suffix.lower() == ".npy":  # of TRAM
+        return [path, *{each for up in path.absolute().parents[:2] if (each := up / "camera.npy").is_file()}]
     near = (each for each in path.absolute().parent.glob("*") if each.suffix.lower() in beside)
     return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem)]
 

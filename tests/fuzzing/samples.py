@@ -18,10 +18,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 import torch
 import trimesh
 from safetensors.numpy import save as save_safetensors
+from tests.body.characters import write_doll
 from tests.body.test_smpl import synthetic
 from tests.compat.test_garment_dictionary import garment_fields
 from tests.fuzzing.mutation import damaged
@@ -33,6 +35,7 @@ from tests.training.ball_data import ball_data
 
 from pb4u import __version__
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence, write_vertex_sequence
@@ -52,6 +55,7 @@ from pb4u.garment.garment_file import read_garment
 from pb4u.garment.material import MATERIALS, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.obj_file import write_obj
+from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.progress import unheard
@@ -141,6 +145,13 @@ def body(path: Path) -> None:
         return
     _require_finite(loaded.vertices, loaded.skeleton.joints, loaded.weights.weights)
     _perform("walk", loaded)
+
+
+def clip_of_character(path: Path) -> None:
+    loaded = load_body(path)
+    assert isinstance(loaded, Character)
+    poses = character_lead_in(loaded, loaded.clip_poses(30.0, 3), 30.0, 2)
+    _require_finite(PosedCharacter(loaded, poses, 30.0).positions(0, 5))
 
 
 def body_of_folder(path: Path) -> None:
@@ -291,6 +302,11 @@ def _bodies(folder: Path) -> Iterator[Sample]:
     )
     yield Sample("body in an mdd", {"post.mdd": mdd, "post.obj": surface} | tube, *simulated)
     ply = trimesh.exchange.ply.export_ply(post)
+    doll = write_doll(folder / "doll.glb").read_bytes()
+    yield Sample("rigged character", {"doll.glb": doll}, (body, clip_of_character))
+    seen = {"pred_vertices": (moving[0] * [1, -1, -1]).astype(np.float32), "pred_cam_t": np.zeros(3, dtype=np.float32)}
+    frame = _npz(**seen, faces=faces)
+    yield Sample("body of SAM 3D Body", {"f/0.npz": frame, "f/1.npz": frame}, (body_of_folder,))
     yield Sample("body in a folder of obj", {"f/0.obj": surface, "f/1.obj": surface}, (body_of_folder,))
     yield Sample("body in a folder of ply", {"f/0.ply": ply, "f/1.ply": ply}, (body_of_folder,))
     yield Sample(
@@ -322,6 +338,20 @@ def _recordings(folder: Path) -> Iterator[Sample]:
     yield Sample("VTO recording as released", {"clip.pkl": pickle.dumps(vto)}, (performed, as_recorded))
     hood = {"body_pose": poses[:, 3:72], "global_orient": poses[:, :3], "transl": places, "betas": np.zeros((1, 10))}
     yield Sample("HOOD recording", {"clip.pkl": pickle.dumps({**hood, "trans": places})}, (performed, as_recorded))
+    torch_file, joblib_file, track = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    split = {"global_orient": poses[:, :3], "body_pose": poses[:, 3:66], "transl": places, "betas": np.zeros((6, 10))}
+    torch.save({"smpl_params_global": {k: torch.from_numpy(v).float() for k, v in split.items()}}, torch_file)
+    yield Sample("GVHMR recording", {"clip.pt": torch_file.getvalue()}, (performed,), (checked,))
+    person = {"pose_world": poses[:, :72].astype(np.float32), "trans_world": places, "frame_ids": np.arange(6) * 2}
+    joblib.dump({np.int64(1): person}, joblib_file)
+    yield Sample("WHAM recording", {"clip.pkl": joblib_file.getvalue()}, (performed,), (checked,))
+    turns = torch.eye(3).repeat(6, 24, 1, 1)
+    found = {"pred_rotmat": turns, "pred_trans": torch.zeros(6, 1, 3), "frame": torch.arange(6)}
+    np.save(track, found)  # type: ignore[arg-type]
+    camera = io.BytesIO()
+    np.save(camera, {"pred_cam_R": np.tile(np.eye(3), (6, 1, 1)), "pred_cam_T": np.zeros((6, 3))})  # type: ignore[arg-type]
+    tram = {"clip.npy": track.getvalue(), "camera.npy": camera.getvalue()}
+    yield Sample("TRAM recording", tram, (performed,), (checked,))
     amc = write_acclaim(folder, 4, {"lfemur": [10.0, 0.0, 5.0]})
     pair = {"07_01.amc": amc.read_bytes(), "07.asf": (folder / "07.asf").read_bytes()}
     yield Sample("Acclaim recording", pair, (performed,), (checked,))

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 from pb4u.body.animated_body import AnimatedBody
@@ -30,6 +31,8 @@ MOST_TRIANGLES = 1_000_000
 """Triangles that a body may have; it bounds the search tree that is built each frame, and more are refused."""
 # Extent [m] of the first frame between which coordinates may be metres: a doll's hand, a house.
 _PLAUSIBLE_SIZE = (0.1, 10.0)
+# Extent of a person in centimetres, arms down or out; nothing that is dressed has so many metres.
+_CENTIMETRES = (100.0, 300.0)
 # Frames whose numbers are checked at a time, which bounds the memory of a mapped file.
 _CHECKED_FRAMES = 64
 _MESH_SUFFIXES = (".obj", ".ply")
@@ -77,6 +80,8 @@ class VertexSequence(AnimatedBody):
         self.held_start = held_start
         self.contact = np.ones(vertices.shape[1], dtype=bool) if contact is None else contact
         self.rest_vertices = np.asarray(vertices[0], dtype=np.float64)
+        #: Whether it was estimated from a video, frame by frame, and trembles.
+        self.from_video = False
 
     @property
     def frame_count(self) -> int:
@@ -108,9 +113,23 @@ class VertexSequence(AnimatedBody):
         held = round(self.held_start * fps / self.fps)
         return VertexSequence(self.name, self.vertices, self.faces, self.stored_fps, self.contact, fps, held)
 
+    def smoothed(self, cutoff: float) -> VertexSequence:
+        """The same motion without what is faster than `cutoff` [Hz], by a low-pass that delays nothing."""
+        count = len(self.vertices)
+        if self.stored_fps <= 2.5 * cutoff or count < 10:
+            return self
+        sections = butter(2, cutoff, fs=self.stored_fps, output="sos")
+        reach = min(count - 1, round(3.0 * self.stored_fps / cutoff))
+        calm = sosfiltfilt(sections, self.vertices, axis=0, padlen=reach).astype(np.float32)
+        return VertexSequence(self.name, calm, self.faces, self.stored_fps, self.contact, self.fps, self.held_start)
+
     def with_contact(self, contact: np.ndarray) -> VertexSequence:
         """The same motion with other vertices left out of contact: `contact` (vertices,) bool is False there."""
-        return VertexSequence(self.name, self.vertices, self.faces, self.stored_fps, contact, self.fps, self.held_start)
+        other = VertexSequence(
+            self.name, self.vertices, self.faces, self.stored_fps, contact, self.fps, self.held_start
+        )
+        other.from_video = self.from_video
+        return other
 
     def with_held_start(self, frames: int) -> VertexSequence:
         """The same motion after `frames` more frames of its first one."""
@@ -176,9 +195,9 @@ def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSe
             f"{path}: a moving body is an .npz, a folder of OBJ or PLY files, or an OBJ with a {' or '.join(_CACHES)} "
             "beside it."
         )
-    _refuse_unusable(path, vertices, faces)
+    vertices, faces = require_usable(path, vertices, faces)
     stored_fps = next((rate for rate in (fps, file_fps) if rate is not None), DEFAULT_FPS)
-    sequence = VertexSequence(path.stem, vertices, _outward(path, vertices[0], faces), stored_fps, contact)
+    sequence = VertexSequence(path.stem, vertices, faces, stored_fps, contact)
     _warn_of_oddities(path, sequence)
     return sequence
 
@@ -191,8 +210,15 @@ def _refuse_large(path: Path, triangles: int) -> None:
         )
 
 
-def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (vertices, 3) float64 and triangles (faces, 3) int64 of a mesh file."""
+def surface_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (vertices, 3) float64, in the file's unit, and triangles (faces, 3) int64 of a mesh file.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: it cannot be read, or has too many triangles.
+    """
     mesh = read_mesh(path, partial(_refuse_large, path))
     return mesh.vertices, np.concatenate(mesh.polygons)[triangulate(mesh.vertices, mesh.polygons)[0]]
 
@@ -220,7 +246,7 @@ def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{folder} holds both .obj and .ply files; keep one kind per folder.")
     # Natural order: frame2 before frame10.
     files.sort(key=lambda p: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", p.stem)])
-    first, faces = _read_surface(files[0])
+    first, faces = surface_of(files[0])
     _, first_faces = _read_frame(files[0])
     frames = np.empty((len(files), *first.shape), dtype=np.float32)
     frames[0] = first
@@ -281,7 +307,7 @@ def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | No
             raise InputError(f"{path}: a point cache has no faces; put the mesh beside it as {path.stem}.obj.")
     else:
         surface, cache = path, next((beside[suffix] for suffix in _CACHES if suffix in beside), path)
-    vertices, faces = _read_surface(surface)
+    vertices, faces = surface_of(surface)
     if cache == surface:
         return vertices[None].astype(np.float32), faces, None
     positions, fps = _CACHES[cache.suffix.lower()](cache)
@@ -334,7 +360,20 @@ _CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
 SUFFIXES = (*_MESH_SUFFIXES, *_CACHES)
 
 
-def _refuse_unusable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+def require_usable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices in metres and faces turned outward, of a body that can be used.
+
+    Args:
+        path: its file, for the message.
+        vertices: (frames, vertices, 3) [m], or in centimetres, which is told by their extent.
+        faces: (faces, 3) int64.
+
+    Returns:
+        The same, centimetres as metres; warns of what was changed.
+
+    Raises:
+        InputError: it has no faces or too many, a face names no vertex, or a number is not finite or no length.
+    """
     if not len(faces):
         raise InputError(f"{path} has no faces; a body needs a surface.")
     _refuse_large(path, len(faces))
@@ -348,11 +387,17 @@ def _refuse_unusable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Non
             )
     size = float(np.ptp(vertices[0], axis=0).max())
     low, high = _PLAUSIBLE_SIZE
+    if _CENTIMETRES[0] <= size <= _CENTIMETRES[1]:
+        warnings.warn(
+            f"{path}: it measures {size:.0f}, so it is taken to be in centimetres.", InputWarning, stacklevel=3
+        )
+        vertices, size = np.asarray(vertices, dtype=np.float32) * np.float32(0.01), 0.01 * size
     if not low <= size <= high:
         raise InputError(
             f"{path}: the body measures {size:g} m in its first frame; coordinates are metres, "
             f"scale them by {0.001 if size > 1000 else 0.01 if size > high else 100:g} or so and export again."
         )
+    return vertices, _outward(path, vertices[0], faces)
 
 
 def _outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

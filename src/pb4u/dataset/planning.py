@@ -88,7 +88,7 @@ def _require_names(scene: Run, checked: set[tuple[str, str]]) -> None:
         if value is None or (kind, str(value)) in checked or not isinstance(value, str | Path):
             continue
         checked.add((kind, str(value)))
-        entry = DictionaryEntry.parse(value) if kind == "garment" else None
+        entry = DictionaryEntry.parse(value) if kind in ("garment", "motion") else None
         file = Path(value) if entry is None else entry.path
         if file.suffix and not file.exists():
             raise InputError(f"There is no {kind} file {file}.")

@@ -17,7 +17,7 @@ from pb4u.errors import InputError, unknown_name
 from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES, garment_names
 from pb4u.jobs.job import digest
 from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
-from pb4u.motion.library import motion_names
+from pb4u.motion.library import motion_names, recording_file
 from pb4u.paper.protocols import PROTOCOLS, Protocol
 from pb4u.paper.reference_energies import FLOOR_LEAD_IN, stored_floor
 from pb4u.paper.rollout import FPS, ModelRecord, RolloutJob, SceneRecord, Settings
@@ -324,10 +324,11 @@ def _motion(name: str, recordings: Path | None) -> _Motion:
                 + (f" as {file}." if recordings else "; give the folder of recordings with --recordings.")
             )
         return _Motion(str(file), None, name)
-    if Path(name).suffix.lower() in MOTION_SUFFIXES:
-        if not Path(name).is_file():
-            raise InputError(f"There is no motion file {name}.")
-        return _Motion(name, None, Path(name).stem)
+    file, person = recording_file(name)
+    if file.suffix.lower() in MOTION_SUFFIXES:
+        if not file.is_file():
+            raise InputError(f"There is no motion file {file}.")
+        return _Motion(name, None, file.stem if person is None else f"{file.stem}_{person}")
     raise InputError(f"{unknown_name('motion', name, motion_names())} CMU trials are written as 07_02.")
 
 

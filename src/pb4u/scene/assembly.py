@@ -13,6 +13,7 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
+from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
@@ -31,9 +32,11 @@ from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.motion.motion import Motion
+from pb4u.motion.steadying import CUTOFF
 from pb4u.run import Run, WornGarment, entries
 from pb4u.scene.scene import DressedGarment, Scene
 
@@ -202,7 +205,8 @@ def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSeq
             f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
         )
     if isinstance(body, str | Path):
-        return load_body(body, {**shape, **run.body_shape})
+        parts = None if run.body_parts is None else [part.strip() for part in run.body_parts.split(",")]
+        return load_body(body, {**shape, **run.body_shape}, clip=run.clip, parts=parts)
     if not isinstance(body, ShapedBody | VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
     if run.body_shape:
@@ -211,7 +215,18 @@ def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSeq
 
 
 def _perform(body: ShapedBody, run: Run) -> _Performance:
-    """A body with bones performs a motion."""
+    """A body with bones performs a motion; a character its own clip, where no motion is given."""
+    if isinstance(body, Character):
+        for note in body.notes:
+            _say(note)
+        if run.motion is None and (body.clip is not None or not body.is_human):
+            return _perform_clip(body, run)
+        if not body.is_human:
+            raise InputError(
+                f"{body.name} performs its own clips alone: its bones are not a human's; leave out --motion."
+            )
+    if isinstance(body, Character) and run.clip is not None:
+        raise InputError(f"{body.name} performs either its clip {run.clip} or --motion; leave one out.")
     clip, name = _load_motion(run)
     frames, fps = run.frames, run.fps
     available = clip.available_frames(fps)
@@ -225,6 +240,24 @@ def _perform(body: ShapedBody, run: Run) -> _Performance:
     for note in notes:
         _say(note)
     return _Performance(body.posed(prepend_lead_in(poses, body, run.lead_in)), frames, name, notes)
+
+
+def _perform_clip(body: Character, run: Run) -> _Performance:
+    """A character performs its own clip; one that has none stands."""
+    frames, fps, lead_in = run.frames, run.fps, run.lead_in
+    for given, flag in ((run.crop is not None, "crop"), (run.arms_away is not None, "arms-away")):
+        if given:
+            raise InputError(
+                f"{body.name} performs its own clip, to which --{flag} cannot be applied; change the clip in its file."
+            )
+    name = "stand" if body.clip is None else body.clip.name
+    if run.clip is None and len(body.clip_names) > 1:
+        _say(f"{body.name} performs {name}, the first of its clips {', '.join(body.clip_names[:10])}; --clip chooses.")
+    available = frames or DEFAULT_FRAMES if body.clip is None else body.available_frames(fps)
+    if frames is not None and frames > available:
+        _say_shorter(name, available, frames, fps)
+    poses = character_lead_in(body, body.clip_poses(fps, available), fps, lead_in)
+    return _Performance(PosedCharacter(body, poses, fps), min(frames or available, available), name, body.notes)
 
 
 def _replay(body: ShapedBody, recording: RecordingAsItIs, run: Run) -> _Performance:
@@ -241,7 +274,15 @@ def _load_motion(run: Run) -> tuple[Motion, str]:
     motion = DEFAULT_MOTION if run.motion is None else run.motion
     crop, arms_away = run.crop, run.arms_away
     if isinstance(motion, str | Path):
-        return load_motion(motion, crop, seed=run.seed, arms_away_degrees=arms_away), str(motion)
+        clip = load_motion(
+            motion,
+            crop,
+            seed=run.seed,
+            arms_away_degrees=arms_away,
+            raw=run.raw_motion,
+            recorded_fps=run.recorded_fps,
+        )
+        return clip, str(motion)
     if not isinstance(motion, Motion):
         raise InputError(f"The motion must be a name, a path or a Motion, not {motion!r}.")
     for given, option in ((crop is not None, "crop"), (arms_away is not None, "arms_away")):
@@ -264,6 +305,11 @@ def _play(body: VertexSequence, run: Run) -> _Performance:
     if motion is not None:
         ignored = motion if isinstance(motion, str | Path) else motion.name
         _say(f"{body.name} is a sequence of vertices that moves by itself; the motion {ignored} is not used.")
+    if body.from_video and not run.raw_motion:
+        _say(
+            f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."
+        )
+        body = body.smoothed(CUTOFF)
     # A body that never moves has no end: it stands for as long as is asked.
     standing = (frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
     held = body.resampled(fps).with_held_start(run.lead_in + standing)

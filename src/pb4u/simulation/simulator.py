@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from abc import ABC, abstractmethod
@@ -204,9 +205,8 @@ def _heading(scene: Scene) -> float:
     collider = next(iter(scene.colliders), None)
     if not isinstance(collider, PosedBody):
         return 0.0
-    w, x, y, z = collider.poses.rotations[scene.lead_in, 0]
-    forward = np.array([2 * (x * z + w * y), 0.0, 1 - 2 * (x * x + y * y)])
-    return float(np.arctan2(forward[0], forward[2]))
+    forward = collider.transforms[scene.lead_in, 0, :, 2].double()
+    return math.atan2(forward[0], forward[2])
 
 
 def _versions() -> dict[str, str]:
