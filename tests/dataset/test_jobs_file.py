@@ -103,7 +103,7 @@ MILLION = "[product]\n" + "".join(
         ("[product]\ngarment = ['dress']\nseed = [0, 'x']\n", r"clip 2 \(garment = dress, seed = x\): The seed must"),
         ("[[clips]]\ngarment = ['dress', 'skirt']\ntriangles = [1, 2, 3]\n", "triangles has 3 values for 2 garments"),
         ("[[clips]]\nscene = 'absent.toml'\n", "There is no scene file .*absent.toml"),
-        ("[[clips]\n", "is no jobs file, which is TOML"),
+        ("[[clips]\n", "cannot be read as TOML, which a jobs file is"),
         ("clips = 3\n", "each clip is a section of its own"),
         ("format_version = 2\n", "of format version 2"),
     ],

@@ -20,7 +20,7 @@ from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import MATERIALS, load_material
 from pb4u.jobs.job import digest
 from pb4u.motion.library import load_motion, motion_names
-from pb4u.scene.assembly import DEFAULT_FRAMES
+from pb4u.scene.assembly import DEFAULT_FRAMES, DEFAULT_MOTION
 from pb4u.scene.specification import GarmentSpecification, SceneSpecification, with_companions
 from pb4u.simulation.models import default_model
 from pb4u.simulation.run_specification import Device, RunSpecification
@@ -64,14 +64,22 @@ def plan_clips(runs: Sequence[RunSpecification], half: bool, say: Callable[[str]
     checked: set[tuple[str, str]] = set()
     models: dict[RunSpecification, tuple[str, Device, str | None]] = {}
     jobs = []
-    for run in runs:
-        _require_names(run.scene, checked)
-        options = replace(run, scene=SceneSpecification())
-        if options not in models:
-            models[options] = _resolved(run)
+    has_bones = lru_cache(maxsize=None)(_has_bones)
+    for number, run in enumerate(runs, start=1):
+        try:
+            _require_names(run.scene, checked)
+            options = replace(run, scene=SceneSpecification())
+            if options not in models:
+                models[options] = _resolved(run)
+        except InputError as error:
+            raise InputError(f"clip {number} ({ClipJob(run)}): {error}") from None
         model, device, weights = models[options]
-        resolved = replace(run, model=model, device=device)
-        named = dict.fromkeys(str(value) for value in run.files() if isinstance(value, str | Path))
+        scene = run.scene
+        if scene.motion is None and has_bones(str(scene.body)):
+            # Named, so that its label says what the body performs.
+            scene = replace(scene, motion=DEFAULT_MOTION)
+        resolved = replace(run, scene=scene, model=model, device=device)
+        named = dict.fromkeys(str(value) for value in resolved.files() if isinstance(value, str | Path))
         for value in named:
             if value not in contents:
                 contents[value] = _content(value)
@@ -100,6 +108,10 @@ def _require_names(scene: SceneSpecification, checked: set[tuple[str, str]]) -> 
             load_material(value)
         elif not file.suffix and kind in known and str(value) not in known[kind]:
             raise unknown_name(kind, str(value), known[kind])
+
+
+def _has_bones(body: str) -> bool:
+    return isinstance(load_body(body), ShapedBody)
 
 
 def _resolved(run: RunSpecification) -> tuple[str, Device, str | None]:

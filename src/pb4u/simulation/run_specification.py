@@ -348,7 +348,7 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is no {kind.partition(' ')[2]}, which is TOML: {error}.") from None
+        raise InputError(f"{path} cannot be read as TOML, which {kind} is: {error}.") from None
 
 
 def _refuse_unknown(what: str, given: Iterable[str], known: tuple[str, ...]) -> None:
