@@ -53,7 +53,7 @@ def test_failed_clips_are_listed_and_end_with_1(pb4u: Callable, jobs: Callable[[
 @pytest.mark.parametrize(
     ("text", "flags", "says"),
     [
-        ("[fixed]\ngarmet = 'dress'\n[[clips]]\n", (), "no entry of [fixed] 'garmet'; did you mean garment"),
+        ("[fixed]\ngarmet = 'dress'\n[[clips]]\n", (), "[fixed] has no entry 'garmet'; did you mean garment"),
         (
             "[product]\nseed = { first = 0, count = 1000000 }\n",
             (),

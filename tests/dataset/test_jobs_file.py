@@ -88,9 +88,9 @@ MILLION = "[product]\n" + "".join(
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[fixed]\ngarmet = 'tshirt'\n", r"no entry of \[fixed\] 'garmet'; did you mean garment"),
-        ("[product]\nmotions = ['walk']\n", r"no entry of \[product\] 'motions'; did you mean motion"),
-        ("[[clips]]\ncolour = 'red'\n", r"no entry of \[\[clips\]\] 'colour'"),
+        ("[fixed]\ngarmet = 'tshirt'\n", r"\[fixed\] has no entry 'garmet'; did you mean garment"),
+        ("[product]\nmotions = ['walk']\n", r"\[product\] has no entry 'motions'; did you mean motion"),
+        ("[[clips]]\ncolour = 'red'\n", r"\[\[clips\]\] has no entry 'colour'"),
         ("[products]\nseed = [1]\n", "no section 'products'; did you mean product"),
         ("[product]\nmotion = 'walk'\n", r"motion in \[product\] must be a list"),
         ("[fixed]\nseed = 1\n[product]\nseed = [1, 2]\n", r"seed stands in \[fixed\] and in \[product\]"),

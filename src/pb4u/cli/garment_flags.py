@@ -120,6 +120,10 @@ def dressed(
     return tuple(replace(garment, tucked=garment.tucked or garment.name in (tuck or [])) for garment in garments)
 
 
+def _times(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
 def _one_each(flag: str, given: list[GarmentValue], names: list[str]) -> list[Any]:
     """The value of a flag for each of the garments called `names`; None where it says nothing."""
     unnamed = [each.value for each in given if each.garment is None]
@@ -135,8 +139,8 @@ def _one_each(flag: str, given: list[GarmentValue], names: list[str]) -> list[An
             raise unknown_name("garment in this scene", name, names)
         if names.count(name) > 1 or told.count(name) > 1:
             raise InputError(
-                f"--{flag} {name}=.. does not say which: the scene has {names.count(name)} of that name, and the flag "
-                f"is given {told.count(name)} times for it."
+                f"--{flag} {name}=.. is not clear: the scene has {_times(names.count(name), 'garment')} of that name, "
+                f"and --{flag} names it {_times(told.count(name), 'time')}."
             )
     by_name = {each.garment: each.value for each in given if each.garment is not None}
     return [by_name.get(name, value) for name, value in zip(names, values, strict=True)]

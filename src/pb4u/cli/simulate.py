@@ -141,8 +141,8 @@ def simulate(
         int | None,
         typer.Option(
             metavar="N",
-            help="Most solver iterations after each step of a network, or of the quick solver; what they leave torn "
-            f"is made anew. Default: {RunSpecification.refine}.",
+            help="Most solver iterations after each step of a network, or of the quick solver; a step that "
+            f"they leave with overstretched cloth is solved again in full. Default: {RunSpecification.refine}.",
         ),
     ] = None,
     contact: Annotated[

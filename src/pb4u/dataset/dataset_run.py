@@ -158,6 +158,7 @@ def _summary(jobs: Sequence[ClipJob], folder: DatasetFolder) -> dict[str, Any]:
         "index": str(folder.path / INDEX),
     }
 
+
 def _summed(notes: Iterable[Sequence[str]]) -> list[dict[str, Any]]:
     """The sentences of all clips, the most frequent first; those that differ in their numbers count as one."""
     first: dict[str, str] = {}

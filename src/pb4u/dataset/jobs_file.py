@@ -132,7 +132,7 @@ def _table(section: str, table: Any) -> dict[str, Any]:
         raise InputError(f"the section {section} must hold entries such as name = value, not {table!r}.")
     for name in table:
         if name not in _KNOWN:
-            raise unknown_name(f"entry of {section}", name, _KNOWN)
+            raise unknown_name("entry", name, _KNOWN, section)
     return table
 
 
@@ -168,7 +168,7 @@ def _csv_clips(text: str) -> tuple[int, Iterator[dict[str, Any]]]:
     names = [name.strip() for name in header]
     for name in names:
         if name not in _KNOWN:
-            raise unknown_name("entry, as columns are called,", name, _KNOWN)
+            raise unknown_name("column", name, _KNOWN)
         if names.count(name) > 1:
             raise InputError(f"two columns are called {name}.")
     for number, row in enumerate(rows, start=2):

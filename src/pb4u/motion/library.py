@@ -52,8 +52,12 @@ def load_motion(
             raise InputError(f'The built-in motion "{name}" has no end to crop; ask for the frames you want.')
         return ProceduralMotion(name, seed=seed, arms_away_degrees=arms_away_degrees)
     path = Path(name)
+    if path.suffix.lower() == ".asf":
+        raise InputError(f"{path} holds the skeleton alone; give the .amc file beside it, which holds the motion.")
+    if path.is_file() and path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path} is of no kind of motion file that is read; those end in {', '.join(SUFFIXES)}.")
     if path.suffix.lower() not in SUFFIXES:
-        raise unknown_name(f"motion, nor a file ending in {', '.join(SUFFIXES)}, called", name, CLIPS)
+        raise unknown_name("motion", name, CLIPS)
     recording = read_recording(path)
     # The crop comes first: bad frames are often what it is there to leave out.
     recording = without_false_start(recording) if crop is None else recording.cropped(*crop)

@@ -181,6 +181,12 @@ def with_companions(path: Path) -> list[Path]:
     return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem)]
 
 
+_MADE_OF_ARRAYS = {
+    "garment": "pb4u.Garment(name, vertices, faces, material)",
+    "body": "pb4u.body_from_arrays(vertices, faces)",
+}
+
+
 def require_name(what: str, value: object, optional: bool = False) -> None:
     """Refuse what is neither text, a path nor an object of the package.
 
@@ -192,6 +198,9 @@ def require_name(what: str, value: object, optional: bool = False) -> None:
     Raises:
         InputError: the value is a number, a collection or empty text.
     """
+    if hasattr(value, "__array__"):
+        made = _MADE_OF_ARRAYS.get(what, "a loaded object")
+        raise InputError(f"The {what} is an array; give a name, a path or {made}.")
     plain = isinstance(value, Real | Mapping | list | tuple | set) or (value is None and not optional)
     if plain or value == "":
         raise InputError(f"The {what} must be a name, a path or a loaded object, not {value!r}.")

@@ -213,7 +213,7 @@ class RunSpecification:
             Interrupted: the frames until an interrupt are in a file, which it names.
         """
         from pb4u.export.selection import resampled
-        from pb4u.scene.trajectory import Frame, Trajectory
+        from pb4u.scene.trajectory import Frame, Trajectory, kept_sentence
 
         is_resampled = not math.isclose(scene.fps, self.scene.fps)
         if path is not None and not is_resampled:
@@ -227,7 +227,7 @@ class RunSpecification:
         except KeyboardInterrupt as error:
             if rows and interrupted is not None:
                 kept = Trajectory.collect(header, rows).save(interrupted)
-                raise Interrupted(f"the first {len(rows)} frames are in {kept}", getattr(error, "signal", 2)) from error
+                raise Interrupted(kept_sentence(len(rows), kept), getattr(error, "signal", 2)) from error
             raise
         trajectory = Trajectory.collect(header, rows)
         if is_resampled:
@@ -351,17 +351,17 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
         raise InputError(f"{path} cannot be read as TOML, which {kind} is: {error}.") from None
 
 
-def _refuse_unknown(what: str, given: Iterable[str], known: tuple[str, ...]) -> None:
+def _refuse_unknown(what: str, given: Iterable[str], known: tuple[str, ...], where: str = "") -> None:
     for name in given:
         if name not in known:
-            raise unknown_name(what, name, known)
+            raise unknown_name(what, name, known, where)
 
 
 def _entries(section: str, table: Any, known: tuple[str, ...], folder: Path) -> dict[str, Any]:
     """The entries of a section, its files found from the `folder` of the scene file."""
     if not isinstance(table, dict):
         raise InputError(f"The section {section} must hold entries such as name = value, not {table!r}.")
-    _refuse_unknown(f"entry of {section}", table, known)
+    _refuse_unknown("entry", table, known, section)
     return {name: _located(name, value, folder) for name, value in table.items()}
 
 
