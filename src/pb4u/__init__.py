@@ -23,7 +23,6 @@ _HOMES = {
     "Frame": "pb4u.scene.trajectory:Frame",
     "Garment": "pb4u.garment.garment:Garment",
     "GarmentSkinning": "pb4u.garment.garment:GarmentSkinning",
-    "GarmentSpecification": "pb4u.scene.specification:GarmentSpecification",
     "InputError": "pb4u.errors:InputError",
     "InputWarning": "pb4u.errors:InputWarning",
     "Interrupted": "pb4u.errors:Interrupted",
@@ -32,10 +31,9 @@ _HOMES = {
     "Pb4uError": "pb4u.errors:Pb4uError",
     "PolygonMesh": "pb4u.geometry.mesh_file:PolygonMesh",
     "Progress": "pb4u.progress:Progress",
+    "Run": "pb4u.run:Run",
     "RunRecord": "pb4u.simulation.simulator:RunRecord",
-    "RunSpecification": "pb4u.simulation.run_specification:RunSpecification",
     "Scene": "pb4u.scene.scene:Scene",
-    "SceneSpecification": "pb4u.scene.specification:SceneSpecification",
     "Simulator": "pb4u.simulation.simulator:Simulator",
     "SourceMap": "pb4u.garment.garment:SourceMap",
     "State": "pb4u.scene.state:State",
@@ -43,6 +41,7 @@ _HOMES = {
     "TrajectoryHeader": "pb4u.scene.trajectory:TrajectoryHeader",
     "VertexSequence": "pb4u.body.vertex_sequence:VertexSequence",
     "View": "pb4u.export.view:View",
+    "WornGarment": "pb4u.run:WornGarment",
     "body_from_arrays": "pb4u.body.vertex_sequence:body_from_arrays",
     "build_garment": "pb4u.garment.library:build_garment",
     "export_trajectory": "pb4u.export.registry:export",
@@ -50,7 +49,7 @@ _HOMES = {
     "load_motion": "pb4u.motion.library:load_motion",
     "load_simulator": "pb4u.simulation.models:load_simulator",
     "make_scene": "pb4u.scene.assembly:make_scene",
-    "measure": "pb4u.evaluation.metrics:measure",
+    "measure": "pb4u.measures.metrics:measure",
     "read_garment": "pb4u.garment.garment_file:read_garment",
     "unheard": "pb4u.progress:unheard",
 }
@@ -62,7 +61,6 @@ __all__ = [
     "Frame",
     "Garment",
     "GarmentSkinning",
-    "GarmentSpecification",
     "InputError",
     "InputWarning",
     "Interrupted",
@@ -71,10 +69,9 @@ __all__ = [
     "Pb4uError",
     "PolygonMesh",
     "Progress",
+    "Run",
     "RunRecord",
-    "RunSpecification",
     "Scene",
-    "SceneSpecification",
     "Simulator",
     "SourceMap",
     "State",
@@ -82,6 +79,7 @@ __all__ = [
     "TrajectoryHeader",
     "VertexSequence",
     "View",
+    "WornGarment",
     "body_from_arrays",
     "build_garment",
     "export_trajectory",
@@ -100,7 +98,6 @@ if TYPE_CHECKING:
     from pb4u.body.library import load_body
     from pb4u.body.vertex_sequence import VertexSequence, body_from_arrays
     from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
-    from pb4u.evaluation.metrics import measure
     from pb4u.export.registry import export as export_trajectory
     from pb4u.export.view import View
     from pb4u.garment.garment import Garment, GarmentSkinning, SourceMap
@@ -108,16 +105,16 @@ if TYPE_CHECKING:
     from pb4u.garment.library import build_garment
     from pb4u.garment.material import Material
     from pb4u.geometry.mesh_file import PolygonMesh
+    from pb4u.measures.metrics import measure
     from pb4u.motion.library import load_motion
     from pb4u.motion.motion import Motion
     from pb4u.progress import Progress, unheard
+    from pb4u.run import Run, WornGarment
     from pb4u.scene.assembly import make_scene
     from pb4u.scene.scene import DressedGarment, Scene
-    from pb4u.scene.specification import GarmentSpecification, SceneSpecification
     from pb4u.scene.state import State
     from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
     from pb4u.simulation.models import load_simulator
-    from pb4u.simulation.run_specification import RunSpecification
     from pb4u.simulation.simulator import RunRecord, Simulator
 
 

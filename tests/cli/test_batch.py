@@ -90,7 +90,7 @@ def test_a_broken_jobs_file_is_named_once(pb4u: Callable, jobs: Callable[[str], 
 
 
 def test_diverged_clips_are_told_at_the_end(pb4u: Callable, jobs: Callable[[str], Path], monkeypatch) -> None:
-    from pb4u.evaluation import run_report
+    from pb4u.measures import run_report
 
     measured = run_report.measure
     monkeypatch.setattr(run_report, "measure", lambda *given: {**measured(*given), "diverged": True})

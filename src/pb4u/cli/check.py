@@ -133,8 +133,8 @@ def _check_outfit(names: list[str], figure: Any, body: str, triangles: int | Non
 
 def _made(name: str, figure: Any, triangles: int | None) -> Any:
     """A built-in garment, or one of a dictionary at the height of the body; None for a mesh file."""
+    from pb4u.compat.garment_dictionary import read_dictionary_garment
     from pb4u.garment.dictionary_entry import DictionaryEntry
-    from pb4u.garment.garment_dictionary import read_dictionary_garment
     from pb4u.garment.library import build_garment, garment_names
     from pb4u.garment.material import MATERIALS
 
