@@ -430,7 +430,7 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is no {kind.partition(' ')[2]}, which is TOML: {error}.") from None
+        raise InputError(f"{path} cannot be read as TOML, which {kind} is: {error}.") from None
 
 
 def with_companions(path: Path) -> list[Path]:
@@ -447,11 +447,20 @@ def with_companions(path: Path) -> list[Path]:
     return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem)]
 
 
+_OF_ARRAYS = {
+    "garment": "pb4u.Garment(name, vertices, faces, material)",
+    "body": "pb4u.body_from_arrays(vertices, faces)",
+}
+"""What takes arrays in the place of a value."""
+
+
 def _check(record: Run | WornGarment) -> None:
     """Refuse values of a wrong kind or out of range."""
     kind: type = type(record)
     for entry in described(kind).values():
         value = getattr(record, entry.name)
+        if hasattr(value, "__array__") and (made := _OF_ARRAYS.get(entry.name)):
+            raise InputError(f"The {entry.name} is an array; give a name, a path or {made}.")
         if not (value is None and entry.optional) and not _fits(entry, value):
             raise InputError(f"{entry.name} must be {_wanted(entry)}, not {value!r}.")
 
@@ -511,17 +520,17 @@ def _is_same(garment: object, other: object) -> bool:
     return garment is other
 
 
-def _refuse_unknown(what: str, given: Iterable[str], known: Collection[str]) -> None:
+def _refuse_unknown(what: str, given: Iterable[str], known: Collection[str], where: str = "") -> None:
     for name in given:
         if name not in known:
-            raise unknown_name(what, name, known)
+            raise unknown_name(what, name, known, where)
 
 
 def _section(title: str, table: Any, section: str, folder: Path) -> dict[str, Any]:
     """The entries of a section, its files found from the `folder` of the scene file."""
     if not isinstance(table, dict):
         raise InputError(f"The section {title} must hold entries such as name = value, not {table!r}.")
-    _refuse_unknown(f"entry of {title}", table, entries(section))
+    _refuse_unknown("entry", table, entries(section), title)
     return {name: _located(name, value, folder) for name, value in table.items()}
 
 

@@ -8,7 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from pb4u.body.skinning import SkinningWeights, strongest_influences
+from pb4u.errors import InputError
 from pb4u.garment.material import Material
+from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import edge_lengths, face_areas
@@ -88,6 +90,9 @@ class Garment:
         loose: whether it hangs free of the nearest limb (dresses, skirts): skinning weights are then averaged widely.
         coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, where its file brings them.
         skinning: how it rides on the body, where its file says so; None borrows from the body.
+
+    Raises:
+        InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
     """
 
     name: str
@@ -103,8 +108,35 @@ class Garment:
     skinning: GarmentSkinning | None = None
 
     def __post_init__(self) -> None:
-        if not len(self.pinned):
-            object.__setattr__(self, "pinned", np.zeros(len(self.vertices), dtype=bool))
+        owner = f"garment {self.name}"
+        vertices = checked_vertices(owner, self.vertices)
+        checked: dict[str, np.ndarray] = {
+            "vertices": vertices,
+            "faces": checked_faces(owner, self.faces, len(vertices)),
+            "pinned": np.asarray(self.pinned) if len(self.pinned) else np.zeros(len(vertices), dtype=bool),
+        }
+        if checked["pinned"].shape != (len(vertices),) or checked["pinned"].dtype != bool:
+            raise InputError(
+                f"{owner}: pinned is a bool for each of its {len(vertices)} vertices; vertices by number are pinned by "
+                "make_scene(pins=[..])."
+            )
+        if not isinstance(self.material, Material):
+            raise InputError(
+                f'{owner}: its material must be a Material, such as pb4u.Material.named("cotton"), not '
+                f"{self.material!r}."
+            )
+        if (self.uvs is None) != (self.uv_faces is None):
+            raise InputError(f"{owner}: uvs and uv_faces belong together; give both or neither.")
+        if self.uvs is not None and self.uv_faces is not None:
+            uvs = as_numbers(owner, "uvs", self.uvs)
+            if uvs.ndim != 2 or uvs.shape[1] != 2:
+                raise InputError(f"{owner}: its uvs have the shape {uvs.shape}, where (uv points, 2) belongs.")
+            uv_faces = checked_faces(owner, self.uv_faces, len(uvs), "uv_faces")
+            if len(uv_faces) != len(checked["faces"]):
+                raise InputError(f"{owner}: it has {len(uv_faces)} uv_faces for {len(checked['faces'])} faces.")
+            checked |= {"uvs": uvs, "uv_faces": uv_faces}
+        for name, array in checked.items():
+            object.__setattr__(self, name, array)
 
     @cached_property
     def topology(self) -> Topology:
@@ -135,6 +167,14 @@ class Garment:
     def mean_edge_length(self) -> float:
         """Mean rest edge length [m]: the garment's resolution."""
         return float(self.edge_lengths.mean())
+
+    @property
+    def is_authors_mesh(self) -> bool:
+        """Whether its vertices are the author's own, not those of a remeshing."""
+        if self.source is None:
+            return True
+        kept = np.count_nonzero(self.source.barycentric.max(axis=1) == 1.0)
+        return bool(kept >= len(self.vertices))
 
     @property
     def triangle_count(self) -> int:

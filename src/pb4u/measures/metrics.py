@@ -70,8 +70,12 @@ def measure(
         `limbs_through_cloth`, those that cross cloth; a metric of that name counts them in each frame.
 
     Raises:
-        InputError: the metadata do not say what the garments are made of.
+        InputError: it is no trajectory, or its metadata do not say what the garments are made of.
     """
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(
+            f"measure takes a Trajectory, which simulator.simulate(scene) gives, not a {type(trajectory).__name__}."
+        )
     ruler = Ruler(trajectory)
     frames = []
     for t in range(trajectory.frame_count):

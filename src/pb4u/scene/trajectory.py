@@ -432,11 +432,14 @@ class TrajectoryWriter:
         elif isinstance(error, KeyboardInterrupt) and self.frame_count:
             self.path = interrupted_path(self.path)
             self.close()
-            raise Interrupted(
-                f"the first {self.frame_count} frames are in {self.path}", getattr(error, "signal", 2)
-            ) from error
+            raise Interrupted(kept_sentence(self.frame_count, self.path), getattr(error, "signal", 2)) from error
         else:
             self.abandon()
+
+
+def kept_sentence(frames: int, path: Path) -> str:
+    """What is kept of an interrupted run: the first `frames` frames, in the file `path`."""
+    return f"the first {'frame is' if frames == 1 else f'{frames} frames are'} in {path}"
 
 
 def interrupted_path(path: Path) -> Path:
