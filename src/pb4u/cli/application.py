@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pb4u import __version__
-from pb4u.cli import assets, batch, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
+from pb4u.cli import assets, batch, check, convert_weights, dress, evaluate, info, simulate, train, trajectory_verbs
 
 app = typer.Typer(
     name="pb4u",
@@ -21,6 +21,7 @@ for verb in (
     simulate.simulate,
     trajectory_verbs.view,
     check.check,
+    dress.dress,
     trajectory_verbs.convert,
     convert_weights.convert_weights,
     train.train,

@@ -8,19 +8,17 @@ result is passed on, panel by panel, to the mesh that is wanted, and settles the
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError
 from pb4u.garment.diagnosis import is_inside_out
 from pb4u.garment.fit import RestBody, find_holder
 from pb4u.garment.garment import Garment
@@ -28,7 +26,7 @@ from pb4u.garment.garment_file import nearest_places
 from pb4u.garment.material import MATERIALS, Material
 from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.geometry.proximity.crossings import self_crossings
+from pb4u.geometry.proximity.crossings import crossings, self_crossings
 from pb4u.pattern.mesh import PatternMesh, mesh_pattern
 from pb4u.pattern.pattern import Pattern
 from pb4u.pattern.thin_body import SewingBody
@@ -37,11 +35,13 @@ from pb4u.physics.implicit_steps import implicit_steps
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver import Solver
 from pb4u.physics.time_step import TimeStep
-from pb4u.progress import Progress
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments, pack, pack_colliders
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 from pb4u.scene.state import State
 from pb4u.threads import one_torch_thread
+
+DEFAULT_TRIANGLES = 5000
+"""Triangles of a garment that is dressed: enough for seams, darts and gathers to be seen."""
 
 _COARSE = 1200
 """Triangles that are sewn: enough for the folds that a seam leaves, and a second or two on one core."""
@@ -100,6 +100,7 @@ class Dressed:
         garment: the garment, flat at rest; `vertices` is where it hangs on the body.
         mesh: the panels that it is sewn of.
         crossings: pairs of its triangles that cross.
+        body_crossings: pairs of a triangle of it and one of the body that cross.
         depth: how deep its deepest vertex is in the body [m].
         strain: largest principal strain of each face, averaged by area.
     """
@@ -107,14 +108,32 @@ class Dressed:
     garment: Garment
     mesh: PatternMesh
     crossings: int
+    body_crossings: int
     depth: float
     strain: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Measures of the dressed garment, lengths in [m] and areas in [m^2], for reports."""
+        pattern, lengths = self.mesh.pattern, [self.mesh.pattern.seam_lengths(seam) for seam in self.mesh.pattern.seams]
+        return {
+            "garment": pattern.name,
+            "panels": len(pattern.panels),
+            "seams": len(pattern.seams),
+            "seam_length": [sum(first for first, _ in lengths), sum(second for _, second in lengths)],
+            "pattern_area": pattern.area,
+            "triangles": len(self.garment.faces),
+            "rest_area": float(self.garment.face_areas.sum()),
+            "crossings": self.crossings,
+            "body_crossings": self.body_crossings,
+            "depth": self.depth,
+            "strain": self.strain,
+        }
 
 
 def dress(
     pattern: Pattern,
     body: ShapedBody,
-    triangles: int = 5000,
+    triangles: int = DEFAULT_TRIANGLES,
     material: Material | None = None,
     watch: Callable[[np.ndarray, np.ndarray], None] | None = None,
 ) -> Dressed:
@@ -133,14 +152,36 @@ def dress(
     cloth = material or MATERIALS["default"]
     coarse = mesh_pattern(pattern, min(triangles, max(_COARSE, 8 * len(pattern.panels))))
     sewing = _Sewing(coarse, body, cloth, watch)
-    with one_torch_thread():
-        places = sewing.hung(sewing.sewn(), _MOST_HANGING)
-        mesh = coarse if triangles <= len(coarse.faces) else mesh_pattern(pattern, triangles)
-        if mesh is not coarse:
-            sewing = _Sewing(mesh, body, cloth, watch)
-            places = carried(coarse, places, mesh)
-            places = sewing.hung(sewing.outside(places), _MOST_SETTLING)
-    return sewing.dressed(places)
+    places = sewing.hung(sewing.sewn(), _MOST_HANGING)
+    fine = coarse if triangles <= len(coarse.faces) else mesh_pattern(pattern, triangles)
+    return sewing.dressed(places) if fine is coarse else sewing.on_mesh(fine, places)
+
+
+def passed_on(
+    mesh: PatternMesh, places: np.ndarray, body: ShapedBody, material: Material, triangles: int | None
+) -> Garment:
+    """A dressed garment in another cloth, or with another number of triangles: its panels are meshed again.
+
+    Args:
+        mesh: what it was dressed with.
+        places: (vertices, 3) of it on the body [m].
+        body: the same body.
+        material: the cloth.
+        triangles: wanted number; None for the mesh as it is.
+
+    Raises:
+        InputError: so few triangles cannot mesh it.
+    """
+    sewing = _Sewing(mesh, body, material, None)
+    if triangles is None or triangles == len(mesh.faces):
+        return sewing.dressed(places).garment
+    return sewing.on_mesh(mesh_pattern(mesh.pattern, triangles), places).garment
+
+
+def sewn_garment(mesh: PatternMesh, places: np.ndarray, material: Material) -> Garment:
+    """The garment of a mesh with its vertices at `places` (vertices, 3) [m], flat at rest, its UVs the pattern."""
+    name, faces = mesh.pattern.name, mesh.sewn_faces
+    return Garment(name, places, faces, material, uvs=mesh.uvs, uv_faces=mesh.faces, rest_uv=mesh.rest_uv)
 
 
 def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.ndarray:
@@ -193,8 +234,7 @@ class _Sewing:
 
     def garment(self, places: np.ndarray) -> Garment:
         """The garment with its vertices at `places` (vertices, 3) [m]."""
-        mesh = self.mesh
-        return Garment(mesh.pattern.name, places, mesh.sewn_faces, self.material, rest_uv=mesh.rest_uv)
+        return sewn_garment(self.mesh, places, self.material)
 
     @cached_property
     def thin_body(self) -> SewingBody:
@@ -239,7 +279,9 @@ class _Sewing:
             surface = self.pose(share, 0.0).surfaces[0]
             for lift in _LIFTS:
                 raised = places + lift * np.array(UP)
-                found = surface.nearest(torch.from_numpy(np.concatenate([raised, raised[self.mesh.sewn_faces].mean(1)])))
+                found = surface.nearest(
+                    torch.from_numpy(np.concatenate([raised, raised[self.mesh.sewn_faces].mean(1)]))
+                )
                 if not bool(((found.signed_distance < -_SHALLOW) & ~found.beyond_border).any()):
                     return raised, share
         return raised, share
@@ -251,6 +293,11 @@ class _Sewing:
         garment = self.garment(places)
         out = push_out(places, garment.topology, self.rest_body) if self.rest_body.is_closed else places
         return untangled_start([garment], out)
+
+    def on_mesh(self, mesh: PatternMesh, places: np.ndarray) -> Dressed:
+        """The garment at `places` (vertices, 3) [m] with another mesh, settled there."""
+        other = _Sewing(mesh, self.body, self.material, self.watch)
+        return other.dressed(other.hung(other.outside(carried(self.mesh, places, mesh)), _MOST_SETTLING))
 
     def hung(self, places: np.ndarray, most: int) -> np.ndarray:
         """Places (vertices, 3) [m] of the garment settled under gravity, held by what would hold it in life."""
@@ -284,7 +331,8 @@ class _Sewing:
         gravity = x.new_tensor(UP) * (-STANDARD_GRAVITY if hangs else 0.0)
         state = State(x, share[:, None] * moved / dt, 0)
         step = TimeStep(packed, state, collider, dt, gravity, pin_positions=x)
-        state, self.last = implicit_steps(potential, solver, step, _ITERATIONS)
+        with one_torch_thread():
+            state, _ = implicit_steps(potential, solver, step, _ITERATIONS)
         if self.watch:
             self.watch(state.positions.numpy(), after.positions.numpy())
         return state.positions
@@ -297,13 +345,14 @@ class _Sewing:
         packed = pack([garment])
         x = torch.from_numpy(places)
         strains = face_strains(x, packed.faces, packed.inverse_rest_shape).numpy()
-        distances = self.rest_body.signed_distances(places)
+        skin = self.body.faces[self.body.contact[self.body.faces].all(axis=1)]
         return Dressed(
             garment,
             self.mesh,
-            len(self_crossings(places.astype(np.float32), garment.faces, sharing=True)),
-            max(0.0, -float(distances.min())),
-            float(np.average(strains, weights=garment.face_areas)),
+            crossings=len(self_crossings(places.astype(np.float32), garment.faces, sharing=True)),
+            body_crossings=len(crossings(places, garment.faces, self.body.vertices, skin)),
+            depth=max(0.0, -float(self.rest_body.signed_distances(places).min())),
+            strain=float(np.average(strains, weights=garment.face_areas)),
         )
 
 

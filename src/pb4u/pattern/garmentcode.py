@@ -59,6 +59,45 @@ def pattern_of(record: dict[str, Any], name: str) -> Pattern:
         raise InputError(f"{name}: {reader.where} {told}.") from None
 
 
+def record_of(pattern: Pattern) -> dict[str, Any]:
+    """Data of a GarmentCode specification of a pattern, in centimetres; `pattern_of` reads it.
+
+    Args:
+        pattern: to be written.
+    """
+    from scipy.spatial.transform import Rotation
+
+    panels = {}
+    for panel in pattern.panels:
+        edges: list[dict[str, Any]] = []
+        for k in range(panel.edge_count):
+            edge: dict[str, Any] = {"endpoints": [k, (k + 1) % panel.edge_count]}
+            if (curve := panel.curves.get(k)) is not None:
+                edge["curvature"] = _curve_record(curve)
+            if k in panel.edge_labels:
+                edge["label"] = panel.edge_labels[k]
+            edges.append(edge)
+        panels[panel.name] = {
+            "vertices": (100.0 * panel.corners).tolist(),
+            "edges": edges,
+            "translation": (100.0 * panel.position).tolist(),
+            "rotation": Rotation.from_matrix(panel.rotation).as_euler("XYZ", degrees=True).tolist(),
+            "label": panel.label,
+        }
+    stitches = []
+    for seam in pattern.seams:
+        sides: list[Any] = [{"panel": name, "edge": edge} for name, edge in (seam.first, seam.second)]
+        stitches.append([*sides, "right_wrong"] if seam.same_way else sides)
+    properties = {"curvature_coords": "absolute", "units_in_meter": 100}
+    return {"pattern": {"panels": panels, "stitches": stitches}, "properties": properties}
+
+
+def _curve_record(curve: Curve) -> dict[str, Any]:
+    if curve.radius > 0.0:
+        return {"type": "circle", "params": [100.0 * curve.radius, int(curve.large), int(curve.counter_clockwise)]}
+    return {"type": ("quadratic", "cubic")[len(curve.controls) - 1], "params": (100.0 * curve.controls).tolist()}
+
+
 class _Reader:
     """Reads one specification; `where` says what is being read, for refusals."""
 

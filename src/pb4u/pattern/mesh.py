@@ -10,6 +10,7 @@ import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology
+from pb4u.pattern.layout import laid_out
 from pb4u.pattern.pattern import Panel, Pattern, Seam
 from pb4u.pattern.triangulation import triangulate_loop
 
@@ -64,6 +65,13 @@ class PatternMesh:
         return self.panel[self.faces[:, 0]]
 
     @cached_property
+    def uvs(self) -> np.ndarray:
+        """Texture coordinates (points, 2) in [0, 1]: the panels laid out side by side, all at one scale."""
+        rows = [self.points[self.panel == number] for number in range(len(self.pattern.panels))]
+        moves, side = laid_out([(own.min(axis=0), own.max(axis=0)) for own in rows])
+        return (self.points + moves[self.panel]) / side
+
+    @cached_property
     def placed(self) -> np.ndarray:
         """Places (points, 3) [m] of the points around the body, their seams open."""
         placed = np.empty((len(self.points), 3))
@@ -107,9 +115,7 @@ def mesh_pattern(pattern: Pattern, triangles: int) -> PatternMesh:
 
 def _meshed(pattern: Pattern, length: float) -> PatternMesh:
     """The pattern with edges of about `length` [m]."""
-    segments = [
-        np.maximum(np.rint(panel.edge_lengths / length).astype(int), 1) for panel in pattern.panels
-    ]
+    segments = [np.maximum(np.rint(panel.edge_lengths / length).astype(int), 1) for panel in pattern.panels]
     for seam in pattern.seams:
         mean = max(round(0.5 * sum(pattern.seam_lengths(seam)) / length), 1)
         for name, edge in (seam.first, seam.second):
@@ -151,9 +157,7 @@ def _sides(pattern: Pattern, seam: Seam, starts: Sequence[np.ndarray]) -> tuple[
     return sides[0], sides[1] if seam.same_way else sides[1][::-1]
 
 
-def _welded(
-    pattern: Pattern, points: np.ndarray, panel: np.ndarray, faces: np.ndarray, sides: tuple
-) -> PatternMesh:
+def _welded(pattern: Pattern, points: np.ndarray, panel: np.ndarray, faces: np.ndarray, sides: tuple) -> PatternMesh:
     """The mesh with the sides of its seams welded.
 
     Edges within a panel that welding would lay on each other, as at the tip of a dart, are split.

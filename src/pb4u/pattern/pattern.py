@@ -192,9 +192,9 @@ def first_crossing(loop: np.ndarray) -> tuple[int, int] | None:
     count = len(loop)
 
     def side(a: np.ndarray, b: np.ndarray, p: np.ndarray) -> np.ndarray:
-        return (b[:, None, 0] - a[:, None, 0]) * (p[None, :, 1] - a[:, None, 1]) - (
-            b[:, None, 1] - a[:, None, 1]
-        ) * (p[None, :, 0] - a[:, None, 0])
+        return (b[:, None, 0] - a[:, None, 0]) * (p[None, :, 1] - a[:, None, 1]) - (b[:, None, 1] - a[:, None, 1]) * (
+            p[None, :, 0] - a[:, None, 0]
+        )
 
     start_side, end_side = side(loop, following, loop), side(loop, following, following)
     across = start_side * end_side < 0.0

@@ -69,7 +69,9 @@ def _relaxed(points: np.ndarray, faces: np.ndarray, fixed: int) -> np.ndarray:
     sums, counts = np.zeros_like(points), np.bincount(ends[:, 0], minlength=len(points))
     np.add.at(sums, ends[:, 0], points[ends[:, 1]])
     moved = points.copy()
-    moved[fixed:] = np.where(counts[fixed:, None] > 0, sums[fixed:] / np.maximum(counts[fixed:, None], 1), moved[fixed:])
+    moved[fixed:] = np.where(
+        counts[fixed:, None] > 0, sums[fixed:] / np.maximum(counts[fixed:, None], 1), moved[fixed:]
+    )
     return moved
 
 
@@ -100,7 +102,9 @@ def _delaunay(points: np.ndarray, loop: int) -> np.ndarray:
     joined = (keys[beyond] == back) & ~np.isin(keys, border) & ~np.isin(back, border)
     owner = np.tile(np.arange(len(faces)), 3)
     links = (owner[joined], owner[beyond[joined]])
-    piece = connected_components(coo_matrix((np.ones(len(links[0])), links), shape=(len(faces),) * 2), directed=False)[1]
+    piece = connected_components(coo_matrix((np.ones(len(links[0])), links), shape=(len(faces),) * 2), directed=False)[
+        1
+    ]
     return faces[np.isin(piece, piece[owner[np.isin(keys, border)]])]
 
 

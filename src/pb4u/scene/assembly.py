@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TypeAlias
 
 import numpy as np
@@ -25,7 +26,7 @@ from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import layered, worn_order
-from pb4u.garment.library import build_garment, garment_names
+from pb4u.garment.library import SEWN, build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
@@ -345,6 +346,9 @@ def _load_garment(specification: GarmentSpecification, body: ShapedBody | Vertex
     entry = DictionaryEntry.parse(garment)
     if entry is not None:
         return _worn(_remeshed(read_dictionary_garment(entry, cloth), triangles), body)
+    if loader := SEWN.get(Path(garment).suffix.lower()):
+        loaded = resolve_name(loader)(Path(garment), body, cloth, triangles)
+        return _held(loaded, body) if specification.pins is None else loaded
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
         if triangles is not None:
