@@ -14,9 +14,9 @@ import os
 import time
 from pathlib import Path
 
-from pb4u.evaluation.floors import FLOORS_FILE
-from pb4u.evaluation.metrics import ENERGIES, measure
 from pb4u.garment.library import LEVELS
+from pb4u.measures.metrics import ENERGIES, measure
+from pb4u.paper.reference_energies import FLOORS_FILE
 from pb4u.scene.catalogue import catalogue_scene, scene_names
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord

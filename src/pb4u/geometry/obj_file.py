@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
 from pb4u.geometry.mesh_file import MOST_READ, PolygonMesh
+from pb4u.io.atomic_file import replace_file
 
 _KINDS = {b"v ", b"f ", b"vt"}
 _BLOCK = 1 << 22

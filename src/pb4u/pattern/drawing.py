@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.atomic_file import replace_file
+from pb4u.io.atomic_file import replace_file
 from pb4u.pattern.layout import laid_out
 from pb4u.pattern.pattern import Pattern
 

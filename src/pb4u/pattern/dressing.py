@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.errors import InputError
 from pb4u.garment.diagnosis import is_inside_out
 from pb4u.garment.fit import RestBody, find_holder
@@ -26,14 +27,13 @@ from pb4u.garment.garment_file import nearest_places
 from pb4u.garment.material import MATERIALS, Material
 from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.geometry.proximity.crossings import crossings, self_crossings
 from pb4u.pattern.mesh import PatternMesh, mesh_pattern
 from pb4u.pattern.pattern import Pattern
 from pb4u.pattern.thin_body import SewingBody
-from pb4u.physics.contact.planes import nearest_planes
-from pb4u.physics.implicit_steps import implicit_steps
+from pb4u.physics.contact.contact_set import nearest_planes
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Solver
+from pb4u.physics.solver.implicit_steps import implicit_steps
+from pb4u.physics.solver.newton_solver import Solver
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments, pack, pack_colliders
 from pb4u.scene.scene import STANDARD_GRAVITY, UP

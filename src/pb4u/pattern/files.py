@@ -11,8 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.array_archive import read_arrays
-from pb4u.atomic_file import json_text, replace_file
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
@@ -21,13 +19,15 @@ from pb4u.garment.material import Material
 from pb4u.garment.weight_cache import cache_folder
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import write_obj
+from pb4u.io.array_archive import read_arrays
+from pb4u.io.atomic_file import json_text, replace_file
+from pb4u.io.reading_limits import parse_json
+from pb4u.io.stored_numbers import Layout, require_layout, require_places
 from pb4u.pattern.drawing import draw_pattern
 from pb4u.pattern.dressing import DEFAULT_TRIANGLES, Dressed, dress, passed_on
 from pb4u.pattern.garmentcode import pattern_of, read_pattern, record_of
 from pb4u.pattern.mesh import PatternMesh
 from pb4u.pattern.pattern import Pattern
-from pb4u.reading_limits import parse_json
-from pb4u.stored_numbers import Layout, require_layout, require_places
 
 FORMAT_VERSION = 1
 """Format of a dressed garment's file."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.io.reading_limits import read_json, told_error
 from pb4u.pattern.pattern import MOST_EDGES, MOST_PANELS, Curve, Panel, Pattern, Seam
-from pb4u.reading_limits import read_json, told_error
 
 
 def is_pattern(record: Any) -> bool:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
-from pb4u.physics.contact.planes import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
+from pb4u.physics.contact.contact_set import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
 

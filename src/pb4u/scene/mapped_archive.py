@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from pb4u.array_archive import open_archive, read_layout, read_member
-from pb4u.reading_limits import Allowance
+from pb4u.io.array_archive import open_archive, read_layout, read_member
+from pb4u.io.reading_limits import Allowance
 
 _SMALLEST_MAPPED = 4096
 """Members of fewer bytes are read: a map costs a page and a file handle."""

@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.collision.nearest_points import Found
+from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
+from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
-from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
-from pb4u.geometry.proximity.nearest_points import Found
-from pb4u.geometry.proximity.surface_tree import SurfaceTree
 from pb4u.scene.scene import STANDARD_GRAVITY
 
 

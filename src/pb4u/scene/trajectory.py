@@ -16,11 +16,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from pb4u.array_archive import DamagedArchiveError
-from pb4u.atomic_file import move_into_place, working_folder
 from pb4u.errors import InputError, Interrupted
 from pb4u.garment.garment import Garment
-from pb4u.reading_limits import Allowance, told_error
+from pb4u.io.array_archive import DamagedArchiveError
+from pb4u.io.atomic_file import move_into_place, working_folder
+from pb4u.io.reading_limits import Allowance, told_error
 from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_indices, joined_uvs, offsets
 from pb4u.scene.mapped_archive import map_archive
 from pb4u.scene.scene import Scene

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.reading_limits import parse_json
-from pb4u.stored_numbers import Layout, require_layout, require_places
+from pb4u.io.reading_limits import parse_json
+from pb4u.io.stored_numbers import Layout, require_layout, require_places
 
 _LAYOUT: Layout = {
     "positions": ("f", ("frames", "vertices", 3)),

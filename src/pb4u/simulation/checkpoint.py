@@ -17,11 +17,11 @@ from safetensors.torch import save
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
-from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
-from pb4u.reading_limits import MOST_DIGITS, parse_json, require_small_header, told_error
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.reading_limits import MOST_DIGITS, parse_json, require_small_header, told_error
+from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 

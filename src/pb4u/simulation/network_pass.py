@@ -12,11 +12,11 @@ import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.graph.features import ADVANCE, DESCENT, Feature
-from pb4u.graph.graph import Graph
-from pb4u.nn.acceleration_model import PreparedGarments
-from pb4u.physics.descent import JacobiDescent
+from pb4u.network.acceleration_model import PreparedGarments
+from pb4u.network.graph.features import ADVANCE, DESCENT, Feature
+from pb4u.network.graph.graph import Graph
 from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.solver.descent import JacobiDescent
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import ColliderFrame, PackedColliders, PackedGarments
 

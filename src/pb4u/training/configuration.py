@@ -5,12 +5,12 @@ from __future__ import annotations
 import ast
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from pkgutil import resolve_name
 from typing import Any
 
 from pb4u.errors import InputError, unknown_name
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.nn.acceleration_model import NetworkConfiguration
-from pb4u.presets.networks import network_preset
+from pb4u.network.acceleration_model import NetworkConfiguration
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 from pb4u.training.curriculum import Curriculum
 from pb4u.training.objective import LOSS_WEIGHTS
@@ -196,7 +196,9 @@ def with_settings(configuration: TrainingConfiguration, settings: Sequence[str])
         if not equals:
             raise InputError(f"--set takes KEY=VALUE, such as batch=2; {setting!r} has no =.")
         if key.strip() == "network":
-            configuration = replace(configuration, network=network_preset(text.strip()))
+            configuration = replace(
+                configuration, network=resolve_name("pb4u.paper.network_presets:network_preset")(text.strip())
+            )
             continue
         configuration = _replaced(configuration, key.strip(), key.strip().split("."), text.strip())
     return configuration

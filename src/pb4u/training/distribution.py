@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from pb4u.errors import InputError
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.network.acceleration_model import AccelerationModel
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
 

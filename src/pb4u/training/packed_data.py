@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.array_archive import DamagedArchiveError, read_arrays
-from pb4u.atomic_file import replace_file
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence, Skeleton
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.reading_limits import parse_json, told_error
+from pb4u.io.array_archive import DamagedArchiveError, read_arrays
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.reading_limits import parse_json, told_error
 
 FORMAT_VERSION = 1
 _STEPS = 32767.0

@@ -23,9 +23,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
-from pb4u.reading_limits import parse_json, read_json, require_small_header, told_error
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.reading_limits import parse_json, read_json, require_small_header, told_error
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from pkgutil import resolve_name
 from types import FrameType
 from typing import Any
 
@@ -25,7 +26,6 @@ from pb4u.training.distribution import Workers, workers
 from pb4u.training.journal import Reporter, draw_curve, reporter
 from pb4u.training.objective import PROGRESS
 from pb4u.training.packed_data import TrainingData, load_training_data, save_training_data
-from pb4u.training.presets import DEFAULT_STEPS, training_preset
 from pb4u.training.run_folder import CURVE, RunFolder
 from pb4u.training.trainer import Trainer
 
@@ -98,7 +98,7 @@ def train(request: Request) -> dict[str, Any]:
 
 def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
     preset = request.preset or "small"
-    configuration = training_preset(preset)
+    configuration: TrainingConfiguration = resolve_name("pb4u.paper.training_presets:training_preset")(preset)
     if request.weights is not None:
         keys = {setting.partition("=")[0].strip() for setting in request.settings}
         if any(key.split(".")[0] == "network" for key in keys - _OF_NO_WEIGHT):
@@ -113,7 +113,7 @@ def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
         )
     steps = request.steps
     if steps is None and request.minutes is None:
-        steps = DEFAULT_STEPS[preset]
+        steps = resolve_name("pb4u.paper.training_presets:DEFAULT_STEPS")[preset]
     return configuration, Budget(steps, request.minutes)
 
 

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.evaluation.metrics import strain_percentile
-from pb4u.nn.acceleration_model import PreparedGarments
+from pb4u.measures.metrics import strain_percentile
+from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint

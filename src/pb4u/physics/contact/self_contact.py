@@ -14,9 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.geometry.proximity.collision_free import collision_free, free_shares, smallest_gaps
-from pb4u.geometry.proximity.element_distance import crossing_shares
-from pb4u.geometry.proximity.element_pairs import ElementPairs
+from pb4u.collision.collision_free import collision_free, free_shares, smallest_gaps
+from pb4u.collision.element_distance import crossing_shares
+from pb4u.collision.element_pairs import ElementPairs
+from pb4u.collision.jit import as_float64
 from pb4u.scene.packed import PackedGarments
 
 _SHARE_OF_REST = 0.5
@@ -63,9 +64,9 @@ class ClothPairs:
             reach: distance [m].
             known: pairs of positions a little before these, or None.
         """
-        tree, way = garments.surface_tree, None if moves is None else as_array(moves)
-        pairs = tree.pairs(as_array(x), reach, way, None if known is None else known.pairs, lasting=True)
-        gaps = smallest_gaps(pairs, as_array(before))
+        tree, way = garments.surface_tree, None if moves is None else as_float64(moves)
+        pairs = tree.pairs(as_float64(x), reach, way, None if known is None else known.pairs, lasting=True)
+        gaps = smallest_gaps(pairs, as_float64(before))
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
         areas = 0.25 * garments.vertex_areas.detach().cpu().numpy()[pairs.corners].mean(axis=1)
@@ -77,7 +78,7 @@ class ClothPairs:
 
     def touching(self, x: Tensor) -> TouchingCloth | None:
         """Those of the pairs that feel each other at `x` (vertices, 3) [m], or None."""
-        distances, weights, normals = self.pairs.nearest(as_array(x))
+        distances, weights, normals = self.pairs.nearest(as_float64(x))
         rows = distances < self.reaches
         if not rows.any():
             return None
@@ -89,7 +90,7 @@ class ClothPairs:
             distances[rows],
             self.gaps[rows],
             self.reaches[rows],
-            self.areas[rows] * crossing_shares(as_array(x), corners, self.parallels[rows]),
+            self.areas[rows] * crossing_shares(as_float64(x), corners, self.parallels[rows]),
         )
 
 
@@ -228,7 +229,7 @@ class CollisionFree(SelfContact):
         # Needs what a machine that only trains may lack.
         from pb4u.garment.tangles import untangled_start
 
-        positions, freed = as_array(x), []
+        positions, freed = as_float64(x), []
         for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
             worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
             freed.append(untangled_start(worn, positions[first:stop]))
@@ -244,19 +245,14 @@ class CollisionFree(SelfContact):
     ) -> Tensor:
         firm = garments.pinned if held is None else garments.pinned | held
         masses = torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12))
-        asked, known = as_array(wanted), None if cloth is None else (cloth.pairs, cloth.gaps)
-        result = collision_free(garments.surface_tree, as_array(before), asked, as_array(masses), known)
+        asked, known = as_float64(wanted), None if cloth is None else (cloth.pairs, cloth.gaps)
+        result = collision_free(garments.surface_tree, as_float64(before), asked, as_float64(masses), known)
         return wanted if result is asked else torch.from_numpy(result).to(wanted)
 
     def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
         result = x.new_ones(garments.world_count)
         if cloth is None or not len(cloth.pairs):
             return result
-        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, as_array(x), as_array(moves)))
+        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, as_float64(x), as_float64(moves)))
         world = garments.vertex_world[torch.from_numpy(cloth.pairs.corners[:, 0])]
         return result.scatter_reduce(0, world, free.to(x), "amin")
-
-
-def as_array(values: Tensor) -> np.ndarray:
-    """`values` as a contiguous float64 array, in their unit; its memory is that of the tensor where it can be."""
-    return values.detach().to("cpu", torch.float64).contiguous().numpy()
