@@ -88,9 +88,9 @@ class Garment:
         loose: whether it hangs free of the nearest limb (dresses, skirts): skinning weights are then averaged widely.
         coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, where its file brings them.
         skinning: how it rides on the body, where its file says so; None borrows from the body.
-        rest_uv: (faces, 3, 2) float64 corners of each face lying flat [m], of cloth that was cut flat and sewn; the rest
-            shape is then that of these triangles, and `vertices` only says where they are worn. None where `vertices`
-            is the rest shape.
+        rest_uv: (faces, 3, 2) float64 corners of each face lying flat [m], of cloth that was cut flat and sewn. These
+            triangles are then the rest shape, and `vertices` only says where they are worn. None where `vertices` is
+            the rest shape.
     """
 
     name: str

@@ -273,10 +273,11 @@ class _Sewing:
         return self.step(packed, x, solver, self.smooth, (poses[1], poses[1])).numpy()
 
     def clear_start(self, places: np.ndarray) -> tuple[np.ndarray, float]:
-        """The garment (vertices, 3) [m] of panels at `places`, and the share of its girth with which the body is within."""
+        """The garment (vertices, 3) [m] of panels at `places`, and the share of its girth with which a body fits in."""
         places = self.mesh.sewn(places)
         for share in _SHARES:
             surface = self.pose(share, 0.0).surfaces[0]
+            assert surface is not None
             for lift in _LIFTS:
                 raised = places + lift * np.array(UP)
                 found = surface.nearest(

@@ -193,7 +193,7 @@ def write_worn(path: Path, dressed: Dressed, body: ShapedBody) -> None:
     """Write a dressed garment, or its pattern, in the kind of file that the name says.
 
     Args:
-        path: `.npz` keeps the garment with its pattern, `.obj` its mesh with the pattern as UVs; `.json` is the pattern,
+        path: `.npz` keeps the garment with its pattern, `.obj` its mesh, UVs the pattern; `.json` is the pattern,
             `.svg` and `.png` are pictures of it.
         dressed: the garment.
         body: the body that wears it.

@@ -151,7 +151,8 @@ class _Reader:
 
     def curve(self, record: Any, start: np.ndarray, end: np.ndarray) -> Curve:
         """A curve; older files give the one control point alone, relative to the edge."""
-        kind, params = ("quadratic", [record]) if isinstance(record, list) else (record["type"], record["params"])
+        old = isinstance(record, list)
+        kind, params = ("quadratic", [record]) if old else (str(record["type"]), list(record["params"]))
         if kind == "circle":
             radius, large, sweep = params
             return Curve(radius=float(radius) * self.scale, large=bool(large), counter_clockwise=bool(sweep))

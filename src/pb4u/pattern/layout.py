@@ -27,7 +27,7 @@ def laid_out(boxes: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray
             if corner[0] + sizes[box, 0] > side:
                 corner, shelf = np.array([0.0, corner[1] + shelf]), 0.0
             moves[box] = corner + 0.5 * _ROOM - boxes[box][0]
-            corner = corner + (sizes[box, 0], 0.0)
+            corner[0] += sizes[box, 0]
             shelf = max(shelf, float(sizes[box, 1]))
         if corner[1] + shelf <= side:
             return moves, side

@@ -101,15 +101,15 @@ def mesh_pattern(pattern: Pattern, triangles: int) -> PatternMesh:
     if triangles < 4 * len(pattern.panels):
         raise InputError(f"{triangles} triangles are too few for the {len(pattern.panels)} panels of {pattern.name}.")
     length = 0.985 * float(np.sqrt(4.0 / np.sqrt(3.0) * pattern.area / triangles))
-    best: PatternMesh | None = None
+    best = made = _meshed(pattern, length)
     for _ in range(6):
-        made = _meshed(pattern, length)
-        if best is None or abs(len(made.faces) - triangles) < abs(len(best.faces) - triangles):
+        if abs(len(made.faces) - triangles) < abs(len(best.faces) - triangles):
             best = made
         ratio = len(made.faces) / triangles
         if abs(ratio - 1.0) <= _COUNT_TOLERANCE:
             break
         length *= float(np.clip(np.sqrt(ratio), 0.7, 1.4))
+        made = _meshed(pattern, length)
     return best
 
 

@@ -1,4 +1,4 @@
-"""A body that cloth is sewn around: arms stretched out in the sleeves' plane, drawn in towards its bones; then filled."""
+"""A body that cloth is sewn around: arms straight along the sleeves, drawn in towards its bones, then as it is."""
 
 from __future__ import annotations
 

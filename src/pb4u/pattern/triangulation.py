@@ -144,7 +144,7 @@ class _Triangles:
                 crossing.append(flipped)
 
     def _flip(self, u: int, v: int) -> tuple[int, int] | None:
-        """Replace the edge u, v of two triangles by that between their other corners; None where they are not convex."""
+        """Replace the edge u, v of two triangles by that between their other corners; None unless they are convex."""
         one, other = self.at.get((u, v)), self.at.get((v, u))
         if one is None or other is None:
             return None
