@@ -338,6 +338,14 @@ class _Sewing:
             self.watch(state.positions.numpy(), after.positions.numpy())
         return state.positions
 
+    def _depth(self, x: Tensor) -> float:
+        """How deep [m] the deepest of the vertices at `x` (vertices, 3) [m] is in the body that simulations touch."""
+        surface = self.rest_pose.surfaces[0]
+        if surface is None:
+            return 0.0
+        found = surface.nearest(x)
+        return max(0.0, -float(torch.where(found.beyond_border, 0.0, found.signed_distance).min()))
+
     def dressed(self, places: np.ndarray) -> Dressed:
         """What became of it, checked."""
         garment = self.garment(places)
@@ -352,7 +360,7 @@ class _Sewing:
             self.mesh,
             crossings=len(self_crossings(places.astype(np.float32), garment.faces, sharing=True)),
             body_crossings=len(crossings(places, garment.faces, self.body.vertices, skin)),
-            depth=max(0.0, -float(self.rest_body.signed_distances(places).min())),
+            depth=self._depth(x),
             strain=float(np.average(strains, weights=garment.face_areas)),
         )
 
