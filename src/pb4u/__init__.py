@@ -22,13 +22,17 @@ _HOMES = {
     "InputError": "pb4u.errors:InputError",
     "Material": "pb4u.garment.material:Material",
     "Motion": "pb4u.motion.motion:Motion",
+    "Panel": "pb4u.pattern.pattern:Panel",
+    "Pattern": "pb4u.pattern.pattern:Pattern",
     "Pb4uError": "pb4u.errors:Pb4uError",
     "Run": "pb4u.run:Run",
     "Scene": "pb4u.scene.scene:Scene",
+    "Seam": "pb4u.pattern.pattern:Seam",
     "Simulator": "pb4u.simulation.simulator:Simulator",
     "Trajectory": "pb4u.scene.trajectory:Trajectory",
     "WornGarment": "pb4u.run:WornGarment",
     "build_garment": "pb4u.garment.library:build_garment",
+    "dress": "pb4u.pattern.dressing:dress",
     "export_trajectory": "pb4u.export.registry:export",
     "load_body": "pb4u.body.library:load_body",
     "load_motion": "pb4u.motion.library:load_motion",
@@ -36,6 +40,7 @@ _HOMES = {
     "make_scene": "pb4u.scene.assembly:make_scene",
     "measure": "pb4u.measures.metrics:measure",
     "read_garment": "pb4u.garment.garment_file:read_garment",
+    "read_pattern": "pb4u.pattern.garmentcode:read_pattern",
 }
 
 __all__ = [
@@ -44,13 +49,17 @@ __all__ = [
     "InputError",
     "Material",
     "Motion",
+    "Panel",
+    "Pattern",
     "Pb4uError",
     "Run",
     "Scene",
+    "Seam",
     "Simulator",
     "Trajectory",
     "WornGarment",
     "build_garment",
+    "dress",
     "export_trajectory",
     "load_body",
     "load_motion",
@@ -58,6 +67,7 @@ __all__ = [
     "make_scene",
     "measure",
     "read_garment",
+    "read_pattern",
 ]
 
 if TYPE_CHECKING:
@@ -72,6 +82,9 @@ if TYPE_CHECKING:
     from pb4u.measures.metrics import measure
     from pb4u.motion.library import load_motion
     from pb4u.motion.motion import Motion
+    from pb4u.pattern.dressing import dress
+    from pb4u.pattern.garmentcode import read_pattern
+    from pb4u.pattern.pattern import Panel, Pattern, Seam
     from pb4u.run import Run, WornGarment
     from pb4u.scene.assembly import make_scene
     from pb4u.scene.scene import Scene

@@ -119,7 +119,7 @@ class _Tape:
     @cached_property
     def hips(self) -> float:
         """Height [m] of the largest girth between crotch and waist."""
-        return self._level(self.form.crotch, self.waist - 0.05, np.argmax)
+        return self._level(0.85 * self.form.crotch + 0.15 * self.waist, self.waist - 0.05, np.argmax)
 
     @cached_property
     def bust(self) -> float:

@@ -54,6 +54,8 @@ def pattern_of(record: dict[str, Any], name: str) -> Pattern:
     reader = _Reader(name, record.get("properties") or {})
     try:
         return reader.pattern(record["pattern"])
+    except InputError:
+        raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         told = f"has no {error}" if isinstance(error, KeyError) else f"is not as GarmentCode writes it ({error})"
         raise InputError(f"{name}: {reader.where} {told}.") from None

@@ -351,6 +351,11 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
     """A loaded garment with about `triangles` triangles; exports and pins follow the mesh it had."""
     if triangles is None or triangles == garment.triangle_count:
         return garment
+    if garment.rest_uv is not None:
+        raise InputError(
+            f"{garment.name} is sewn of flat panels, and is not remeshed as it hangs; dress its pattern with "
+            f"{triangles} triangles."
+        )
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
     uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
     simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
