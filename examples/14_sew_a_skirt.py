@@ -13,6 +13,7 @@ def panel(side, front):
 
 
 def skirt():
+    """Four panels joined at the sides and in the middle, front and back."""
     panels = [panel(side, front) for side in (1, -1) for front in (True, False)]
     seams = [pb4u.Seam((f"front {side}", 1), (f"back {side}", 1)) for side in ("left", "right")]
     seams += [pb4u.Seam((f"{half} left", 3), (f"{half} right", 3)) for half in ("front", "back")]

@@ -5,9 +5,14 @@ import pytest
 from pb4u.body.library import load_body
 from pb4u.pattern.body_measurements import body_measurements, measurements_yaml
 
-NAMES = set(
-    ["arm_length", "arm_pose_angle", "armscye_depth", "back_width", "bum_points", "bust", "bust_line", "bust_points", "crotch_hip_diff", "head_l", "height", "hip_back_width", "hip_inclination", "hips", "hips_line", "leg_circ", "neck_w", "shoulder_incl", "shoulder_w", "underbust", "vert_bust_line", "waist", "waist_back_width", "waist_line", "waist_over_bust_line", "wrist"]
-)
+# fmt: off
+NAMES = {
+    "arm_length", "arm_pose_angle", "armscye_depth", "back_width", "bum_points", "bust", "bust_line", "bust_points",
+    "crotch_hip_diff", "head_l", "height", "hip_back_width", "hip_inclination", "hips", "hips_line", "leg_circ",
+    "neck_w", "shoulder_incl", "shoulder_w", "underbust", "vert_bust_line", "waist", "waist_back_width", "waist_line",
+    "waist_over_bust_line", "wrist",
+}
+# fmt: on
 
 
 @pytest.mark.parametrize("name", ["woman", "man"])

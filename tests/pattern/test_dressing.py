@@ -66,7 +66,7 @@ def test_it_walks_with_its_flat_rest_shape_in_the_file(dressed, body, tmp_path):
     scene = pb4u.make_scene(dressed.garment, body, "walk", frames=2, lead_in=2, pins="waist")
     file = tmp_path / "walk.npz"
     pb4u.load_simulator("solver").simulate(scene).save(file)
-    trajectory = pb4u.Trajectory.load(file)
+    trajectory = pb4u.Trajectory.open(file)
     assert trajectory.metadata["garments"][0]["rest_area"] == pytest.approx(skirt().area)
     assert trajectory.header.rest_uv == pytest.approx(dressed.garment.rest_uv)
     measured = pb4u.measure(trajectory)["metrics"]
