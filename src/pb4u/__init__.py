@@ -28,12 +28,15 @@ _HOMES = {
     "Interrupted": "pb4u.errors:Interrupted",
     "Material": "pb4u.garment.material:Material",
     "Motion": "pb4u.motion.motion:Motion",
+    "Panel": "pb4u.pattern.pattern:Panel",
+    "Pattern": "pb4u.pattern.pattern:Pattern",
     "Pb4uError": "pb4u.errors:Pb4uError",
     "PolygonMesh": "pb4u.geometry.mesh_file:PolygonMesh",
     "Progress": "pb4u.progress:Progress",
     "Run": "pb4u.run:Run",
     "RunRecord": "pb4u.simulation.simulator:RunRecord",
     "Scene": "pb4u.scene.scene:Scene",
+    "Seam": "pb4u.pattern.pattern:Seam",
     "Simulator": "pb4u.simulation.simulator:Simulator",
     "SourceMap": "pb4u.garment.garment:SourceMap",
     "State": "pb4u.scene.state:State",
@@ -44,6 +47,7 @@ _HOMES = {
     "WornGarment": "pb4u.run:WornGarment",
     "body_from_arrays": "pb4u.body.vertex_sequence:body_from_arrays",
     "build_garment": "pb4u.garment.library:build_garment",
+    "dress": "pb4u.pattern.dressing:dress",
     "export_trajectory": "pb4u.export.registry:export",
     "load_body": "pb4u.body.library:load_body",
     "load_motion": "pb4u.motion.library:load_motion",
@@ -51,6 +55,7 @@ _HOMES = {
     "make_scene": "pb4u.scene.assembly:make_scene",
     "measure": "pb4u.measures.metrics:measure",
     "read_garment": "pb4u.garment.garment_file:read_garment",
+    "read_pattern": "pb4u.pattern.garmentcode:read_pattern",
     "unheard": "pb4u.progress:unheard",
 }
 
@@ -66,12 +71,15 @@ __all__ = [
     "Interrupted",
     "Material",
     "Motion",
+    "Panel",
+    "Pattern",
     "Pb4uError",
     "PolygonMesh",
     "Progress",
     "Run",
     "RunRecord",
     "Scene",
+    "Seam",
     "Simulator",
     "SourceMap",
     "State",
@@ -82,6 +90,7 @@ __all__ = [
     "WornGarment",
     "body_from_arrays",
     "build_garment",
+    "dress",
     "export_trajectory",
     "load_body",
     "load_motion",
@@ -89,6 +98,7 @@ __all__ = [
     "make_scene",
     "measure",
     "read_garment",
+    "read_pattern",
     "unheard",
 ]
 
@@ -108,6 +118,9 @@ if TYPE_CHECKING:
     from pb4u.measures.metrics import measure
     from pb4u.motion.library import load_motion
     from pb4u.motion.motion import Motion
+    from pb4u.pattern.dressing import dress
+    from pb4u.pattern.garmentcode import read_pattern
+    from pb4u.pattern.pattern import Panel, Pattern, Seam
     from pb4u.progress import Progress, unheard
     from pb4u.run import Run, WornGarment
     from pb4u.scene.assembly import make_scene

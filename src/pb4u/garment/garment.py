@@ -90,6 +90,9 @@ class Garment:
         loose: whether it hangs free of the nearest limb (dresses, skirts): skinning weights are then averaged widely.
         coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, where its file brings them.
         skinning: how it rides on the body, where its file says so; None borrows from the body.
+        rest_uv: (faces, 3, 2) float64 corners of each face lying flat [m], of cloth that was cut flat and sewn. These
+            triangles are then the rest shape, and `vertices` only says where they are worn. None where `vertices` is
+            the rest shape.
 
     Raises:
         InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
@@ -106,6 +109,7 @@ class Garment:
     loose: bool = False
     coarse_edges: tuple[np.ndarray, ...] = ()
     skinning: GarmentSkinning | None = None
+    rest_uv: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         owner = f"garment {self.name}"
@@ -143,9 +147,16 @@ class Garment:
         return Topology(self.faces, len(self.vertices))
 
     @cached_property
+    def rest_corners(self) -> np.ndarray:
+        """Corners (faces, 3, 3) [m] of the faces at rest: flat ones have a third coordinate of 0."""
+        if self.rest_uv is None:
+            return self.vertices[self.faces]
+        return np.concatenate([self.rest_uv, np.zeros((len(self.faces), 3, 1))], axis=2)
+
+    @cached_property
     def face_areas(self) -> np.ndarray:
         """Rest areas (faces,) [m^2] of the faces."""
-        return face_areas(self.vertices, self.faces)
+        return face_areas(self.rest_corners.reshape(-1, 3), np.arange(3 * len(self.faces)).reshape(-1, 3))
 
     @cached_property
     def vertex_areas(self) -> np.ndarray:
@@ -160,8 +171,12 @@ class Garment:
 
     @cached_property
     def edge_lengths(self) -> np.ndarray:
-        """Rest lengths (edges,) [m] of `topology.edges`."""
-        return edge_lengths(self.vertices, self.topology.edges)
+        """Rest lengths (edges,) [m] of `topology.edges`; at a seam the mean of its two sides."""
+        if self.rest_uv is None:
+            return edge_lengths(self.vertices, self.topology.edges)
+        sides = np.linalg.norm(np.roll(self.rest_uv, -1, axis=1) - self.rest_uv, axis=2)
+        edges = self.topology.face_edges.ravel()
+        return np.bincount(edges, weights=sides.ravel()) / np.bincount(edges)
 
     @cached_property
     def mean_edge_length(self) -> float:

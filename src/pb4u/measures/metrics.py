@@ -189,7 +189,10 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
     vertices, triangles = slice(*entry["vertices"]), slice(*entry["triangles"])
     rest = np.asarray(header.rest_positions[vertices], dtype=np.float64)
     faces = header.faces[triangles] - vertices.start
-    return Garment(str(entry["name"]), rest, faces, material, header.pinned[vertices])
+    flat = None if header.rest_uv is None else np.asarray(header.rest_uv[triangles], dtype=np.float64)
+    if flat is not None and not np.isfinite(flat).all():
+        flat = None
+    return Garment(str(entry["name"]), rest, faces, material, header.pinned[vertices], rest_uv=flat)
 
 
 def visible_skin(

@@ -27,7 +27,7 @@ from pb4u.garment.fit import RestBody, find_holder
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import layered, worn_order
-from pb4u.garment.library import build_garment, garment_names
+from pb4u.garment.library import SEWN, build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
@@ -340,6 +340,9 @@ def _load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garme
     if entry is not None:
         read = resolve_name("pb4u.compat.garment_dictionary:read_dictionary_garment")
         return _worn(_remeshed(read(entry, cloth), triangles), body)
+    if loader := SEWN.get(Path(garment).suffix.lower()):
+        loaded = resolve_name(loader)(Path(garment), body, cloth, triangles)
+        return _held(loaded, body) if worn.pins is None else loaded
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
         if triangles is not None:
@@ -402,6 +405,11 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
     """A loaded garment with about `triangles` triangles; exports and pins follow the mesh it had."""
     if triangles is None or triangles == garment.triangle_count:
         return garment
+    if garment.rest_uv is not None:
+        raise InputError(
+            f"{garment.name} is sewn of flat panels, and is not remeshed as it hangs; dress its pattern with "
+            f"{triangles} triangles."
+        )
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
     uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
     simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)

@@ -385,18 +385,16 @@ def _surfaces(
     return tuple(made)
 
 
-def inverse_rest_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def inverse_rest_shapes(corners: np.ndarray) -> np.ndarray:
     """Inverses (faces, 2, 2) [1/m] of [x1 x2; 0 y2], the rest triangle's edges from corner 0 in its own plane.
 
     Args:
-        vertices: (vertices, 3) [m] at rest.
-        faces: (faces, 3) int64 vertex indices.
+        corners: (faces, 3, 3) of the triangles at rest [m].
 
     Raises:
         InputError: triangles are degenerate; they are named.
     """
-    e1 = vertices[faces[:, 1]] - vertices[faces[:, 0]]
-    e2 = vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     x1 = np.linalg.norm(e1, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         x2 = np.einsum("ij,ij->i", e1, e2) / x1
@@ -408,7 +406,7 @@ def inverse_rest_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
             f"{len(bad)} rest triangle(s) have no area, first faces {bad[:5].tolist()}; "
             "mend them with `pb4u check GARMENT.obj --fix OUT.obj`."
         )
-    inverse = np.zeros((len(faces), 2, 2))
+    inverse = np.zeros((len(corners), 2, 2))
     inverse[:, 0, 0] = 1.0 / x1
     inverse[:, 0, 1] = -x2 / (x1 * y2)
     inverse[:, 1, 1] = 1.0 / y2
@@ -450,7 +448,7 @@ def pack(
     return PackedGarments(
         rest_positions=real([g.vertices for g in garments]),
         faces=index([g.faces for g in garments]),
-        inverse_rest_shape=real([inverse_rest_shapes(g.vertices, g.faces) for g in garments]),
+        inverse_rest_shape=real([inverse_rest_shapes(g.rest_corners) for g in garments]),
         face_areas=real([g.face_areas for g in garments]),
         lame_mu=per_face("lame_mu"),
         lame_lambda=per_face("lame_lambda"),
