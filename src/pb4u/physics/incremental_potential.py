@@ -13,6 +13,7 @@ from pb4u.physics.bending import Bending
 from pb4u.physics.contact.cloth_contact import ClothContact, ClothFriction
 from pb4u.physics.contact.collision import Collision, ReleasedCollision
 from pb4u.physics.contact.friction import Friction, ReleasedFriction
+from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.planes import (
     ContactPlanes,
     ContactSet,
@@ -101,9 +102,13 @@ class IncrementalPotential:
             potential = potential.with_term(term)
         return potential
 
-    def with_self_contact(self) -> IncrementalPotential:
-        """This potential with contact between cloth elements."""
-        return replace(self, terms=(*self.terms, *SELF_CONTACT), self_contact=CollisionFree())
+    def with_self_contact(self, bodies: bool = True) -> IncrementalPotential:
+        """This potential with contact between cloth elements.
+
+        Args:
+            bodies: whether elements of bodies count among them.
+        """
+        return replace(self, terms=(*self.terms, *SELF_CONTACT), self_contact=CollisionFree(feels_bodies=bodies))
 
     def without_self_contact(self) -> IncrementalPotential:
         """This potential without contact between cloth elements."""
@@ -181,7 +186,10 @@ class StepPotential:
             wanted: (vertices, 3) [m].
         """
         met = self._along(x, wanted - x)
-        carried = self.potential.self_contact.carried(self.step.garments, x, wanted, met.contacts.cloth)
+        contact, cloth = self.potential.self_contact, met.contacts.cloth
+        on_the_way = None if cloth is None else cloth.obstacle
+        carried, obstacle = contact.carried(self.step.garments, x, wanted, cloth, obstacle=on_the_way)
+        met = replace(met, contacts=replace(met.contacts, obstacle=obstacle))
         return (met if carried is wanted else met._along(x, carried - x)), carried
 
     def as_far_as_free(self, x: Tensor, moves: Tensor) -> tuple[StepPotential, Tensor]:
@@ -201,7 +209,9 @@ class StepPotential:
         if self.contacts.cloth is not None:
             return replace(self, contacts=replace(self.contacts, cloth=cloth))
         before = self.step.state.positions
-        return self._with_cloth_from(cloth, self.potential.self_contact.pairs(self.step.garments, before, None, before))
+        obstacle = self._obstacle(before, None)
+        near = self.potential.self_contact.pairs(self.step.garments, before, None, before, obstacle=obstacle)
+        return self._with_cloth_from(cloth, near)
 
     def _with_cloth_from(self, cloth: ClothPairs, start: ClothPairs | None) -> StepPotential:
         """This potential with `cloth`, and those of the pairs near at the step's `start` that touch there."""
@@ -215,11 +225,25 @@ class StepPotential:
     def _along(self, x: Tensor, moves: Tensor | None) -> StepPotential:
         """This potential with all cloth elements that meet along `moves` (vertices, 3) [m] from `x`; None for none."""
         garments, before, known = self.step.garments, self.step.state.positions, self.contacts.cloth
-        cloth = self.potential.self_contact.pairs(garments, x, moves, before, known)
+        obstacle = self._obstacle(x, moves)
+        cloth = self.potential.self_contact.pairs(garments, x, moves, before, known, obstacle)
         # What a move from the step's start meets is all that touches there.
         if cloth is not None and known is None and x is before:
             return self._with_cloth_from(cloth, cloth)
         return self.with_cloth(cloth)
+
+    def _obstacle(self, x: Tensor, moves: Tensor | None) -> Obstacle | None:
+        """The bodies as they move while cloth goes along `moves` (vertices, 3) [m] from `x`: only with the first move.
+
+        Let through what was found to leave them no room.
+        """
+        step, known = self.step, self.contacts.obstacle
+        if step.bodies is None or not self.potential.self_contact.feels_bodies:
+            return None
+        if x is step.state.positions:
+            start = step.obstacle
+            return start if start is None or known is None else replace(start, passed=start.passed | known.passed)
+        return known or Obstacle.at(step.garments, step.bodies.following, x.detach())
 
     def energies(self, x: Tensor) -> Energies:
         """Energies at `x` (vertices, 3) [m]; differentiable by autograd."""

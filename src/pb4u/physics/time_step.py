@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
+from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.planes import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
@@ -75,6 +76,11 @@ class TimeStep:
     def contacts(self) -> ContactSet:
         """Contacts at the start of the step with the exact surface of the bodies, looked up when first asked for."""
         return self.contacts_by(partial(nearest_planes, within=MOTION_REACH))
+
+    @cached_property
+    def obstacle(self) -> Obstacle | None:
+        """The bodies as cloth may not pass through them over the step, looked up when first asked for."""
+        return Obstacle.over(self.garments, self.bodies, self.state.positions)
 
     def contacts_by(self, search: PlaneSearch) -> ContactSet:
         """Contacts at the start of the step that `search` finds with the bodies; none without a body."""

@@ -6,11 +6,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 
+import torch
 from torch import Tensor
 
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.contact.collision import Collision
 from pb4u.physics.contact.hooked import newly_hooked
+from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.response import Contact
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.implicit_steps import implicit_steps
@@ -231,7 +233,13 @@ def carried(self_contact: SelfContact, step: TimeStep, before: State, wanted: St
         before: state that crosses nowhere.
         wanted: state at the end of the step.
     """
-    positions = self_contact.carried(step.garments, before.positions, wanted.positions)
+    if torch.equal(before.positions, wanted.positions) and before is not step.state:
+        return wanted
+    obstacle = None
+    if self_contact.feels_bodies and step.bodies is not None:
+        here = before is step.state
+        obstacle = step.obstacle if here else Obstacle.at(step.garments, step.bodies.following, before.positions)
+    positions, _ = self_contact.carried(step.garments, before.positions, wanted.positions, obstacle=obstacle)
     if positions is wanted.positions:
         return wanted
     cut = (positions - wanted.positions) / step.dt

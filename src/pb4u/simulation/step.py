@@ -65,7 +65,9 @@ def take(step: TimeStep, method: StepMethod) -> State:
         # A push, like every other move, goes no further than to the next cloth.
         pushed = carried(method.self_contact, step, refined, answered)
         # What cloth around it kept inside the body is pressed out together with that cloth.
-        return method.refinement.pressed_out(step, pushed, method.contact)
+        pressed = method.refinement.pressed_out(step, pushed, method.contact)
+        # Where a body is through cloth between its vertices, no energy leads it back.
+        return method.contact.cleared(step, pressed, method.self_contact)
 
 
 def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:

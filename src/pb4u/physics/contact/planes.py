@@ -6,12 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
+from typing import TYPE_CHECKING
+
 import torch
 from torch import Tensor
 
 from pb4u.geometry.proximity.nearest_points import Found
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth, as_array
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
+
+
+if TYPE_CHECKING:
+    from pb4u.physics.contact.obstacle import Obstacle
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +93,7 @@ class ContactSet:
         transported_normals: (vertices, 3) the body's unit normals there at t+1, or None.
         cloth: pairs of cloth elements that may feel each other at t+1, or None.
         cloth_now: those that do at frame t, or None.
+        obstacle: the bodies at t+1 as cloth may not pass through them, or None.
     """
 
     now: ContactPlanes | None = None
@@ -96,6 +103,7 @@ class ContactSet:
     transported_normals: Tensor | None = None
     cloth: ClothPairs | None = None
     cloth_now: TouchingCloth | None = None
+    obstacle: Obstacle | None = None
 
     @staticmethod
     def at_start(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor, search: PlaneSearch) -> ContactSet:

@@ -1,0 +1,125 @@
+"""The bodies as surfaces that cloth does not pass through: what moves and contact pairs are told of them over a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.geometry.proximity.crossing_search import CrossingSearch
+from pb4u.geometry.proximity.surface_tree import SurfaceTree
+from pb4u.geometry.topology import Topology
+from pb4u.geometry.triangle_mesh import vertex_areas
+from pb4u.physics.contact.planes import MOTION_REACH, nearest_planes
+from pb4u.physics.contact.self_contact import as_array
+from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """The bodies on their way over a step; their vertices are numbered on from those of the cloth.
+
+    Args:
+        tree: search among cloth and bodies.
+        areas: (body vertices,) [m^2].
+        before: (body vertices, 3) [m] where they begin.
+        after: (body vertices, 3) [m] where they end.
+        passed: (vertices + body vertices,) bool of the cloth that they are let through: where they are through it
+            already, or leave it no room.
+    """
+
+    tree: SurfaceTree
+    areas: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    passed: np.ndarray
+
+    @staticmethod
+    def over(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor) -> Obstacle | None:
+        """The bodies on their way over a step, let through what they are through at its start; None without a body.
+
+        Args:
+            garments: static quantities.
+            bodies: around the step.
+            x: (vertices, 3) [m] at its start.
+        """
+        start = None if bodies is None else Obstacle.at(garments, bodies.now, x)
+        return None if start is None or bodies is None else replace(start, after=_positions(bodies.following))
+
+    @staticmethod
+    def at(garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Obstacle | None:
+        """The bodies standing still, let through what they are through; None where nothing of them may be touched.
+
+        Args:
+            garments: static quantities.
+            pose: of the bodies.
+            x: (vertices, 3) [m].
+        """
+        if all(surface is None for surface in pose.colliders.surfaces):
+            return None
+        tree, areas = _surface(garments, pose)
+        body = _positions(pose)
+        known = pose.passed.get(garments)
+        if known is not None and torch.equal(known[0], x):
+            return Obstacle(tree, areas, body, body, known[1])
+        passed = CrossingSearch(tree).crossed(np.concatenate([as_array(x), body]))
+        planes = nearest_planes(pose, garments, x, within=MOTION_REACH)
+        passed[: len(x)] |= (planes.touchable & (planes.distance < 0.0)).numpy()
+        pose.passed[garments] = x, passed
+        return Obstacle(tree, areas, body, body, passed)
+
+    @property
+    def moves(self) -> np.ndarray:
+        """Displacements (body vertices, 3) [m]."""
+        return self.after - self.before
+
+    def standing(self, passed: np.ndarray) -> Obstacle:
+        """The bodies where they end, let through what they have `passed` (vertices + body vertices,) by then."""
+        return replace(self, before=self.after, passed=passed)
+
+
+def _positions(pose: ColliderPose) -> np.ndarray:
+    return as_array(pose.positions)[_touched(pose.colliders)[0]]
+
+
+@lru_cache(maxsize=8)
+def _touched(colliders: PackedColliders) -> tuple[np.ndarray, np.ndarray]:
+    """Packed vertices (vertices,) int64 of the bodies that contact is answered on, and faces (faces, 3) among them."""
+    faces = colliders.contact_faces.cpu().numpy()[np.concatenate(colliders.searched_faces)]
+    vertices, faces = np.unique(faces, return_inverse=True)
+    return vertices, faces.reshape(-1, 3)
+
+
+_KNOWN: WeakKeyDictionary[PackedGarments, tuple[PackedColliders, SurfaceTree, np.ndarray]] = WeakKeyDictionary()
+
+
+def _surface(garments: PackedGarments, pose: ColliderPose) -> tuple[SurfaceTree, np.ndarray]:
+    """Search among garments and bodies, and areas (body vertices,) [m^2]; made once, from the first pose."""
+    colliders, known = pose.colliders, _KNOWN.get(garments)
+    if known is not None and known[0] is colliders:
+        return known[1:]
+    vertices, faces = _touched(colliders)
+    body, first = _positions(pose), garments.vertex_count
+    rest, own, edges, part = (
+        values.cpu().numpy()
+        for values in (garments.rest_positions, garments.faces, garments.edges, garments.vertex_garment)
+    )
+    # All that is of one world lies together.
+    worlds = colliders.vertex_world.cpu().numpy()[vertices]
+    _, bodies = np.unique(worlds, return_inverse=True)
+    sides = Topology(faces, len(vertices)).edges
+    tree = SurfaceTree(
+        np.concatenate([rest.astype(np.float64), body]),
+        np.concatenate([own, faces + first]),
+        np.concatenate([edges, sides + first]),
+        np.concatenate([part, bodies + garments.garment_count]),
+        [*garments.worlds, *np.unique(worlds).tolist()],
+        len(body),
+    )
+    made = tree, vertex_areas(body, faces)
+    _KNOWN[garments] = (colliders, *made)
+    return made
