@@ -110,6 +110,13 @@ class IncrementalPotential:
         """
         return replace(self, terms=(*self.terms, *SELF_CONTACT), self_contact=CollisionFree(feels_bodies=bodies))
 
+    def pressed_by_bodies(self) -> IncrementalPotential:
+        """This potential with faces and edges of bodies among what presses cloth, where cloth feels bodies at all."""
+        contact = self.self_contact
+        if not isinstance(contact, CollisionFree) or not contact.feels_bodies:
+            return self
+        return replace(self, self_contact=replace(contact, pressed_by_bodies=True))
+
     def without_self_contact(self) -> IncrementalPotential:
         """This potential without contact between cloth elements."""
         ours = {term.name for term in SELF_CONTACT}
@@ -131,8 +138,9 @@ class IncrementalPotential:
 
     def of(self, step: TimeStep) -> StepPotential:
         """The potential of `step`, with the contacts of the body at its start looked up."""
-        exact = self.search is nearest_planes
-        return StepPotential(self, step, step.contacts if exact else step.contacts_by(self.search))
+        contacts = step.contacts if self.search is nearest_planes else step.contacts_by(self.search)
+        potential = StepPotential(self, step, contacts)
+        return replace(potential, contacts=replace(contacts, now=potential.raised(contacts.now)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +181,12 @@ class StepPotential:
             contact: planes of the bodies at t+1.
             opposite: second planes of vertices caught between two parts of a body.
         """
-        return replace(self, contacts=replace(self.contacts, next=contact, opposite=opposite))
+        return replace(self, contacts=replace(self.contacts, next=self.raised(contact), opposite=opposite))
+
+    def raised(self, planes: ContactPlanes | None) -> ContactPlanes | None:
+        """`planes` of the bodies, raised where the cloth between vertices is to stay clear of them."""
+        heights = self.step.sags if planes is not None and self.potential.self_contact.feels_bodies else None
+        return planes if planes is None or heights is None else planes.raised(heights.to(planes.points))
 
     def reached(self, x: Tensor, wanted: Tensor) -> tuple[StepPotential, Tensor]:
         """This potential for a move, and the positions (vertices, 3) [m] to which it leads where cloth stops cloth.
@@ -238,7 +251,7 @@ class StepPotential:
         Let through what was found to leave them no room.
         """
         step, known = self.step, self.contacts.obstacle
-        if step.bodies is None or not self.potential.self_contact.feels_bodies:
+        if step.bodies is None or not self.potential.self_contact.pressed_by_bodies:
             return None
         if x is step.state.positions:
             start = step.obstacle
@@ -317,7 +330,7 @@ class StepPotential:
     def _contacts_at(self, x: Tensor) -> ContactSet:
         contacts = self.contacts
         if self.step.bodies is not None and contacts.next is None:
-            contacts = replace(contacts, next=self.contact_at(x))
+            contacts = replace(contacts, next=self.raised(self.contact_at(x)))
         if contacts.cloth is None:
             found = self._along(x.detach(), None).contacts
             contacts = replace(contacts, cloth=found.cloth, cloth_now=found.cloth_now)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
-from pb4u.physics.contact.obstacle import Obstacle
+from pb4u.physics.contact.obstacle import Obstacle, sags
 from pb4u.physics.contact.planes import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
@@ -81,6 +81,12 @@ class TimeStep:
     def obstacle(self) -> Obstacle | None:
         """The bodies as cloth may not pass through them over the step, looked up when first asked for."""
         return Obstacle.over(self.garments, self.bodies, self.state.positions)
+
+    @cached_property
+    def sags(self) -> Tensor | None:
+        """Heights (vertices,) [m] that the cloth between vertices asks of them over the bodies; None without a body."""
+        planes = self.contacts.now
+        return None if planes is None else sags(self.garments, planes)
 
     def contacts_by(self, search: PlaneSearch) -> ContactSet:
         """Contacts at the start of the step that `search` finds with the bodies; none without a body."""

@@ -6,13 +6,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 
-import torch
 from torch import Tensor
 
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.contact.collision import Collision
 from pb4u.physics.contact.hooked import newly_hooked
-from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.response import Contact
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.implicit_steps import implicit_steps
@@ -66,6 +64,9 @@ denim presses the cloth under it 24 mm into the body, and no push of single vert
 _MOST_PRESSING = 5
 """Iterations at which that ends."""
 
+_TURNED_ASIDE = 1e-2
+"""How far [m] bodies may turn cloth aside between its vertices before the energies are told of their faces and edges."""
+
 
 class Refinement(ABC):
     """Improves a prediction by physics."""
@@ -90,6 +91,17 @@ class Refinement(ABC):
         """
 
 
+    @abstractmethod
+    def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
+        """`state` as far as it is reached past the moving bodies, at rest with them where they turned it aside.
+
+        Args:
+            step: the time step.
+            state: at its end.
+            self_contact: keeps cloth from passing through bodies, or does not.
+        """
+
+
 class NoRefinement(Refinement):
     """Leaves predictions as they are, as far as cloth can go there.
 
@@ -105,6 +117,9 @@ class NoRefinement(Refinement):
 
     def pressed_out(self, step: TimeStep, state: State, contact: Contact) -> State:
         return state
+
+    def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
+        return past_bodies(self_contact, step, state)
 
 
 class SolverRefinement(Refinement):
@@ -143,6 +158,15 @@ class SolverRefinement(Refinement):
         firm = self.potential.with_term(Collision(weight=_FIRM))
         pressed = self._pressing.minimise(firm.of(step), state.positions).positions
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
+
+
+    def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
+        reached = past_bodies(self_contact, step, state)
+        if float((reached.positions - state.positions).norm(dim=1).max()) < _TURNED_ASIDE:
+            return reached
+        pressed = self.potential.pressed_by_bodies().of(step)
+        solved = self._pressing.minimise(pressed, reached.positions)
+        return step.reached(solved.positions)
 
 
 class ImplicitSteps(SolverRefinement):
@@ -233,13 +257,29 @@ def carried(self_contact: SelfContact, step: TimeStep, before: State, wanted: St
         before: state that crosses nowhere.
         wanted: state at the end of the step.
     """
-    if torch.equal(before.positions, wanted.positions) and before is not step.state:
+    positions, _ = self_contact.carried(step.garments, before.positions, wanted.positions)
+    if positions is wanted.positions:
         return wanted
-    obstacle = None
-    if self_contact.feels_bodies and step.bodies is not None:
-        here = before is step.state
-        obstacle = step.obstacle if here else Obstacle.at(step.garments, step.bodies.following, before.positions)
-    positions, _ = self_contact.carried(step.garments, before.positions, wanted.positions, obstacle=obstacle)
+    cut = (positions - wanted.positions) / step.dt
+    return replace(wanted, positions=positions, velocities=wanted.velocities + cut)
+
+
+def past_bodies(self_contact: SelfContact, step: TimeStep, wanted: State) -> State:
+    """`wanted` as far as it is reached from the step's start past the moving bodies, at the speed it then has.
+
+    Args:
+        self_contact: keeps cloth from passing through bodies, or does not.
+        step: the time step.
+        wanted: state at the end of the step.
+    """
+    if not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
+        return wanted
+    positions, obstacle = self_contact.carried(
+        step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle
+    )
+    if obstacle is not None and not obstacle.passed.any():
+        # From nothing that bodies are through to nothing: it need not be looked for again.
+        step.bodies.following.passed[step.garments] = positions, obstacle.passed
     if positions is wanted.positions:
         return wanted
     cut = (positions - wanted.positions) / step.dt

@@ -180,10 +180,11 @@ def _met(
     # The push out of the body and the lift move few vertices; what stands still meets nothing that does.
     if known is not None and known.neighbourhood is not None:
         pairs = tree.pairs(before, SMALLEST_GAP, moves, known)
+    elif moves[tree.first_obstacle :].any():
+        # What obstacles meet is turned aside by little: the same pairs serve again.
+        pairs = tree.pairs(before, SMALLEST_GAP, moves, lasting=True)
     else:
         moved = np.any(moves, axis=1)
-        if moved[tree.first_obstacle :].any():
-            moved = np.arange(len(moved)) < tree.first_obstacle
         pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved)
     if passed.any():
         pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, passed))

@@ -14,9 +14,18 @@ from pb4u.geometry.proximity.crossing_search import CrossingSearch
 from pb4u.geometry.proximity.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import vertex_areas
-from pb4u.physics.contact.planes import MOTION_REACH, nearest_planes
+from pb4u.physics.contact.planes import MOTION_REACH, ContactPlanes, nearest_planes
 from pb4u.physics.contact.self_contact import as_array
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments
+
+_SPARE = 1e-3
+"""Dip [m] of the cloth between vertices that leaves it clear of the body: they come to rest at nearly twice as much."""
+
+_MOST = 4e-3
+"""Most [m] that a vertex is raised for the cloth beside it."""
+
+_STRETCHED = 1.5
+"""Length over the length at rest up to which the way between the places beneath an edge's ends is one over the skin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +89,28 @@ class Obstacle:
     def standing(self, passed: np.ndarray) -> Obstacle:
         """The bodies where they end, let through what they have `passed` (vertices + body vertices,) by then."""
         return replace(self, before=self.after, passed=passed)
+
+
+def sags(garments: PackedGarments, planes: ContactPlanes) -> Tensor:
+    """Heights (vertices,) [m] that vertices keep over the body besides the usual, for the cloth between them to clear it.
+
+    A chord of length L between two points of a round body whose normals differ by an angle t dips by L t / 8 below it,
+    the middle of a face by L t / 6.
+
+    Args:
+        garments: static quantities.
+        planes: of the bodies at the step's start.
+    """
+    heights = torch.zeros_like(planes.distance)
+    a, b = garments.edges.T
+    chords = planes.points[b] - planes.points[a]
+    near = planes.touchable & (planes.distance < MOTION_REACH)
+    bend = ((planes.normals[b] - planes.normals[a]) * chords).sum(1) / 6.0
+    rests = chords.norm(dim=1) < _STRETCHED * garments.edge_lengths
+    dip = torch.where(near[a] & near[b] & rests, bend - _SPARE, 0.0).clamp(0.0, _MOST)
+    for ends in (a, b):
+        heights = heights.scatter_reduce(0, ends, dip.to(heights), "amax")
+    return heights
 
 
 def _positions(pose: ColliderPose) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from typing import TYPE_CHECKING
@@ -48,6 +48,12 @@ class ContactPlanes:
             x: (vertices, 3) [m].
         """
         return ((x - self.points) * self.normals).sum(-1)
+
+    def raised(self, heights: Tensor) -> ContactPlanes:
+        """These planes raised by `heights` (vertices,) [m] along their normals."""
+        return replace(
+            self, points=self.points + heights[:, None] * self.normals, distance=self.distance - heights
+        )
 
     def where(self, rows: Tensor, otherwise: ContactPlanes) -> ContactPlanes:
         """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest."""

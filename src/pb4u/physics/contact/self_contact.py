@@ -30,7 +30,7 @@ _SHARE_OF_REST = 0.5
 _PARALLEL = 1e-3
 """Squared sine of the angle between two edges from which on they feel each other in full: 1.8 degrees."""
 
-_BODY_REACH = 1e-3
+_BODY_REACH = 5e-4
 """Distance [m] at which cloth elements begin to feel those of a body; its vertices feel the paper's term from 2 mm on."""
 
 
@@ -182,9 +182,11 @@ class SelfContact(ABC):
 
     Attributes:
         feels_bodies: whether bodies are surfaces that cloth does not pass through either.
+        pressed_by_bodies: whether their faces and edges press cloth in the energies too, not in its moves alone.
     """
 
     feels_bodies: bool = False
+    pressed_by_bodies: bool = False
 
     @abstractmethod
     def pairs(
@@ -284,10 +286,12 @@ class CollisionFree(SelfContact):
     Args:
         reach: distance [m] at which elements begin to feel each other.
         feels_bodies: whether cloth stays apart from bodies too, but for what they leave no room.
+        pressed_by_bodies: whether their faces and edges press it.
     """
 
     reach: float = 2e-3
     feels_bodies: bool = True
+    pressed_by_bodies: bool = False
 
     def pairs(
         self,

@@ -25,7 +25,7 @@ _DISTINCT = 0.999
 _CAUGHT_WITHIN = 0.01
 """Distance [m] to the plane that it left within which a vertex counts as caught between two."""
 
-_LIFT = 2e-3
+_LIFT = 5e-3
 """Height [m] over the body that a lifted vertex gets, unless it was lower before."""
 
 
@@ -36,7 +36,8 @@ def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
         potential: potential of the step.
         x: (vertices, 3) [m] at its end, pinned vertices where they will be; these are left there.
     """
-    step, planes = potential.step, potential.contacts.now
+    step = potential.step
+    planes = None if potential.contacts.now is None else step.contacts.now
     garments, bodies = step.garments, step.bodies
     if planes is None or bodies is None:
         return x
