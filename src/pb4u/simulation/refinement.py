@@ -277,9 +277,9 @@ def past_bodies(self_contact: SelfContact, step: TimeStep, wanted: State) -> Sta
     positions, obstacle = self_contact.carried(
         step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle
     )
-    if obstacle is not None and not obstacle.passed.any():
-        # From nothing that bodies are through to nothing: it need not be looked for again.
-        step.bodies.following.passed[step.garments] = positions, obstacle.passed
+    if obstacle is not None:
+        # What they were not through, nor left no room, need not be looked for again.
+        obstacle.reached(step.garments, step.bodies.following, positions)
     if positions is wanted.positions:
         return wanted
     cut = (positions - wanted.positions) / step.dt

@@ -28,18 +28,19 @@ class CrossingSearch:
     def __init__(self, tree: SurfaceTree, most: int = EVERY) -> None:
         self._tree, self._most = tree, most
 
-    def crossed(self, vertices: np.ndarray) -> np.ndarray:
+    def crossed(self, vertices: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
         """Vertices (vertices,) bool, none of an obstacle, of the faces that cross one.
 
         Args:
             vertices: (vertices, 3) float64 [m], finite.
+            among: (vertices,) bool, of which each of these faces has one; None for all.
         """
         tree, faces = self._tree, self._tree.faces
         first = tree.first_obstacle
         found, own = np.zeros(len(vertices), dtype=bool), np.arange(len(vertices)) < first
         node_boxes, face_boxes, *_ = tree.fitted(vertices, np.zeros_like(vertices), 0.5 * _TOUCHING)
         shape = tree.boxes.arrays
-        asked = asked_for(shape[:3], faces, tree.edges[:0], own)
+        asked = asked_for(shape[:3], faces, tree.edges[:0], own if among is None else among & own)
         pairs = _touching_faces(vertices, faces, node_boxes, face_boxes, shape, False, self._most, asked)
         mixed = pairs[(faces[pairs][:, :, 0] < first).sum(axis=1) == 1]
         found[faces[mixed]] = True

@@ -75,11 +75,20 @@ class Obstacle:
         known = pose.passed.get(garments)
         if known is not None and torch.equal(known[0], x):
             return Obstacle(tree, areas, body, body, known[1])
-        passed = CrossingSearch(tree).crossed(np.concatenate([as_array(x), body]))
-        planes = nearest_planes(pose, garments, x, within=MOTION_REACH)
-        passed[: len(x)] |= (planes.touchable & (planes.distance < 0.0)).numpy()
-        pose.passed[garments] = x, passed
-        return Obstacle(tree, areas, body, body, passed)
+        return Obstacle(tree, areas, body, body, _noted(garments, pose, x, tree, body))
+
+    def reached(self, garments: PackedGarments, pose: ColliderPose, x: Tensor) -> None:
+        """Note at the pose through what of the cloth, moved there past them, the bodies are: less than they may be.
+
+        Args:
+            garments: static quantities.
+            pose: of the bodies where they end.
+            x: (vertices, 3) [m].
+        """
+        if self.passed.any():
+            _noted(garments, pose, x, self.tree, self.after, self.passed)
+        else:
+            pose.passed[garments] = x, self.passed
 
     @property
     def moves(self) -> np.ndarray:
@@ -89,6 +98,23 @@ class Obstacle:
     def standing(self, passed: np.ndarray) -> Obstacle:
         """The bodies where they end, let through what they have `passed` (vertices + body vertices,) by then."""
         return replace(self, before=self.after, passed=passed)
+
+
+def _noted(
+    garments: PackedGarments,
+    pose: ColliderPose,
+    x: Tensor,
+    tree: SurfaceTree,
+    body: np.ndarray,
+    among: np.ndarray | None = None,
+) -> np.ndarray:
+    """Vertices (vertices + body vertices,) of the cloth at `x` that bodies are through; kept at the pose."""
+    passed = CrossingSearch(tree).crossed(np.concatenate([as_array(x), body]), among)
+    planes = nearest_planes(pose, garments, x, within=MOTION_REACH)
+    inside = (planes.touchable & (planes.distance < 0.0)).numpy()
+    passed[: len(x)] |= inside if among is None else inside & among[: len(x)]
+    pose.passed[garments] = x, passed
+    return passed
 
 
 def sags(garments: PackedGarments, planes: ContactPlanes) -> Tensor:
