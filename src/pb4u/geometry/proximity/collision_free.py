@@ -29,6 +29,9 @@ of the weight is on vertices that do not give way, it would fling the others."""
 _ZONES = 20
 """Rounds in which what touches is moved together: each joins more."""
 
+_ZONES_WITH_OBSTACLES = 8
+"""The same of what touches moving obstacles, before these are let through it."""
+
 
 def smallest_gaps(pairs: ElementPairs, before: np.ndarray) -> np.ndarray:
     """Gaps (pairs,) [m] that the pairs keep; less than `SMALLEST_GAP` where they are that near at rest or `before`.
@@ -111,17 +114,18 @@ def past_obstacles(
     fastest = np.zeros(worlds)
     np.maximum.at(fastest, tree.vertex_world, (moves**2).sum(axis=1))
     firm = slice(tree.first_obstacle, None)
-    closing = moves[firm].any()
+    closing, looked_up = moves[firm].any(), moves.copy()
     for attempt in range(_IMPULSES + _ZONES):
         if (shares >= 1.0).all():
             # Changed moves may meet others than the first ones did.
-            pairs, gaps = _met(tree, before, moves, passed, pairs)
+            pairs, gaps = _met(tree, before, moves, passed, pairs, (moves != looked_up).any(axis=1))
+            looked_up = moves.copy()
             shares = free_shares(pairs, gaps, before, moves)
             if (shares >= 1.0).all():
                 return before + moves, passed
         touching, previous = shares < 1.0, moves.copy()
-        if attempt >= _IMPULSES and closing:
-            # No impulse has held them apart: there is no room. Beside what stands still there always is.
+        if attempt >= _IMPULSES + _ZONES_WITH_OBSTACLES and closing:
+            # Nor does it help to go with them: there is no room. Beside what stands still there always is.
             passed = passed | _met_by_obstacles(pairs.corners[touching], tree.first_obstacle, len(moves))
             kept = ~through_obstacle(pairs.corners, tree.first_obstacle, passed)
             pairs, gaps, shares = pairs.chosen(kept), gaps[kept], shares[kept]
@@ -175,16 +179,19 @@ def _met(
     moves: np.ndarray,
     passed: np.ndarray,
     known: ElementPairs | None = None,
+    changed: np.ndarray | None = None,
 ) -> tuple[ElementPairs, np.ndarray]:
-    """Pairs that may touch along `moves`, and their gaps (pairs,) [m]; what obstacles have `passed` is left out."""
+    """Pairs that may touch along `moves`, and their gaps (pairs,) [m]; what obstacles have `passed` is left out.
+
+    Pairs of vertices that have not `changed` (vertices,) their moves since they were known free may be left out too.
+    """
     # The push out of the body and the lift move few vertices; what stands still meets nothing that does.
     if known is not None and known.neighbourhood is not None:
         pairs = tree.pairs(before, SMALLEST_GAP, moves, known)
-    elif moves[tree.first_obstacle :].any():
-        # What obstacles meet is turned aside by little: the same pairs serve again.
-        pairs = tree.pairs(before, SMALLEST_GAP, moves, lasting=True)
     else:
-        moved = np.any(moves, axis=1)
+        moved = np.any(moves, axis=1) if changed is None else changed
+        if moved[tree.first_obstacle :].any():
+            moved = np.arange(len(moved)) < tree.first_obstacle
         pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved)
     if passed.any():
         pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, passed))
