@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from tests.laws.test_self_contact import METHODS, OneMethod
+from tests.laws.test_self_contact import OneMethod, methods
 from tests.simulation.ball_scene import sheet
 
 from pb4u.body.animated_body import AnimatedBody
@@ -16,10 +16,15 @@ from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.geometry.proximity.crossings import crossings
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import CollisionFree
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
+
+
+FELT = IncrementalPotential().with_self_contact(bodies=True)
+METHODS = methods(FELT)
 
 
 class Rigid(AnimatedBody):
@@ -103,7 +108,7 @@ def crossed(scene: Scene, states: Iterator) -> list[int]:
 def test_no_step_of_any_kind_brings_a_body_through_cloth(name: str, method: str) -> None:
     scene = scene_of(name)
     start, network, refinement, contact, first = METHODS[method]
-    taken = StepMethod(start, network, refinement, contact, CollisionFree())
+    taken = StepMethod(start, network, refinement, contact, FELT.self_contact)
     record = RunRecord()
     counts = crossed(scene, OneMethod(first, taken).rollout(scene, record))
     assert record.failed_at is None
@@ -112,8 +117,8 @@ def test_no_step_of_any_kind_brings_a_body_through_cloth(name: str, method: str)
 
 def test_without_it_the_spike_comes_through() -> None:
     scene = scene_of("spike comes up")
-    start, network, refinement, contact, first = METHODS["quick solver"]
-    taken = StepMethod(start, network, refinement, contact, CollisionFree(feels_bodies=False))
+    start, network, refinement, contact, first = methods(IncrementalPotential().with_self_contact())["quick solver"]
+    taken = StepMethod(start, network, refinement, contact, CollisionFree())
     assert max(crossed(scene, OneMethod(first, taken).rollout(scene, RunRecord()))) > 0
 
 
@@ -125,7 +130,7 @@ def test_a_move_goes_past_a_body_that_moves_the_other_way() -> None:
     x, obstacle = step.state.positions, step.obstacle
     assert obstacle is not None
     assert not obstacle.passed.any()
-    reached, after = CollisionFree().carried(timeline.garments, x, x.clone(), obstacle=obstacle)
+    reached, after = FELT.self_contact.carried(timeline.garments, x, x.clone(), obstacle=obstacle)
     assert after is not None
     assert not after.passed.any()
     assert float((reached - x)[:, 1].max()) > 0.02
@@ -143,7 +148,7 @@ def test_what_bodies_are_through_is_known_and_let_through() -> None:
     assert obstacle is not None
     assert 0 < obstacle.passed.sum() < 9
     away = x + torch.tensor([0.0, 0.1, 0.0], dtype=torch.float64)
-    reached, _ = CollisionFree().carried(timeline.garments, x, away, obstacle=obstacle)
+    reached, _ = FELT.self_contact.carried(timeline.garments, x, away, obstacle=obstacle)
     torch.testing.assert_close(reached, away, rtol=0.0, atol=1e-12)
 
 
@@ -157,7 +162,9 @@ def test_two_bodies_that_close_on_cloth_are_let_through_it() -> None:
     scene = Scene((DressedGarment(garment, placed),), bodies, FRAMES, ground_height=None)
     start, network, refinement, contact, first = METHODS["quick solver"]
     record = RunRecord()
-    states = list(OneMethod(first, StepMethod(start, network, refinement, contact, CollisionFree())).rollout(scene, record))
+    states = list(
+        OneMethod(first, StepMethod(start, network, refinement, contact, FELT.self_contact)).rollout(scene, record)
+    )
     assert record.failed_at is None
     lengths = (states[-1].positions[torch.from_numpy(garment.topology.edges)].diff(dim=1)).norm(dim=2)[:, 0].numpy()
     assert (lengths / garment.edge_lengths).max() < 2.0

@@ -336,23 +336,31 @@ SCENES = {
 }
 
 
-METHODS: dict[str, tuple[StepStart, Network, Refinement, Contact, FirstFrame]] = {
-    "solver": (FreeFlight(), NoNetwork(), ImplicitSteps(potential=PAIRED), ContactResponse(), AsPlaced()),
-    "solver, two iterations": (FreeFlight(), NoNetwork(), ImplicitSteps(2, potential=PAIRED), NoContact(), AsPlaced()),
-    "network alone": (
-        CarriedStart((0.5, 1.0)), Careless(), NoRefinement(PAIRED.self_contact), ContactResponse(), OneLongStep(),
-    ),
-    "network and one": (
-        CarriedStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=PAIRED), ContactResponse(),
-        Settled(potential=PAIRED),
-    ),
-    "network and five": (
-        CarriedStart((0.5, 1.0)), Careless(), SafeguardedRefinement(5, PAIRED), ContactResponse(), AsPlaced(),
-    ),
-    "quick solver": (
-        CarriedStart((0.5, 1.0)), NoNetwork(), SafeguardedRefinement(5, PAIRED), ContactResponse(), AsPlaced(),
-    ),
-}  # fmt: skip
+Parts = tuple[StepStart, Network, Refinement, Contact, FirstFrame]
+
+
+def methods(potential: IncrementalPotential) -> dict[str, Parts]:
+    """Methods of every kind with the contact of `potential`."""
+    return {
+        "solver": (FreeFlight(), NoNetwork(), ImplicitSteps(potential=potential), ContactResponse(), AsPlaced()),
+        "solver, two iterations": (FreeFlight(), NoNetwork(), ImplicitSteps(2, potential=potential), NoContact(), AsPlaced()),
+        "network alone": (
+            CarriedStart((0.5, 1.0)), Careless(), NoRefinement(potential.self_contact), ContactResponse(), OneLongStep(),
+        ),
+        "network and one": (
+            CarriedStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=potential), ContactResponse(),
+            Settled(potential=potential),
+        ),
+        "network and five": (
+            CarriedStart((0.5, 1.0)), Careless(), SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+        ),
+        "quick solver": (
+            CarriedStart((0.5, 1.0)), NoNetwork(), SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+        ),
+    }  # fmt: skip
+
+
+METHODS = methods(PAIRED)
 
 
 @pytest.mark.parametrize("scene", SCENES)

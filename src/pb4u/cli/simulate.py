@@ -155,6 +155,13 @@ def simulate(
             "skinning and newton cannot."
         ),
     ] = None,
+    body_surface: Annotated[
+        Switch | None,
+        typer.Option(
+            help="Cloth stays clear of faces and edges of the body too, not at its vertices alone: no limb comes "
+            "through between them; takes about half as long again. Default: off."
+        ),
+    ] = None,
     device: Annotated[
         Device | None,
         typer.Option(help="Where a network or newton computes; the solver always runs on the CPU. Default: auto."),
@@ -233,7 +240,8 @@ def simulate(
         ),
         **_given(
             model=model, propagation_steps=propagation_steps, passes=passes, refine=refine,
-            contact=contact and contact == "on", self_contact=self_contact and self_contact == "on", device=device,
+            contact=contact and contact == "on", self_contact=self_contact and self_contact == "on",
+            body_surface=body_surface and body_surface == "on", device=device,
             first_frame=first_frame, precision=precision,
         ),
     )  # fmt: skip
@@ -244,6 +252,7 @@ def simulate(
         precision=precision,
         refine=refine,
         contact=contact,
+        body_surface=body_surface,
     )
     keep_inputs([scene], [("--save-scene", save_scene), ("--json", json)])
     targets = list(out) if out else _default_targets(run.scene)

@@ -102,7 +102,7 @@ class IncrementalPotential:
             potential = potential.with_term(term)
         return potential
 
-    def with_self_contact(self, bodies: bool = True) -> IncrementalPotential:
+    def with_self_contact(self, bodies: bool = False) -> IncrementalPotential:
         """This potential with contact between cloth elements.
 
         Args:
@@ -139,8 +139,9 @@ class IncrementalPotential:
     def of(self, step: TimeStep) -> StepPotential:
         """The potential of `step`, with the contacts of the body at its start looked up."""
         contacts = step.contacts if self.search is nearest_planes else step.contacts_by(self.search)
-        potential = StepPotential(self, step, contacts)
-        return replace(potential, contacts=replace(contacts, now=potential.raised(contacts.now)))
+        if self.self_contact.feels_bodies and contacts.now is not None and step.sags is not None:
+            contacts = replace(contacts, now=contacts.now.raised(step.sags), raised=step.sags)
+        return StepPotential(self, step, contacts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +186,7 @@ class StepPotential:
 
     def raised(self, planes: ContactPlanes | None) -> ContactPlanes | None:
         """`planes` of the bodies, raised where the cloth between vertices is to stay clear of them."""
-        heights = self.step.sags if planes is not None and self.potential.self_contact.feels_bodies else None
+        heights = self.contacts.raised
         return planes if planes is None or heights is None else planes.raised(heights.to(planes.points))
 
     def reached(self, x: Tensor, wanted: Tensor) -> tuple[StepPotential, Tensor]:

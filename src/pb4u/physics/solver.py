@@ -39,9 +39,6 @@ difference is rounding."""
 _LARGEST_MOVE = 0.2
 """How far [m] one Newton step may move a vertex: further, the tangent planes of the body mean nothing."""
 
-_ASIDE = 5e-3
-"""How far [m] a start may be turned aside by what it meets and be taken as it is: bodies do it in every step."""
-
 _BUCKLING_MOVE = 1e-4
 """Length [m] of the first move along a direction of negative curvature; doubled while the energy falls."""
 
@@ -340,7 +337,7 @@ def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, T
     step, garments = potential.step, potential.step.garments
     before, pinned = step.state.positions, garments.pinned
     moved, start = potential.reached(before, wanted)
-    if start is wanted or float((start - wanted).norm(dim=1).max()) < _ASIDE:
+    if start is wanted:
         return moved, start
     # Cloth that is near where the step begins was met on the way from there, and need not be searched for.
     standing, held = moved, before

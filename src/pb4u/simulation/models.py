@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from pb4u.simulation.checkpoint import Checkpoint
 
 OPTIONS: dict[str, frozenset[str]] = {
-    "solver": frozenset({"contact", "self_contact", "first_frame"}),
-    "quick-solver": frozenset({"contact", "self_contact", "first_frame", "refine"}),
+    "solver": frozenset({"contact", "self_contact", "body_surface", "first_frame"}),
+    "quick-solver": frozenset({"contact", "self_contact", "body_surface", "first_frame", "refine"}),
     "skinning": frozenset(),
     "newton": frozenset({"device"}),
 }
@@ -74,6 +74,7 @@ def load_simulator(
     *,
     contact: bool = True,
     self_contact: bool | None = None,
+    body_surface: bool = False,
     refine: int = 5,
     propagation_steps: int | None = None,
     passes: int | None = None,
@@ -89,6 +90,7 @@ def load_simulator(
         contact: push the garment out of the body after each step (networks and solvers).
         self_contact: cloth feels cloth, within a garment and between garments (networks and solvers, which do unless
             this is False).
+        body_surface: cloth stays clear of faces and edges of the body too, not at its vertices alone; with self-contact.
         refine: most solver iterations after each step of a network, or of the quick solver; fewer where the cloth is
             near balance.
         propagation_steps: override of K for a network; None follows the paper's rule.
@@ -111,7 +113,9 @@ def load_simulator(
     from pb4u.simulation.step_start import CarriedStart, FreeFlight
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolverSimulator, SolverSimulator
 
-    potential = IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact()
+    potential = (
+        IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact(body_surface)
+    )
     ways: dict[str, FirstFrame] = {
         "settled": Settled(potential=potential),
         "long_step": OneLongStep(),
@@ -121,6 +125,8 @@ def load_simulator(
         "mgn": MovingStart(),
         "contourcraft": SkinnedStart(),
     }
+    if body_surface and self_contact is False:
+        raise InputError("Cloth is kept off the body's surface by self-contact; leave --self-contact off out.")
     if first_frame not in ("auto", *ways):
         raise unknown_name("first frame", first_frame, ("auto", *ways))
     if refine < 0:

@@ -90,7 +90,6 @@ class Refinement(ABC):
             contact: tells how deep a vertex is inside.
         """
 
-
     @abstractmethod
     def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
         """`state` as far as it is reached past the moving bodies, at rest with them where they turned it aside.
@@ -159,10 +158,10 @@ class SolverRefinement(Refinement):
         pressed = self._pressing.minimise(firm.of(step), state.positions).positions
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
-
     def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
         reached = past_bodies(self_contact, step, state)
-        if float((reached.positions - state.positions).norm(dim=1).max()) < _TURNED_ASIDE:
+        felt = self.potential.self_contact.feels_bodies
+        if not felt or float((reached.positions - state.positions).norm(dim=1).max()) < _TURNED_ASIDE:
             return reached
         pressed = self.potential.pressed_by_bodies().of(step)
         solved = self._pressing.minimise(pressed, reached.positions)

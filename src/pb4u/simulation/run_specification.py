@@ -69,6 +69,7 @@ class RunSpecification:
         contact: push the garment out of the body after each step (networks and solvers).
         self_contact: cloth feels cloth, within a garment and between garments; None is on for networks and solvers,
             which can.
+        body_surface: cloth stays clear of faces and edges of the body too, not at its vertices alone.
         refine: most solver iterations after each step of a network, or of the quick solver; fewer where the cloth is
             near balance.
         passes: evaluations of a network in a step; None is its own number, or 1 where the solver refines.
@@ -88,6 +89,7 @@ class RunSpecification:
     model: str | Path = "auto"
     contact: bool = True
     self_contact: bool | None = None
+    body_surface: bool = False
     refine: int = 5
     passes: int | None = None
     propagation_steps: int | None = None
@@ -100,6 +102,7 @@ class RunSpecification:
         require_switch("contact", self.contact)
         if self.self_contact is not None:
             require_switch("self_contact", self.self_contact)
+        require_switch("body_surface", self.body_surface)
         require_whole("number of refining iterations", self.refine)
         require_whole("number of passes", self.passes, optional=True)
         require_whole("number of propagation steps", self.propagation_steps, optional=True)
@@ -131,6 +134,7 @@ class RunSpecification:
             self.model,
             contact=self.contact,
             self_contact=self.self_contact,
+            body_surface=self.body_surface,
             refine=self.refine,
             propagation_steps=self.propagation_steps,
             passes=self.passes,

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pb4u.geometry.proximity.element_distance import compiled, crossing_share, gather, nearest
 from pb4u.physics.contact.planes import ContactSet
-from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth, as_array
+from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
 from pb4u.physics.energy_term import EnergyTerm, dot
 from pb4u.physics.pair_stiffness import PairStiffness
 from pb4u.physics.time_step import TimeStep

@@ -1,4 +1,4 @@
-"""The bodies as surfaces that cloth does not pass through: what moves and contact pairs are told of them over a step."""
+"""The bodies as surfaces that cloth does not pass through: what moves and contact pairs know of them over a step."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _noted(
 
 
 def sags(garments: PackedGarments, planes: ContactPlanes) -> Tensor:
-    """Heights (vertices,) [m] that vertices keep over the body besides the usual, for the cloth between them to clear it.
+    """Heights (vertices,) [m] kept over the body besides the usual, so that the cloth between vertices clears it.
 
     A chord of length L between two points of a round body whose normals differ by an angle t dips by L t / 8 below it,
     the middle of a face by L t / 6.

@@ -51,9 +51,7 @@ class ContactPlanes:
 
     def raised(self, heights: Tensor) -> ContactPlanes:
         """These planes raised by `heights` (vertices,) [m] along their normals."""
-        return replace(
-            self, points=self.points + heights[:, None] * self.normals, distance=self.distance - heights
-        )
+        return replace(self, points=self.points + heights[:, None] * self.normals, distance=self.distance - heights)
 
     def where(self, rows: Tensor, otherwise: ContactPlanes) -> ContactPlanes:
         """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest."""
@@ -100,6 +98,7 @@ class ContactSet:
         cloth: pairs of cloth elements that may feel each other at t+1, or None.
         cloth_now: those that do at frame t, or None.
         obstacle: the bodies at t+1 as cloth may not pass through them, or None.
+        raised: heights (vertices,) [m] that the planes are raised by for the cloth between vertices, or None.
     """
 
     now: ContactPlanes | None = None
@@ -110,6 +109,7 @@ class ContactSet:
     cloth: ClothPairs | None = None
     cloth_now: TouchingCloth | None = None
     obstacle: Obstacle | None = None
+    raised: Tensor | None = None
 
     @staticmethod
     def at_start(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor, search: PlaneSearch) -> ContactSet:

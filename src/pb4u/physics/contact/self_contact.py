@@ -290,7 +290,7 @@ class CollisionFree(SelfContact):
     """
 
     reach: float = 2e-3
-    feels_bodies: bool = True
+    feels_bodies: bool = False
     pressed_by_bodies: bool = False
 
     def pairs(

@@ -25,7 +25,7 @@ _DISTINCT = 0.999
 _CAUGHT_WITHIN = 0.01
 """Distance [m] to the plane that it left within which a vertex counts as caught between two."""
 
-_LIFT = 5e-3
+_LIFT = 2e-3
 """Height [m] over the body that a lifted vertex gets, unless it was lower before."""
 
 
@@ -36,14 +36,16 @@ def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
         potential: potential of the step.
         x: (vertices, 3) [m] at its end, pinned vertices where they will be; these are left there.
     """
-    step = potential.step
-    planes = None if potential.contacts.now is None else step.contacts.now
+    step, planes = potential.step, potential.contacts.now
     garments, bodies = step.garments, step.bodies
     if planes is None or bodies is None:
         return x
     point = planes.transported(bodies.following).to(x)
     normal = planes.transported_normals(bodies.following).to(x)
+    # Planes may be raised for the cloth between vertices.
     height = ((x - point) * normal).sum(1)
+    if potential.contacts.raised is not None:
+        height = height - potential.contacts.raised.to(x)
     wanted = planes.distance.clamp(0.0, _LIFT).to(x)
     moves = ~garments.pinned & (garments.vertex_masses > 0)
     overrun = planes.touchable & moves & (planes.distance.abs() < REACH) & (height < wanted)
