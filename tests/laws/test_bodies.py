@@ -22,7 +22,6 @@ from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
 
-
 FELT = IncrementalPotential().with_self_contact(bodies=True)
 METHODS = methods(FELT)
 

@@ -343,9 +343,12 @@ def methods(potential: IncrementalPotential) -> dict[str, Parts]:
     """Methods of every kind with the contact of `potential`."""
     return {
         "solver": (FreeFlight(), NoNetwork(), ImplicitSteps(potential=potential), ContactResponse(), AsPlaced()),
-        "solver, two iterations": (FreeFlight(), NoNetwork(), ImplicitSteps(2, potential=potential), NoContact(), AsPlaced()),
+        "solver, two iterations": (
+            FreeFlight(), NoNetwork(), ImplicitSteps(2, potential=potential), NoContact(), AsPlaced(),
+        ),
         "network alone": (
-            CarriedStart((0.5, 1.0)), Careless(), NoRefinement(potential.self_contact), ContactResponse(), OneLongStep(),
+            CarriedStart((0.5, 1.0)), Careless(), NoRefinement(potential.self_contact), ContactResponse(),
+            OneLongStep(),
         ),
         "network and one": (
             CarriedStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=potential), ContactResponse(),

@@ -90,7 +90,7 @@ def load_simulator(
         contact: push the garment out of the body after each step (networks and solvers).
         self_contact: cloth feels cloth, within a garment and between garments (networks and solvers, which do unless
             this is False).
-        body_surface: cloth stays clear of faces and edges of the body too, not at its vertices alone; with self-contact.
+        body_surface: cloth stays clear of faces and edges of the body too, not at its vertices alone.
         refine: most solver iterations after each step of a network, or of the quick solver; fewer where the cloth is
             near balance.
         propagation_steps: override of K for a network; None follows the paper's rule.

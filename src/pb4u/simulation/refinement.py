@@ -65,7 +65,7 @@ _MOST_PRESSING = 5
 """Iterations at which that ends."""
 
 _TURNED_ASIDE = 1e-2
-"""How far [m] bodies may turn cloth aside between its vertices before the energies are told of their faces and edges."""
+"""How far [m] bodies may turn cloth aside before the energies count their faces and edges."""
 
 
 class Refinement(ABC):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-
 from typing import TYPE_CHECKING
 
 import torch
@@ -14,7 +13,6 @@ from torch import Tensor
 from pb4u.geometry.proximity.nearest_points import Found
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth, as_array
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
-
 
 if TYPE_CHECKING:
     from pb4u.physics.contact.obstacle import Obstacle

@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
-
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +30,7 @@ _PARALLEL = 1e-3
 """Squared sine of the angle between two edges from which on they feel each other in full: 1.8 degrees."""
 
 _BODY_REACH = 5e-4
-"""Distance [m] at which cloth elements begin to feel those of a body; its vertices feel the paper's term from 2 mm on."""
+"""Distance [m] at which elements of cloth and of a body begin to feel each other; vertices do from 2 mm on."""
 
 
 @dataclass(frozen=True, eq=False)
