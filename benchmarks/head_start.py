@@ -18,13 +18,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pb4u.physics.contact.response import Contact
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Iteration, Solver
+from pb4u.physics.solver.newton_solver import Iteration, Solver
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import from_pretrained
+from pb4u.simulation.penetration_response import Contact
 from pb4u.simulation.refinement import Refinement
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod, predictions

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pb4u.evaluation.limbs import Bones
-from pb4u.evaluation.metrics import measure
+from pb4u.measures.limbs import Bones
+from pb4u.measures.metrics import measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.models import load_simulator

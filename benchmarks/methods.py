@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.network import on_a_body
 from tests.network_scenes import DT
 
-from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.presets.networks import network_preset
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.paper.network_presets import network_preset
 
 
 def main() -> None:

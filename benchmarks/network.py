@@ -29,8 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.network_scenes import DT, Moment, moment, sheet, sheet_of
 from tests.readable_network import readable_accelerations
 
-from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
-from pb4u.presets.networks import network_preset
+from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.paper.network_presets import network_preset
 from pb4u.scene.packed import ColliderFrame, pack_colliders
 
 Shapes = Counter[tuple[int, int, int]]

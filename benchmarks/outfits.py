@@ -12,12 +12,12 @@ from itertools import permutations
 import numpy as np
 
 from pb4u.body.library import load_body
+from pb4u.collision.crossings import self_crossings
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.garment.fit import RestBody
 from pb4u.garment.layering import layered
 from pb4u.garment.library import build_garment, garment_names
 from pb4u.garment.tangles import untangled_start
-from pb4u.geometry.nearest_surface import TriangleSurface
-from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.scene.assembly import make_scene
 from pb4u.simulation.timeline import Timeline
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from pb4u.evaluation.metrics import ENERGIES, measure
+from pb4u.measures.metrics import ENERGIES, measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory

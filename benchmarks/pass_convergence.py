@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Solver
+from pb4u.physics.solver.newton_solver import Solver
 from pb4u.scene.assembly import make_scene
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.simulator import RunRecord

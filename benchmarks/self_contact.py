@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from pb4u.collision.crossings import self_crossings
 from pb4u.errors import Pb4uError
-from pb4u.evaluation.metrics import PENETRATION_TOLERANCE, Ruler
 from pb4u.garment.library import garment_names
 from pb4u.garment.material import material_names
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.geometry.proximity.crossings import self_crossings
+from pb4u.measures.metrics import PENETRATION_TOLERANCE, Ruler
 from pb4u.motion.library import motion_names
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory

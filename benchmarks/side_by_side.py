@@ -156,7 +156,7 @@ def _blender(
 
 def quality(trajectory: Any) -> dict[str, float]:
     """What a trajectory is worth, by means that know nothing of who made it."""
-    from pb4u.evaluation.metrics import measure
+    from pb4u.measures.metrics import measure
 
     measured = measure(trajectory)
     metrics = measured["metrics"]

@@ -25,19 +25,19 @@ from torch import Tensor
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
-from pb4u.evaluation.metrics import ENERGIES, measure, strain_percentile
 from pb4u.garment.dressing import SkinnedPlacement
 from pb4u.garment.library import build_garment
+from pb4u.measures.metrics import ENERGIES, measure, strain_percentile
 from pb4u.motion.library import load_motion
-from pb4u.physics.contact.response import ContactResponse
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.physics.solver import Iteration, Solver
+from pb4u.physics.solver.newton_solver import Iteration, Solver
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.packed import PackedGarments, pack, pack_colliders
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.first_frame import Settled
+from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import ImplicitSteps
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod

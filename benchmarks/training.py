@@ -18,17 +18,17 @@ from typing import Any
 import torch
 
 import pb4u.training.trainer as trainer_module
-from pb4u.geometry.nearest_surface import PosedSurface
-from pb4u.graph import world_edges
-from pb4u.graph.builder import GraphBuilder
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.collision.nearest_surface import PosedSurface
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.graph import world_edges
+from pb4u.network.graph.builder import GraphBuilder
+from pb4u.paper.training_presets import training_preset
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import with_settings
 from pb4u.training.distribution import workers
 from pb4u.training.journal import Reporter
 from pb4u.training.learner import MovingAverage
 from pb4u.training.packed_data import load_training_data
-from pb4u.training.presets import training_preset
 from pb4u.training.trainer import Trainer
 from pb4u.training.windows import Window, WindowLoader
 

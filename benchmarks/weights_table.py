@@ -19,11 +19,11 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from pb4u.atomic_file import replace_file
-from pb4u.evaluation.floors import ratio, stored_floor
-from pb4u.evaluation.metrics import ENERGIES, measure
 from pb4u.garment.library import LEVELS
+from pb4u.io.atomic_file import replace_file
 from pb4u.jobs.job import digest
+from pb4u.measures.metrics import ENERGIES, measure
+from pb4u.paper.reference_energies import ratio, stored_floor
 from pb4u.scene.catalogue import SEEDS, TRAINING_GARMENTS, catalogue_scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import weights_file

@@ -6,9 +6,9 @@ import numpy as np
 
 import pb4u
 from pb4u.body.vertex_sequence import VertexSequence
+from pb4u.collision.crossings import self_crossings
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.material import load_material
-from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.scene.scene import DressedGarment
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord

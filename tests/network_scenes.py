@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.scene.packed import ColliderFrame, PackedColliders, PackedGarments, pack, pack_colliders
 from pb4u.scene.state import State
 

@@ -11,11 +11,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from pb4u.graph.graph import EdgeSet, Graph
-from pb4u.model.pb4u_gnet import Pb4uGNet
-from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
-from pb4u.nn.interaction_block import InteractionBlock
-from pb4u.nn.mlp import MLP
+from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.network.graph.graph import EdgeSet, Graph
+from pb4u.network.interaction_block import InteractionBlock
+from pb4u.network.mlp import MLP
+from pb4u.network.pb4u_gnet import Pb4uGNet
 
 
 def perceptron(mlp: MLP, *parts: Tensor) -> Tensor:

@@ -8,10 +8,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pb4u.physics.bending import dihedral_angles
-from pb4u.physics.contact.collision import REFERENCE_AREA, Collision
-from pb4u.physics.contact.friction import Friction
 from pb4u.physics.incremental_potential import StepPotential
+from pb4u.physics.terms.bending import dihedral_angles
+from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
+from pb4u.physics.terms.friction import Friction
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
 

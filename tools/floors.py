@@ -1,9 +1,9 @@
-"""Computes the floor of every catalogue test scene: the energies that the solver reaches at its tolerance.
+"""Computes the reference energies of every catalogue test scene: what the solver reaches at its tolerance.
 
 python tools/floors.py [--levels base,11K] [--only test/tshirt/walk-2000,...] [--recordings FOLDER] [--frames 30]
 
-Results go to src/pb4u/evaluation/floors.json, one entry a scene, level and number of frames; entries already there are
-kept.
+Results go to src/pb4u/paper/reference_energies.json, one entry a scene, level and number of frames; entries already
+there are kept.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import os
 import time
 from pathlib import Path
 
-from pb4u.evaluation.floors import FLOORS_FILE
-from pb4u.evaluation.metrics import ENERGIES, measure
 from pb4u.garment.library import LEVELS
+from pb4u.measures.metrics import ENERGIES, measure
+from pb4u.paper.reference_energies import FLOORS_FILE
 from pb4u.scene.catalogue import catalogue_scene, scene_names
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord

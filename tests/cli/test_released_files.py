@@ -14,13 +14,13 @@ import torch
 
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import load_vertex_sequence
+from pb4u.compat.garment_dictionary import read_dictionary_garment
+from pb4u.compat.recording_as_released import read_smpl_sequence
+from pb4u.compat.released_weights import read_released
+from pb4u.compat.result_pickle import read_result
 from pb4u.errors import InputError
-from pb4u.export.result_pickle import read_result
 from pb4u.garment.dictionary_entry import DictionaryEntry
-from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.material import MATERIALS
-from pb4u.motion.as_recorded import read_smpl_sequence
-from pb4u.simulation.released_weights import read_released
 
 RUNS = [
     ("pb4u", "garments_dict.pkl:dress", "release"),

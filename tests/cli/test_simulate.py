@@ -13,12 +13,12 @@ from PIL import Image
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
-from pb4u.evaluation.divergence import skinned_centres
-from pb4u.evaluation.limbs import Bones
-from pb4u.evaluation.metrics import ENERGIES, GEOMETRY, first_diverged, measure
 from pb4u.export.live_caches import PROGRESS
 from pb4u.export.selection import on_source
 from pb4u.geometry.obj_file import read_obj
+from pb4u.measures.divergence import skinned_centres
+from pb4u.measures.limbs import Bones
+from pb4u.measures.metrics import ENERGIES, GEOMETRY, first_diverged, measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
@@ -132,14 +132,14 @@ def test_same_seed_same_bytes(pb4u: Callable, tmp_path: Path) -> None:
         (("--garment", "absent.obj"), "absent.obj"),
         (("--motion", "absent.bvh"), "absent.bvh"),
         (("--body-shape", "hight=0.5"), "height"),
-        (("--fps", 0), "between 1 and 1000"),
-        (("--fps", "1e-9"), "between 1 and 1000"),
-        (("--fps", "1e9"), "between 1 and 1000"),
-        (("--lead-in", -1), "0 frames or more"),
+        (("--fps", 0), "from 1 to 1,000"),
+        (("--fps", "1e-9"), "from 1 to 1,000"),
+        (("--fps", "1e9"), "from 1 to 1,000"),
+        (("--lead-in", -1), "0 or more"),
         (("--pins", "sleeve"), "loop"),
-        (("--refine", -1, "--model", "solver"), "0 or more"),
+        (("--refine", -1, "--model", "solver"), "from 0 to 10,000"),
         (("--seed", -1), "0 or more"),
-        (("--fps", "nan"), "between 1 and 1000"),
+        (("--fps", "nan"), "from 1 to 1,000"),
         (("--arms-away", "nan"), "0 to 90"),
         (("--json", "absent/r.json"), "does not exist"),
     ],
@@ -311,10 +311,10 @@ def test_a_flag_that_would_do_nothing_is_refused(pb4u: Callable, tmp_path: Path,
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (("--propagation-steps", -1), "propagation steps must be 0 or more"),
-        (("--refine", 99999999999), "10000 at most"),
-        (("--passes", 0), "at least 1 pass"),
-        (("--passes", 1000000), "1000 at most"),
+        (("--propagation-steps", -1), "propagation_steps must be a whole number from 1 to 500"),
+        (("--refine", 99999999999), "from 0 to 10,000"),
+        (("--passes", 0), "passes must be a whole number from 1 to 1,000"),
+        (("--passes", 1000000), "from 1 to 1,000"),
     ],
 )
 def test_a_number_out_of_range_is_refused_whatever_the_model(
@@ -338,7 +338,7 @@ def test_shape_parameters_add_up_and_none_is_given_twice(pb4u: Callable, tmp_pat
 def test_a_run_that_is_broken_from_its_start_fails(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pb4u.evaluation.metrics.first_diverged", lambda *_, **__: 0)
+    monkeypatch.setattr("pb4u.measures.metrics.first_diverged", lambda *_, **__: 0)
     ended = pb4u("simulate", *SMALL, "--frames", 1, "--out", tmp_path / "a.npz")
     assert ended.code == 1
     assert "broken at its first frame" in ended.err

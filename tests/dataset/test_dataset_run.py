@@ -25,8 +25,8 @@ from pb4u.errors import InputError, MissingExtraError, Pb4uError
 from pb4u.jobs import job_folder
 from pb4u.jobs.job import Failure
 from pb4u.jobs.worker_pool import LocalPool, RayPool, WorkerPool
+from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.run_specification import RunSpecification
 
 parquet = pytest.importorskip("pyarrow.parquet", reason='needs the "dataset" extra')
 
@@ -35,8 +35,8 @@ NOTED = "PB4U_TEST_CLIPS_BEGUN"
 """Names the file that workers note clips in."""
 
 
-def runs(count: int = 3, **entries: Any) -> list[RunSpecification]:
-    return [RunSpecification().with_entries({**SMALL, "seed": seed, **entries}, Path()) for seed in range(count)]
+def runs(count: int = 3, **entries: Any) -> list[Run]:
+    return [Run().with_entries({**SMALL, "seed": seed, **entries}, Path()) for seed in range(count)]
 
 
 class Here(WorkerPool):
@@ -54,7 +54,7 @@ class Here(WorkerPool):
 
     def next_outcome(self) -> tuple[ClipJob, Clip | Failure | None]:
         job = self._waiting.pop()
-        self.did.append(job.run.scene.seed)
+        self.did.append(job.run.seed)
         return job, self._attempt(job)
 
     def close(self) -> None:
@@ -62,7 +62,7 @@ class Here(WorkerPool):
 
 
 def make(
-    wanted: list[RunSpecification],
+    wanted: list[Run],
     out: Path,
     attempt: Callable = attempt,
     layout: Layout | None = None,
@@ -76,10 +76,10 @@ def make(
 
 def quick(job: ClipJob) -> Clip | Failure:
     """Clips without a simulation: a few bytes, and the record that the index reads; seed 2 is refused."""
-    if job.run.scene.seed == 2:
+    if job.run.seed == 2:
         return Failure("It is refused.", "")
     record = {**job.labels, "metrics": {}, "metrics_paper": {}, "garments": [], "diverged": False, "seconds": 2.0}
-    return Clip({**record, "bytes": 5, "frames": 2}, f"clip{job.run.scene.seed}".encode())
+    return Clip({**record, "bytes": 5, "frames": 2}, f"clip{job.run.seed}".encode())
 
 
 def rows(out: Path) -> list[dict]:
@@ -234,7 +234,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_made_twice(
 def dies_once(job: ClipJob) -> Clip | Failure:
     """A worker that is killed over seed 1, the first time."""
     begun = Path(os.environ[NOTED])
-    seed = str(job.run.scene.seed)
+    seed = str(job.run.seed)
     first = seed not in (begun.read_text().split() if begun.exists() else ())
     with begun.open("a") as stream:
         stream.write(seed + "\n")
@@ -245,7 +245,7 @@ def dies_once(job: ClipJob) -> Clip | Failure:
 
 def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
     def interrupted(job: ClipJob) -> Clip | Failure:
-        if job.run.scene.seed == 1:
+        if job.run.seed == 1:
             raise KeyboardInterrupt
         return quick(job)
 
@@ -332,7 +332,7 @@ def test_clips_belong_to_the_content_of_their_files(tmp_path: Path) -> None:
         file.parent.mkdir(exist_ok=True)
         cloth = {"density": density, "lame_mu": 3e4, "lame_lambda": 4e4, "bending": 2e-5}
         file.write_text(json.dumps(cloth))
-        return plan_clips([RunSpecification().with_entries({**SMALL, "material": str(file)}, Path())], False, print)[0]
+        return plan_clips([Run().with_entries({**SMALL, "material": str(file)}, Path())], False, print)[0]
 
     here, there = planned("here", 0.2), planned("there", 0.2)
     assert here.key == there.key
@@ -348,7 +348,7 @@ def test_clips_belong_to_the_content_of_their_files(tmp_path: Path) -> None:
 )
 def test_other_work_has_another_address(other: dict) -> None:
     def key(**entries: Any) -> str:
-        return plan_clips([RunSpecification().with_entries({**SMALL, **entries}, Path())], False, print)[0].key
+        return plan_clips([Run().with_entries({**SMALL, **entries}, Path())], False, print)[0].key
 
     assert key() == key()
     assert key(**other) != key()

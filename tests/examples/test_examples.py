@@ -14,8 +14,8 @@ import pytest
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
+from pb4u.collision.crossings import self_crossings
 from pb4u.geometry.obj_file import read_obj
-from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.scene.trajectory import Trajectory
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -11,7 +11,7 @@ from tests.export.readers import Glb, assert_obj, mdd_frames, pc2_frames
 
 from pb4u.export.registry import WRITERS
 from pb4u.export.selection import on_source, select_frames
-from pb4u.restricted_pickle import load_pickle
+from pb4u.io.restricted_pickle import load_pickle
 from pb4u.scene.trajectory import Trajectory
 
 OPTIONS = ("--range", "1:12", "--every", "2", "--on", "source")

@@ -149,7 +149,7 @@ def ending(read: Callable[[Path], object], path: Path, size: int) -> Ending:
         size: bytes that it and those beside it have.
     """
     from pb4u.errors import Pb4uError
-    from pb4u.reading_limits import HEADROOM
+    from pb4u.io.reading_limits import HEADROOM
 
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)

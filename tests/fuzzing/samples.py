@@ -23,9 +23,9 @@ import torch
 import trimesh
 from safetensors.numpy import save as save_safetensors
 from tests.body.test_smpl import synthetic
+from tests.compat.test_garment_dictionary import garment_fields
 from tests.fuzzing.mutation import damaged
 from tests.garment.cloth_shapes import quad_tube, tube_arrays
-from tests.garment.test_garment_dictionary import garment_fields
 from tests.motion.recordings import write_acclaim, write_bvh
 from tests.scene.test_trajectory import make_trajectory
 from tests.simulation.released_files import made_checkpoint
@@ -37,28 +37,28 @@ from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence, write_vertex_sequence
 from pb4u.cli.main import main
+from pb4u.compat.garment_dictionary import read_dictionary_garment
+from pb4u.compat.recording_as_released import RecordingAsItIs
+from pb4u.compat.released_weights import read_released
+from pb4u.compat.result_pickle import open_trajectory, write_result
 from pb4u.dataset.clip import DATASET_VERSION
 from pb4u.dataset.dataset_folder import DatasetFolder, FolderOfTrajectories
 from pb4u.dataset.jobs_file import read_jobs
 from pb4u.errors import InputError
 from pb4u.export.registry import export
-from pb4u.export.result_pickle import open_trajectory, write_result
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.garment import Garment
-from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import read_garment
 from pb4u.garment.material import MATERIALS, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.obj_file import write_obj
-from pb4u.motion.as_recorded import RecordingAsItIs
 from pb4u.motion.library import load_motion
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.progress import unheard
+from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import load_checkpoint, save_checkpoint, weights_file
 from pb4u.simulation.models import load_checkpoint_of
-from pb4u.simulation.released_weights import read_released
-from pb4u.simulation.run_specification import RunSpecification
 from pb4u.training.packed_data import load_training_data, save_training_data
 from pb4u.training.run_folder import RunFolder
 
@@ -403,9 +403,9 @@ def _texts() -> Iterator[Sample]:
     yield Sample("pins", {"pins.txt": b"0 1 2\n3,4\n"}, (pins,))
     yield Sample("pins in JSON", {"pins.json": b"[0, 1, 2, 5]"}, (pins,))
     with tempfile.TemporaryDirectory() as folder:
-        described = RunSpecification().save(Path(folder) / "scene.toml").read_bytes()
+        described = Run().save(Path(folder) / "scene.toml").read_bytes()
     scene = described + b'\n[[garments]]\ngarment = "skirt"\ntriangles = 500\npins = [1, 2]\nmaterial = "silk"\n'
-    yield Sample("scene file", {"scene.toml": scene}, (RunSpecification.open,))
+    yield Sample("scene file", {"scene.toml": scene}, (Run.open,))
     jobs = b'[fixed]\nframes = 8\n[product]\nmotion = ["walk", "run"]\nseed = {first = 0, count = 3}\n'
     jobs += b'[[clips]]\ngarment = ["tanktop", "skirt"]\nbody_shape = {height = 0.6}\nscene = "scene.toml"\n'
     yield Sample("jobs file", {"jobs.toml": jobs, "scene.toml": scene}, (read_jobs,))

@@ -12,7 +12,7 @@ from tests.fuzzing.confined import SLACK, ending
 from tests.fuzzing.samples import NotFiniteError, case, samples
 
 from pb4u.errors import InputError
-from pb4u.reading_limits import HEADROOM
+from pb4u.io.reading_limits import HEADROOM
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the memory that is taken is read from /proc")
 

@@ -9,14 +9,14 @@ import pytest
 from cloth_shapes import tube_garment
 
 from pb4u.body.library import load_body
+from pb4u.collision.crossings import self_crossings
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.layering import LAYER_GAP, layered, worn_order
 from pb4u.garment.library import build_garment
 from pb4u.garment.tangles import untangled_start
-from pb4u.geometry.nearest_surface import TriangleSurface
-from pb4u.geometry.proximity.crossings import self_crossings
 
 PAIRS = (
     ("tanktop", "cardigan"), ("tshirt", "cardigan"), ("longsleeve", "cardigan"), ("tshirt", "skirt"),

@@ -9,13 +9,13 @@ import pytest
 from pb4u.body.baked_body import BakedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError
 from pb4u.garment.body_form import BodyForm
 from pb4u.garment.clearance import rest_distances
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import LEVELS, build_garment, garment_names
-from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import smallest_angles
 

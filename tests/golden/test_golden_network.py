@@ -18,9 +18,9 @@ from torch import Tensor
 
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.presets.networks import NETWORKS
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
+from pb4u.paper.network_presets import NETWORKS
 from pb4u.scene.packed import ColliderFrame, pack, pack_colliders
 from pb4u.scene.state import State
 

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from tests.evaluation.quick_rollouts import attempt, job, note, noted
+from tests.paper.quick_rollouts import attempt, job, note, noted
 
 from pb4u.errors import InputError, MissingExtraError
-from pb4u.evaluation.result_folder import ResultFolder
-from pb4u.evaluation.rollout import RolloutJob
 from pb4u.jobs.job_queue import MOST_TRIES, work_through
 from pb4u.jobs.worker_pool import LocalPool, RayPool, WorkerPool
+from pb4u.paper.result_folder import ResultFolder
+from pb4u.paper.rollout import RolloutJob
 
 
 def local() -> WorkerPool:

@@ -29,7 +29,7 @@ import numpy as np
 from safetensors.numpy import load_file
 from tests.training.ball_data import ball_data
 
-from pb4u.atomic_file import MARK
+from pb4u.io.atomic_file import MARK
 from pb4u.jobs.job import digest
 from pb4u.scene.trajectory import Trajectory
 from pb4u.training.packed_data import save_training_data

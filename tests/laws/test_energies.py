@@ -22,13 +22,13 @@ from tests.physics.shapes import (
 )  # fmt: skip
 from tests.readable_stiffness import readable_stiffness
 
-from pb4u.physics.contact.collision import REFERENCE_AREA
-from pb4u.physics.contact.friction import Friction
-from pb4u.physics.energy_term import EnergyTerm, NullTerm
-from pb4u.physics.gravity import Gravity
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.physics.inertia import Inertia
-from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
+from pb4u.physics.terms.collision import REFERENCE_AREA
+from pb4u.physics.terms.energy_term import EnergyTerm, NullTerm
+from pb4u.physics.terms.friction import Friction
+from pb4u.physics.terms.gravity import Gravity
+from pb4u.physics.terms.inertia import Inertia
+from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.scene.state import State
 
 DTYPES = [(torch.float64, 1e-10), (torch.float32, 1e-5)]
@@ -82,7 +82,7 @@ def test_bending_of_a_discrete_cylinder(around: int) -> None:
 
 
 def test_rest_angles_make_the_rest_shape_free_of_bending() -> None:
-    from pb4u.physics.bending import Bending
+    from pb4u.physics.terms.bending import Bending
 
     garments = packed(tube(12, 4, 0.2, 0.3))
     step = potential_of(garments, potential=alone(Bending(rest_angles=True)))
@@ -238,7 +238,7 @@ def test_the_compiled_stiffness_is_that_of_the_readable_twin(name: str) -> None:
 @pytest.mark.parametrize("name", ["stretch", "inertia", "collision", "friction"])
 def test_stiffness_is_the_derivative_of_the_gradient(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Exact for all but bending (Gauss-Newton), deep contacts and slip (changed on purpose)."""
-    monkeypatch.setattr("pb4u.physics.contact.friction._SOFTENING", 1.0)
+    monkeypatch.setattr("pb4u.physics.terms.friction._SOFTENING", 1.0)
     step, x = crumpled(2)
     x = step.step.state.positions + 0.1 * (x - step.step.state.positions)
     frozen = step.with_contact_at(x)

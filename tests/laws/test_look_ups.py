@@ -8,9 +8,9 @@ import torch
 import trimesh
 from tests.physics.shapes import capsule, collider, colliders, packed, sheet
 
-from pb4u.geometry.nearest_surface import TriangleSurface
-from pb4u.geometry.proximity.nearest_points import Found
-from pb4u.physics.contact.planes import CONTACT_REACH, nearest_planes
+from pb4u.collision.nearest_points import Found
+from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.physics.contact.contact_set import CONTACT_REACH, nearest_planes
 from pb4u.scene.packed import ColliderPose
 
 FRAMES, LOOKS = 6, 8

@@ -18,12 +18,12 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from pb4u.garment.garment import Garment
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.model.propagation import RELEASED_PROPAGATION
-from pb4u.model.propagation_control import ConstantDistance
-from pb4u.model.update_scaling import PerVertexScaling
-from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.presets.networks import NETWORKS, pb4u_paper
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
+from pb4u.network.propagation import RELEASED_PROPAGATION
+from pb4u.network.propagation_control import ConstantDistance
+from pb4u.network.update_scaling import PerVertexScaling
+from pb4u.paper.network_presets import NETWORKS, pb4u_paper
 from pb4u.scene.packed import pack
 
 TINY = Pb4uConfiguration(width=16, blocks=3)
@@ -162,8 +162,8 @@ sys.path.insert(0, sys.argv[1])
 import torch
 torch.set_num_threads(1)
 from tests.network_scenes import DT, moment, sheet_of
-from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.presets.networks import pb4u_paper
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.paper.network_presets import pb4u_paper
 at = moment([sheet_of(38000)], dtype=torch.float32)
 model = AccelerationModel(replace(pb4u_paper, blocks=2).network())
 small = moment([sheet_of(200)], dtype=torch.float32)

@@ -8,27 +8,27 @@ import numpy as np
 import pytest
 import torch
 from ball_scene import MATERIAL, Ball
-from tests.geometry.crossing_free_states import Surface, folded, stack
+from tests.collision.crossing_free_states import Surface, folded, stack
 from tests.physics.shapes import DT, packed, sheet, time_step
 
+from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.errors import InputError
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.garment import Garment
-from pb4u.geometry.proximity.collision_free import SMALLEST_GAP
-from pb4u.physics.contact.cloth_contact import ClothContact, ClothFriction
-from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
 from pb4u.physics.contact.self_contact import CollisionFree
-from pb4u.physics.energy_term import EnergyTerm
-from pb4u.physics.implicit_steps import substep_count
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.physics.pair_stiffness import PairStiffness, add_product
-from pb4u.physics.solver import Solver
+from pb4u.physics.solver.implicit_steps import substep_count
+from pb4u.physics.solver.newton_solver import Solver
+from pb4u.physics.terms.cloth_contact import ClothContact, ClothFriction
+from pb4u.physics.terms.energy_term import EnergyTerm
+from pb4u.physics.terms.pair_stiffness import PairStiffness, add_product
 from pb4u.physics.time_step import TimeStep, require_finite
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.state import State
 from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import Network, NoNetwork
+from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement, SolverRefinement
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
@@ -176,7 +176,7 @@ def test_pair_stiffness_is_the_derivative_of_the_force_along_the_normal() -> Non
 
 
 def test_friction_stiffness_is_the_derivative_of_its_force(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pb4u.physics.contact.cloth_contact._SOFTENING", 1.0)
+    monkeypatch.setattr("pb4u.physics.terms.cloth_contact._SOFTENING", 1.0)
     step, x = touching(4)
     at = fixed(step, x)
     # Slips of the smoothing's length, where the law bends.

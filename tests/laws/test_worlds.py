@@ -8,7 +8,7 @@ import torch
 from tests.physics.shapes import at_rest, capsule, collider, colliders, packed, potential_of, sheet, tube
 
 from pb4u.garment.garment import Garment
-from pb4u.physics.solver import Solver
+from pb4u.physics.solver.newton_solver import Solver
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 

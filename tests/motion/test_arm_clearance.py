@@ -8,8 +8,8 @@ import pytest
 import pb4u
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputWarning
-from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.rotation import angle_between
 from pb4u.motion.arm_clearance import eased, reach
 from pb4u.motion.library import load_motion

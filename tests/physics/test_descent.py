@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from tests.physics.shapes import DT, potential_of, sheet, time_step
 
-from pb4u.physics.contact.planes import ContactSet
-from pb4u.physics.descent import JacobiDescent, membrane_stiffness
-from pb4u.physics.stretch import Stretch
+from pb4u.physics.contact.contact_set import ContactSet
+from pb4u.physics.solver.descent import JacobiDescent, membrane_stiffness
+from pb4u.physics.terms.stretch import Stretch
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.state import State
 

@@ -12,19 +12,19 @@ import torch
 from tests.physics.shapes import DT, at_rest, capsule, collider, packed, potential_of, sheet, time_step, tube
 from tests.readable_stiffness import readable_stiffness
 
-import pb4u.physics.solver as solver_module
+import pb4u.physics.solver.newton_solver as solver_module
 from pb4u.errors import InputError
-from pb4u.physics.bending import Bending
-from pb4u.physics.gravity import Gravity
-from pb4u.physics.implicit_steps import implicit_steps, substep_count
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
-from pb4u.physics.inertia import Inertia
-from pb4u.physics.linear_solver import conjugate_gradient
-from pb4u.physics.pair_stiffness import PairStiffness
-from pb4u.physics.preconditioner import PRECISION, PatchBasis, TwoLevelPreconditioner
-from pb4u.physics.solver import Iteration, Solver
-from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
-from pb4u.physics.stretch import Stretch
+from pb4u.physics.solver.implicit_steps import implicit_steps, substep_count
+from pb4u.physics.solver.linear_solver import conjugate_gradient
+from pb4u.physics.solver.newton_solver import Iteration, Solver
+from pb4u.physics.solver.preconditioner import PRECISION, PatchBasis, TwoLevelPreconditioner
+from pb4u.physics.terms.bending import Bending
+from pb4u.physics.terms.gravity import Gravity
+from pb4u.physics.terms.inertia import Inertia
+from pb4u.physics.terms.pair_stiffness import PairStiffness
+from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
+from pb4u.physics.terms.stretch import Stretch
 from pb4u.physics.time_step import DivergedError, TimeStep, integrate, require_finite
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY

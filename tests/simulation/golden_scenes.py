@@ -11,10 +11,10 @@ from torch import Tensor
 
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.graph.builder import FoundEdges
-from pb4u.graph.graph import BODY, GARMENT, Graph
-from pb4u.graph.incidence import incidence
-from pb4u.graph.pins import SeenGarments
+from pb4u.network.graph.builder import FoundEdges
+from pb4u.network.graph.graph import BODY, GARMENT, Graph
+from pb4u.network.graph.incidence import incidence
+from pb4u.network.graph.pins import SeenGarments
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import ColliderFrame, PackedColliders, pack, pack_colliders
 from pb4u.scene.state import State

@@ -16,12 +16,12 @@ from safetensors.torch import load_file, save_file
 from tests.network_scenes import DT, moment, sheet
 
 from pb4u.errors import InputError, InputWarning
-from pb4u.graph.features import Feature, FeatureLayout
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.model.propagation_control import FixedSteps
-from pb4u.model.update_scaling import NoScaling
-from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.presets.networks import NETWORKS
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.graph.features import Feature, FeatureLayout
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
+from pb4u.network.propagation_control import FixedSteps
+from pb4u.network.update_scaling import NoScaling
+from pb4u.paper.network_presets import NETWORKS
 from pb4u.scene.packed import pack
 from pb4u.simulation.checkpoint import (
     TrainingRecord,

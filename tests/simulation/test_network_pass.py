@@ -12,9 +12,9 @@ from ball_scene import ball_scene
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.graph.features import ADVANCE, DESCENT, Feature, FeatureLayout
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.graph.features import ADVANCE, DESCENT, Feature, FeatureLayout
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import pack
 from pb4u.scene.state import State
@@ -172,7 +172,7 @@ def test_passes_can_be_chosen_and_are_one_where_the_solver_refines(tmp_path: Pat
     assert load_simulator(path).passes == 1
     assert load_simulator(path, refine=0).passes == 3
     assert load_simulator(path, refine=5, passes=2).simulate(ball_scene(frames=2)).metadata["passes"] == 2
-    with pytest.raises(InputError, match="at least 1 pass"):
+    with pytest.raises(InputError, match="passes must be a whole number from 1"):
         load_simulator(path, passes=0)
 
 

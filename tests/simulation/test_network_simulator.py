@@ -12,15 +12,15 @@ import torch
 from ball_scene import ball_scene
 
 from pb4u.errors import InputError, InputWarning, Pb4uError
-from pb4u.evaluation.metrics import measure
-from pb4u.graph.graph import Graph
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.nn.acceleration_model import AccelerationModel, PreparedGarments
-from pb4u.physics.contact.response import Contact, ContactResponse, NoContact
+from pb4u.measures.metrics import measure
+from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
+from pb4u.network.graph.graph import Graph
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import local_origin
+from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 from pb4u.simulation.timeline import Timeline
@@ -77,7 +77,7 @@ def test_the_precision_of_products_is_chosen_told_and_close(weights: Path, monke
 
 @pytest.mark.parametrize("steps", [0, 10_000])
 def test_impossible_k_is_refused(weights: Path, steps: int) -> None:
-    with pytest.raises(InputError, match="Propagation steps"):
+    with pytest.raises(InputError, match="propagation_steps must be a whole number from 1 to 500"):
         load_simulator(weights, propagation_steps=steps)
 
 

@@ -13,11 +13,11 @@ from tests.simulation.ball_scene import MATERIAL, Ball, ball_scene, sheet
 from torch import Tensor
 
 from pb4u.errors import InputError, MissingExtraError
-from pb4u.evaluation.metrics import measure
 from pb4u.garment.dressing import Placement
 from pb4u.garment.garment import Garment
-from pb4u.physics.bending import Bending, dihedral_angles
-from pb4u.physics.contact.planes import ContactSet
+from pb4u.measures.metrics import measure
+from pb4u.physics.contact.contact_set import ContactSet
+from pb4u.physics.terms.bending import Bending, dihedral_angles
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import pack
 from pb4u.scene.scene import DressedGarment, Scene

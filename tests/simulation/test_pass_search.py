@@ -14,11 +14,11 @@ from ball_scene import ball_scene, sheet
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.graph.features import ADVANCE, DESCENT, FeatureLayout
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.nn.acceleration_model import AccelerationModel
-from pb4u.physics.descent import JacobiDescent
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.graph.features import ADVANCE, DESCENT, FeatureLayout
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.solver.descent import JacobiDescent
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import pack
 from pb4u.scene.state import State

@@ -10,15 +10,15 @@ from ball_scene import ball_scene
 from test_hooked import pierced
 
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.physics.contact.hooked import newly_hooked
-from pb4u.physics.contact.response import ContactResponse
-from pb4u.physics.implicit_steps import free_flight
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Solver
+from pb4u.physics.solver.implicit_steps import free_flight
+from pb4u.physics.solver.newton_solver import Solver
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation import refinement
 from pb4u.simulation.first_frame import Settled
+from pb4u.simulation.penetration_response import ContactResponse
+from pb4u.simulation.pierced_edges import newly_hooked
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SafeguardedRefinement, SolverRefinement
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline

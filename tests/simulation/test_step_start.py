@@ -10,11 +10,11 @@ from ball_scene import Ball, sheet
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.model.pb4u_gnet import Pb4uConfiguration
-from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration
+from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
+from pb4u.paper.network_presets import network_preset
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
-from pb4u.presets.networks import network_preset
 from pb4u.scene.packed import ColliderFrame, pack, pack_colliders
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass

@@ -12,7 +12,7 @@ from pb4u.body.skeleton import PoseSequence, Skeleton
 from pb4u.body.skinning import SkinningWeights
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import MATERIALS
-from pb4u.presets.networks import pb4u_small
+from pb4u.paper.network_presets import pb4u_small
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.curriculum import Curriculum
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from pb4u.errors import InputError
+from pb4u.paper.training_presets import TRAININGS, training_preset
 from pb4u.training.configuration import TrainingConfiguration, training_from_json, training_to_json, with_settings
-from pb4u.training.presets import TRAININGS, training_preset
 
 
 @pytest.mark.parametrize("name", TRAININGS)

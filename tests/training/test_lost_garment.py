@@ -6,8 +6,8 @@ import pytest
 import torch
 from tests.training.ball_data import sheet
 
-from pb4u.evaluation.divergence import DIVERGED_DISTANCE
-from pb4u.evaluation.metrics import strain_percentile
+from pb4u.measures.divergence import DIVERGED_DISTANCE
+from pb4u.measures.metrics import strain_percentile
 from pb4u.scene.packed import pack
 from pb4u.training.lost_garment import MOST_SUNK, SUNK, GarmentWatch, drift_from
 

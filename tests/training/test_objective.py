@@ -10,8 +10,8 @@ from tests.training.ball_data import TINY, ball_data
 from tests.training.listening import Listener, made
 
 from pb4u.errors import InputError
-from pb4u.physics.contact.collision import REFERENCE_AREA
 from pb4u.physics.incremental_potential import Energies
+from pb4u.physics.terms.collision import REFERENCE_AREA
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 from pb4u.training.objective import (

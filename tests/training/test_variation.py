@@ -9,11 +9,11 @@ import pytest
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import build_garment
 from pb4u.garment.patterns import PATTERNS
-from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.training import variation
 from pb4u.training.collection import collect
 from pb4u.training.configuration import DataSelection

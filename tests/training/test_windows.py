@@ -10,8 +10,8 @@ import torch
 from tests.training.ball_data import TINY, ball_data
 from torch import Tensor
 
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.garment.material import MATERIALS
-from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.simulation.timeline import Timeline
 from pb4u.training.wardrobe import Wardrobe

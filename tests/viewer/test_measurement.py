@@ -15,7 +15,7 @@ import pytest
 from tests.viewer.clips import header, trajectory
 
 from pb4u.errors import InputError
-from pb4u.evaluation.metrics import Ruler, measure
+from pb4u.measures.metrics import Ruler, measure
 from pb4u.scene.trajectory import Trajectory
 from pb4u.viewer.clip import GrowingClip, RecordedClip
 from pb4u.viewer.export_panel import deliver
@@ -105,7 +105,7 @@ def test_two_windows_may_keep_the_same_name_at_once(tmp_path: Path, monkeypatch:
             meeting.wait(1.0)
         written(descriptor)
 
-    monkeypatch.setattr("pb4u.atomic_file.os.fsync", meet)
+    monkeypatch.setattr("pb4u.io.atomic_file.os.fsync", meet)
     clip = RecordedClip(trajectory(3), "walk")
     with ThreadPoolExecutor(2) as windows:
         kept = [future.result() for future in [windows.submit(deliver, clip, ".obj", tmp_path) for _ in range(2)]]

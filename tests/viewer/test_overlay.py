@@ -11,10 +11,10 @@ import pytest
 import trimesh
 from tests.viewer.clips import frame, header, trajectory, tube
 
+from pb4u.collision.crossings import self_crossings
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import load_material
-from pb4u.geometry.proximity.crossings import self_crossings
 from pb4u.scene.packed import pack
 from pb4u.scene.trajectory import Trajectory
 from pb4u.viewer.clip import RecordedClip

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.array_archive import read_arrays
 from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
-from pb4u.stored_numbers import Layout, require_layout, require_places
+from pb4u.io.array_archive import read_arrays
+from pb4u.io.stored_numbers import Layout, require_layout, require_places
 
 FORMAT_VERSION = 1
 BUILT_IN = ("woman", "man")

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.atomic_file import replace_file
 from pb4u.body.anny_body import AnnyBody
 from pb4u.body.baked_body import BUILT_IN, FORMAT_VERSION, shape_basis
 from pb4u.errors import MissingExtraError
+from pb4u.io.atomic_file import replace_file
 
 GENDER = {"woman": 1.0, "man": 0.0}
 PARAMETERS = ("height", "weight", "muscle")

@@ -8,13 +8,13 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import NamedTuple
 
-from pb4u.array_archive import member_names
 from pb4u.body.baked_body import BUILT_IN, BakedBody
 from pb4u.body.body_model import BodyModel, ShapedBody
 from pb4u.body.smpl import SmplBody
 from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence, load_vertex_sequence
 from pb4u.errors import InputError, unknown_name
-from pb4u.restricted_pickle import load_pickle
+from pb4u.io.array_archive import member_names
+from pb4u.io.restricted_pickle import load_pickle
 
 
 class _Format(NamedTuple):

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.array_archive import read_arrays
 from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import strongest_influences
 from pb4u.errors import InputError
-from pb4u.reading_limits import read_text
-from pb4u.restricted_pickle import load_pickle
-from pb4u.stored_numbers import stored_numbers
+from pb4u.io.array_archive import read_arrays
+from pb4u.io.reading_limits import read_text
+from pb4u.io.restricted_pickle import load_pickle
+from pb4u.io.stored_numbers import stored_numbers
 
 BETA_RANGE = (-10.0, 0.0, 10.0)
 """Lowest, default and highest shape coefficient, in standard deviations; others are refused."""

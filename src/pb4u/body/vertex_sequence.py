@@ -14,16 +14,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.array_archive import member_names, read_arrays
-from pb4u.atomic_file import replace_file
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.errors import InputError, InputWarning
 from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
 from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
-from pb4u.reading_limits import told_names
-from pb4u.restricted_pickle import load_pickle
-from pb4u.stored_numbers import stored_numbers
+from pb4u.io.array_archive import member_names, read_arrays
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.reading_limits import told_names
+from pb4u.io.restricted_pickle import load_pickle
+from pb4u.io.stored_numbers import stored_numbers
 
 DEFAULT_FPS = 30.0
 MOST_TRIANGLES = 1_000_000

@@ -8,6 +8,7 @@ import typer
 
 from pb4u import __version__
 from pb4u.cli import assets, batch, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
+from pb4u.cli.run_flags import with_run_flags
 
 app = typer.Typer(
     name="pb4u",
@@ -18,7 +19,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for verb in (
-    simulate.simulate,
+    with_run_flags(simulate.simulate),
     trajectory_verbs.view,
     check.check,
     trajectory_verbs.convert,

@@ -194,10 +194,10 @@ def pack(
     Raises:
         InputError: the file cannot be written or is no .npz, or a preset, a setting or a recording cannot be used.
     """
+    from pb4u.paper.training_presets import training_preset
     from pb4u.training.collection import collect
     from pb4u.training.configuration import with_settings
     from pb4u.training.packed_data import save_training_data
-    from pb4u.training.presets import training_preset
 
     if out.suffix.lower() != ".npz":
         raise InputError(f"A training pack is an .npz; {out} ends otherwise.")

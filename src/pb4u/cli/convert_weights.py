@@ -49,7 +49,7 @@ def convert_weights(
         raise InputError(f"Weights are written as .safetensors; {out} ends in something else.")
     check_writable(out, "the weights")
     check_json_target(json)
-    from pb4u.simulation.released_weights import read_released
+    from pb4u.compat.released_weights import read_released
 
     released = read_released(checkpoint, method, licence)
     parameters = sum(parameter.numel() for parameter in released.checkpoint().model.network.parameters())

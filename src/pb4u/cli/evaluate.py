@@ -84,9 +84,9 @@ def evaluate(
     Raises:
         InputError: a number is out of range, or something is unknown or unusable.
     """
-    from pb4u.evaluation.planning import EvaluationRequest
-    from pb4u.evaluation.protocol_run import evaluate as run
-    from pb4u.evaluation.report import PAGE, PLOTS
+    from pb4u.paper.protocol_plan import EvaluationRequest
+    from pb4u.paper.protocol_run import evaluate as run
+    from pb4u.paper.report import PAGE, PLOTS
 
     check_json_target(json)
     read = [name for names in (models, garments, motions, bodies) for name in _names(names) or ()]
@@ -103,8 +103,8 @@ def evaluate(
     )  # fmt: skip
 
     def pool() -> WorkerPool:
-        from pb4u.evaluation.rollout import attempt
         from pb4u.jobs.worker_pool import LocalPool, RayPool
+        from pb4u.paper.rollout import attempt
 
         return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
 

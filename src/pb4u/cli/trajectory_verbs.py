@@ -62,8 +62,8 @@ def convert(
     json: JsonFlag = None,
 ) -> None:
     """Write a trajectory in another format."""
+    from pb4u.compat.result_pickle import open_trajectory
     from pb4u.export.registry import check_target, export
-    from pb4u.export.result_pickle import open_trajectory
     from pb4u.export.selection import on_source, select_frames
 
     check_target(out)
@@ -102,7 +102,7 @@ def view(
     out: Annotated[Path | None, typer.Option(help="Folder that exports are kept in, besides being downloaded.")] = None,
 ) -> None:
     """Play, compare, simulate live and export, in the browser."""
-    from pb4u.export.result_pickle import open_trajectory
+    from pb4u.compat.result_pickle import open_trajectory
     from pb4u.viewer.clip import RecordedClip
     from pb4u.viewer.studio import Studio
 

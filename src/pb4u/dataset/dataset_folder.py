@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pb4u import __version__
-from pb4u.atomic_file import MARK, move_into_place
 from pb4u.dataset.clip import DATASET_VERSION, Clip, ClipJob
 from pb4u.errors import InputError
+from pb4u.io.atomic_file import MARK, move_into_place
 from pb4u.jobs.job_folder import MANIFEST, JobFolder
 
 CLIPS, SHARDS, INDEX = "clips", "shards", "index.parquet"

@@ -16,14 +16,14 @@ from pb4u.errors import InputError, Pb4uError
 from pb4u.jobs.job_queue import make_all, still_to_do
 from pb4u.jobs.worker_pool import WorkerPool
 from pb4u.progress import Progress, unheard
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run
 
 _SPARE = 64 * 2**20
 """Bytes that stay free on the disk: the index, the manifest and what else the machine writes meanwhile."""
 
 
 def make_dataset(
-    runs: Sequence[RunSpecification],
+    runs: Sequence[Run],
     out: Path,
     pool: Callable[[], WorkerPool],
     layout: Layout,

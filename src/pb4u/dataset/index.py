@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from pb4u.dataset.clip import ClipJob
 from pb4u.dataset.dataset_folder import INDEX, DatasetFolder
 from pb4u.errors import MissingExtraError
-from pb4u.evaluation.metrics import ENERGIES, OF_A_CLIP, STRAINS
 from pb4u.garment.material import Material
+from pb4u.measures.metrics import ENERGIES, OF_A_CLIP, STRAINS
 
 if TYPE_CHECKING:
     import pyarrow

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from pb4u.errors import InputError, unknown_name
-from pb4u.reading_limits import read_text
-from pb4u.simulation.run_specification import ENTRIES, RunSpecification, read_tables
+from pb4u.io.reading_limits import read_text
+from pb4u.run import ENTRIES, Run, read_tables
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -35,7 +35,7 @@ _TOLD = 4
 """Entries of a clip that a refusal names: enough to find its line."""
 
 
-def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[RunSpecification, ...]:
+def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[Run, ...]:
     """The runs of a jobs file, those of the product first, its last entry varying fastest.
 
     Args:
@@ -60,7 +60,7 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[RunSpecification, ...
                 f"it describes {count:,} clips, and {most:,} are the most that are made at once; shorten a list, or "
                 "raise --most-clips."
             )
-        scenes: dict[Path, RunSpecification] = {}
+        scenes: dict[Path, Run] = {}
         # Absolute, so that a worker finds the files from wherever it runs.
         folder = path.absolute().parent
         return tuple(_run(number, entries, folder, scenes) for number, entries in enumerate(clips, start=1))
@@ -68,19 +68,17 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[RunSpecification, ...
         raise InputError(f"{path}: {error}") from None
 
 
-def _run(
-    number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Path, RunSpecification]
-) -> RunSpecification:
+def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Path, Run]) -> Run:
     """The run of one clip; `scenes` holds the scene files that were read."""
     changed = {name: value for name, value in entries.items() if name != _SCENE}
     try:
-        described = RunSpecification()
+        described = Run()
         if _SCENE in entries:
             if not isinstance(entries[_SCENE], str):
                 raise InputError(f"A scene is the name of a scene file, not {entries[_SCENE]!r}.")
             file = folder / entries[_SCENE]
             if file not in scenes:
-                scenes[file] = RunSpecification.open(file)
+                scenes[file] = Run.open(file)
             described = scenes[file]
         return described.with_entries(changed, folder)
     except InputError as error:

@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
+from pb4u.compat.garment_dictionary import read_dictionary_garment
 from pb4u.dataset.clip import ClipJob
 from pb4u.errors import InputError, unknown_name
 from pb4u.garment.dictionary_entry import DictionaryEntry
-from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import MATERIALS, load_material
 from pb4u.jobs.job import digest
 from pb4u.motion.library import load_motion, motion_names
+from pb4u.run import Run, WornGarment, with_companions
 from pb4u.scene.assembly import DEFAULT_FRAMES
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification, with_companions
-from pb4u.simulation.models import default_model
-from pb4u.simulation.run_specification import Device, RunSpecification
+from pb4u.simulation.models import default_model, simulator_of
 
 _SECONDS_A_FRAME = {
     "skinning": (0.05, 0.05), "solver": (0.15, 0.35), "quick-solver": (0.08, 0.15), "newton": (0.5, 0.5),
@@ -49,7 +47,7 @@ class Footprint(NamedTuple):
     seconds: float
 
 
-def plan_clips(runs: Sequence[RunSpecification], half: bool, say: Callable[[str], None]) -> tuple[ClipJob, ...]:
+def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> tuple[ClipJob, ...]:
     """The clips of the runs, each once.
 
     Args:
@@ -62,16 +60,16 @@ def plan_clips(runs: Sequence[RunSpecification], half: bool, say: Callable[[str]
     """
     contents: dict[str, tuple[tuple[str, str, str], ...]] = {}
     checked: set[tuple[str, str]] = set()
-    models: dict[RunSpecification, tuple[str, Device, str | None]] = {}
+    models: dict[Run, tuple[str, str, str | None]] = {}
     jobs = []
     for run in runs:
-        _require_names(run.scene, checked)
-        options = replace(run, scene=SceneSpecification())
+        _require_names(run, checked)
+        options = run.options
         if options not in models:
             models[options] = _resolved(run)
         model, device, weights = models[options]
-        resolved = replace(run, model=model, device=device)
-        named = dict.fromkeys(str(value) for value in run.files() if isinstance(value, str | Path))
+        resolved = run.with_entries({"model": model, "device": device})
+        named = dict.fromkeys(str(value) for value in run.files if isinstance(value, str | Path))
         for value in named:
             if value not in contents:
                 contents[value] = _content(value)
@@ -82,7 +80,7 @@ def plan_clips(runs: Sequence[RunSpecification], half: bool, say: Callable[[str]
     return tuple(unique.values())
 
 
-def _require_names(scene: SceneSpecification, checked: set[tuple[str, str]]) -> None:
+def _require_names(scene: Run, checked: set[tuple[str, str]]) -> None:
     """Refuse names and files that are not there; `checked` holds those that are."""
     known = {"garment": garment_names(), "motion": motion_names(), "material": tuple(MATERIALS)}
     worn = [(kind, getattr(each, kind)) for each in scene.garments for kind in ("garment", "material")]
@@ -102,14 +100,14 @@ def _require_names(scene: SceneSpecification, checked: set[tuple[str, str]]) -> 
             raise unknown_name(kind, str(value), known[kind])
 
 
-def _resolved(run: RunSpecification) -> tuple[str, Device, str | None]:
+def _resolved(run: Run) -> tuple[str, str, str | None]:
     """Model by name or file, device, and the digest of a network's weights."""
     from pb4u.simulation.checkpoint import weights_file
     from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
-    simulator = run.simulator()
+    simulator = simulator_of(run)
     model = default_model() if str(run.model) == "auto" else str(run.model)
-    device: Device = "cuda" if str(simulator.settings().get("device")) == "cuda" else "cpu"
+    device = "cuda" if str(simulator.settings().get("device")) == "cuda" else "cpu"
     if not isinstance(simulator, NetworkSimulator):
         return model, device, None
     with weights_file(model) as path:
@@ -136,7 +134,7 @@ def footprints(jobs: Iterable[ClipJob]) -> list[Footprint]:
     recorded = lru_cache(maxsize=None)(_recorded_frames)
     told = []
     for job in jobs:
-        scene = job.run.scene
+        scene = job.run
         points, corners, own_frames = body(str(scene.body))
         frames = scene.frames
         if frames is None:
@@ -165,7 +163,7 @@ def _body_counts(name: str) -> tuple[int, int, int | None]:
     return len(body.contact), len(body.faces), body.frame_count if moves else None  # type: ignore[union-attr]
 
 
-def _garment_triangles(garment: GarmentSpecification) -> int:
+def _garment_triangles(garment: WornGarment) -> int:
     name = garment.garment
     assert isinstance(name, str | Path)
     entry = DictionaryEntry.parse(name)

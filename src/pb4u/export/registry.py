@@ -10,8 +10,8 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
-from pb4u.atomic_file import move_into_place, working_folder
 from pb4u.errors import InputError
+from pb4u.io.atomic_file import move_into_place, working_folder
 from pb4u.progress import Progress, unheard
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ FORMATS = (
     Format(
         (".pkl",),
         "PKL is the result layout of HOOD's family, for their viewers",
-        "pb4u.export.result_pickle:write_result",
+        "pb4u.compat.result_pickle:write_result",
     ),
     Format((".glb",), "GLB is within 1 mm (else a warning says how far off)", "pb4u.export.gltf:write_glb"),
     Format(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
+from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
 
 #: Smallest distance [m] that a built-in garment keeps from the skin at rest.
 SMALLEST_CLEARANCE = 0.004

@@ -12,6 +12,8 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
+from pb4u.collision.crossings import self_crossings
+from pb4u.collision.untangling import untangle
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.coarseness import Coarseness
 from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, find_holder, is_held_up
@@ -20,8 +22,6 @@ from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.garment.tangles import tangles
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.proximity.crossings import self_crossings
-from pb4u.geometry.proximity.untangling import untangle
 from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
 
 # Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn.

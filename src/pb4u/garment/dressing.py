@@ -11,10 +11,10 @@ from torch import Tensor
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody
 from pb4u.body.skinning import SkinningWeights
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.weight_cache import garment_weights
-from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import vertex_normals
 
 # Frames placed at a time, which bounds the memory of a fine garment.
@@ -74,7 +74,8 @@ class PrescribedPlacement(Placement):
     Args:
         frames: (frames, vertices, 3) [m]; the last one is held.
 
-    Raises InputError for another shape, no frame, or numbers that are not finite.
+    Raises:
+        InputError: another shape, no frame, or numbers that are not finite.
     """
 
     def __init__(self, frames: np.ndarray) -> None:

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
+from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.garment.pins import collar_of, highest_reaching
-from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas
 

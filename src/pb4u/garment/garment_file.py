@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.body.library import body_names
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.material import Material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
-from pb4u.geometry.nearest_surface import TriangleSurface
 
 MOST_SIMULATED = 1_000_000
 """Triangles that a garment may have as it is simulated, which bounds time and memory; more are refused."""
@@ -61,7 +61,7 @@ def read_garment(
         garment = Garment(path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces)
         garment = replace(garment, source=_map_to_same(source, simulated, vertices, faces))
     else:
-        from pb4u.geometry.remeshing import remesh
+        from pb4u.collision.remeshing import remesh
 
         vertices, faces = remesh(vertices, faces, triangles)
         source_map = SourceMap(source, *nearest_places(source.vertices, vertices, faces))

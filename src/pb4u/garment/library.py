@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.collision.remeshing import remesh
 from pb4u.errors import InputError, unknown_name
 from pb4u.garment.body_form import BodyForm
 from pb4u.garment.clearance import clear_of_body
@@ -15,7 +16,6 @@ from pb4u.garment.patterns import PATTERNS, Pattern
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.tailoring import tailor
 from pb4u.geometry.implicit_surface import ImplicitSurface
-from pb4u.geometry.remeshing import remesh
 
 #: Triangle counts of the named levels of detail.
 LEVELS: dict[str, int] = {"base": 2500, "11K": 11000, "18K": 18000, "25K": 25000, "38K": 38000}

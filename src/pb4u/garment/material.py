@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from pb4u.errors import InputError, unknown_name
-from pb4u.reading_limits import read_json
+from pb4u.io.reading_limits import read_json
 
 
 @dataclass(frozen=True)

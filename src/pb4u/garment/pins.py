@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
-from pb4u.reading_limits import parse_json, read_text
+from pb4u.io.reading_limits import parse_json, read_text
 
 NAMES = ("none", "waist", "collar", "hem")
 # How far [m] below its highest point the edge of a garment is a collar: from the sides of the neck to the nape, which

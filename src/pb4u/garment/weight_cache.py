@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.array_archive import read_arrays
-from pb4u.atomic_file import replace_file
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
+from pb4u.io.array_archive import read_arrays
+from pb4u.io.atomic_file import replace_file
 
 ALGORITHM = 1
 """To be raised whenever `borrow_weights` gives different numbers."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.reading_limits import MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, parse_json, read_text, require_size
+from pb4u.io.reading_limits import MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, parse_json, read_text, require_size
 
 _TRIMESH = "pb4u.geometry.mesh_file:read_with_trimesh"
 READERS = {

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError
 from pb4u.geometry.mesh_file import MOST_READ, PolygonMesh
+from pb4u.io.atomic_file import replace_file
 
 _KINDS = {b"v ", b"f ", b"vt"}
 _BLOCK = 1 << 22
@@ -133,7 +133,11 @@ class _Table:
         self._parts: list[np.ndarray] = []
 
     def add(self, lines: Lines) -> None:
-        """Add the rows of some lines. Raises InputError naming the first bad line."""
+        """Add the rows of some lines.
+
+        Raises:
+            InputError: a line is bad; the first is named.
+        """
         if not lines:
             return
         self._parts.append(self._numbers(lines))

@@ -18,10 +18,10 @@ from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 
-from pb4u.atomic_file import json_text, replace_file
 from pb4u.errors import InputError, Pb4uError
+from pb4u.io.atomic_file import json_text, replace_file
+from pb4u.io.reading_limits import MOST_NUMBERS_TEXT, read_json
 from pb4u.jobs.job import Failure, Job
-from pb4u.reading_limits import MOST_NUMBERS_TEXT, read_json
 
 MANIFEST, JOBS, LOCK = "manifest.json", "jobs", ".lock"
 _Folder = TypeVar("_Folder", bound="JobFolder")

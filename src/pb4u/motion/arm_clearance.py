@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from pb4u.body.skeleton import PoseSequence, joint_positions
-from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
+from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.motion.humanoid import Humanoid
 

@@ -11,9 +11,9 @@ import numpy as np
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, from_euler, multiply, rotate
+from pb4u.io.reading_limits import MOST_JOINTS, Allowance, read_lines, read_text
 from pb4u.motion.correspondences import CMU
 from pb4u.motion.recording import Recording, finite_frames
-from pb4u.reading_limits import MOST_JOINTS, Allowance, read_lines, read_text
 
 # The database names no rate; its trials were captured at 120 Hz.
 CAPTURE_RATE = 120.0

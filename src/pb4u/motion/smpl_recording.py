@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from pb4u.array_archive import member_names, read_arrays
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.body.smpl import JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
+from pb4u.io.array_archive import member_names, read_arrays
+from pb4u.io.reading_limits import Allowance, told_names
+from pb4u.io.restricted_pickle import load_pickle
+from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames, require_rate
-from pb4u.reading_limits import Allowance, told_names
-from pb4u.restricted_pickle import load_pickle
-from pb4u.stored_numbers import stored_numbers
 
 _FAMILY_OF_WIDTH = {3 * len(names): family for family, names in JOINT_NAMES.items()}
 _Z_UP_TO_Y_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])

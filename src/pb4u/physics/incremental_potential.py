@@ -8,26 +8,26 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from pb4u.geometry.proximity.element_distance import COMPILES
-from pb4u.physics.bending import Bending
-from pb4u.physics.contact.cloth_contact import ClothContact, ClothFriction
-from pb4u.physics.contact.collision import Collision, ReleasedCollision
-from pb4u.physics.contact.friction import Friction, ReleasedFriction
-from pb4u.physics.contact.obstacle import Obstacle
-from pb4u.physics.contact.planes import (
+from pb4u.collision.jit import COMPILES
+from pb4u.physics.contact.contact_set import (
     ContactPlanes,
     ContactSet,
     PlaneSearch,
     nearest_face_centres,
     nearest_planes,
 )
+from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import ClothPairs, CollisionFree, NoSelfContact, SelfContact
-from pb4u.physics.energy_term import EnergyTerm, Tangent
-from pb4u.physics.gravity import Gravity
-from pb4u.physics.inertia import Inertia
-from pb4u.physics.pair_stiffness import PairStiffness
-from pb4u.physics.stiffness_matrix import Stiffness, StiffnessPattern
-from pb4u.physics.stretch import Stretch
+from pb4u.physics.terms.bending import Bending
+from pb4u.physics.terms.cloth_contact import ClothContact, ClothFriction
+from pb4u.physics.terms.collision import Collision, ReleasedCollision
+from pb4u.physics.terms.energy_term import EnergyTerm, Tangent
+from pb4u.physics.terms.friction import Friction, ReleasedFriction
+from pb4u.physics.terms.gravity import Gravity
+from pb4u.physics.terms.inertia import Inertia
+from pb4u.physics.terms.pair_stiffness import PairStiffness
+from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
+from pb4u.physics.terms.stretch import Stretch
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
+from pb4u.physics.contact.contact_set import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle, sags
-from pb4u.physics.contact.planes import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
 
@@ -42,7 +42,8 @@ class TimeStep:
             gives them no place: predictions then move them as any other.
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
 
-    Raises InputError for a time step that is not positive, or shapes that do not match.
+    Raises:
+        InputError: a time step that is not positive, or shapes that do not match.
     """
 
     garments: PackedGarments

@@ -1,4 +1,4 @@
-"""Makes a Scene of its specification: body, motion and garments loaded, fitted and placed."""
+"""Makes a Scene of a run: body, motion and garments loaded, fitted and placed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -15,14 +16,14 @@ from pb4u.body.body_model import PosedBody, ShapedBody
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
-from pb4u.errors import InputError, InputWarning
+from pb4u.collision.remeshing import remesh
+from pb4u.errors import InputError, InputWarning, unknown_name
 from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.diagnosis import require_fine, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
 from pb4u.garment.fit import RestBody, find_holder
 from pb4u.garment.garment import Garment, SourceMap
-from pb4u.garment.garment_dictionary import read_dictionary_garment
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import layered, worn_order
 from pb4u.garment.library import build_garment, garment_names
@@ -30,13 +31,14 @@ from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.remeshing import remesh
-from pb4u.motion.as_recorded import RecordingAsItIs
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.motion.motion import Motion
+from pb4u.run import Run, WornGarment, entries
 from pb4u.scene.scene import DressedGarment, Scene
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+
+if TYPE_CHECKING:
+    from pb4u.compat.recording_as_released import RecordingAsItIs
 
 DEFAULT_FRAMES = 60
 """Frames written of a motion without end when none are asked for: two seconds at 30 frames per second."""
@@ -44,50 +46,27 @@ DEFAULT_FRAMES = 60
 DEFAULT_MOTION = "walk"
 DEFAULT_MATERIAL = "default"
 
-GarmentChoice: TypeAlias = str | Path | Garment | GarmentSpecification
-MaterialChoice: TypeAlias = str | Path | Material | None
-PinChoice: TypeAlias = str | Path | Sequence[int] | None
+GarmentChoice: TypeAlias = str | Path | Garment | WornGarment
 
 
 def make_scene(
-    garment: GarmentChoice | Sequence[GarmentChoice] = GarmentSpecification.garment,
-    body: str | Path | ShapedBody | AnimatedBody = SceneSpecification.body,
+    garment: GarmentChoice | Sequence[GarmentChoice] = WornGarment.garment,
+    body: str | Path | ShapedBody | AnimatedBody = Run.body,
     motion: str | Path | Motion | None = None,
-    *,
-    triangles: int | Sequence[int | None] | None = None,
-    material: MaterialChoice | Sequence[MaterialChoice] = None,
-    pins: PinChoice | Sequence[PinChoice] = None,
-    body_shape: Mapping[str, float] | None = None,
-    frames: int | None = None,
-    lead_in: int = SceneSpecification.lead_in,
-    keep_lead_in: bool = SceneSpecification.keep_lead_in,
-    crop: tuple[int, int] | None = None,
-    fps: float = SceneSpecification.fps,
-    arms_away: float | None = SceneSpecification.arms_away,
-    seed: int = SceneSpecification.seed,
+    **options: Any,
 ) -> Scene:
     """Garments on a moving body, ready to simulate.
 
-    Names, paths and loaded objects are taken alike. `triangles`, `material` and `pins` are one for all garments, or a
-    list with one for each; they hold where a GarmentSpecification leaves them open.
+    Names, paths and loaded objects are taken alike.
 
     Args:
-        garment: built-in name, mesh file, Garment fitted to this body at rest, or GarmentSpecification; of several, a
-            list, inner first.
+        garment: built-in name, mesh file, Garment fitted to this body at rest, or WornGarment; of several, a list,
+            inner first.
         body: built-in name, model or sequence file, or a body already loaded.
         motion: built-in name, file or Motion; default "walk". A body that is a sequence of vertices brings its own.
-        triangles: number of triangles to simulate; default the garment's own.
-        material: built-in name, JSON file or Material; default that of a loaded Garment, else "default".
-        pins: name, boundary loop, file or indices of vertices that follow the body; default the garment's own.
-        body_shape: shape parameters of the body, see `pb4u assets`.
-        frames: frames to write; default the whole recording, or 60 of a motion without end.
-        lead_in: frames simulated before the first written one, from the rest pose into the motion.
-        keep_lead_in: write those frames as well, before the `frames` asked for.
-        crop: (first, stop) frames of a recording, counted at its own rate.
-        fps: frames per second of the simulation [1/s].
-        arms_away: degrees by which hanging arms are held away from the torso; default: arms of a recording by as much
-            as they would go into the body.
-        seed: seed of procedural motion and of everything random.
+        options: fields of `Run` on the scene by name, such as body_shape, frames, lead_in, crop, fps, arms_away, seed;
+            and triangles, material and pins of the garments, one for all or a list with one each, which hold where a
+            WornGarment leaves them open.
 
     Raises:
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
@@ -96,27 +75,28 @@ def make_scene(
         InputWarning: the body does not perform the motion, nothing holds a garment up that comes from a file and is
             given without pins, or skin may show through a garment that is coarse for the body.
     """
-    specification = SceneSpecification(
-        garments=_specified(garment, triangles, material, pins),
-        body=body,
-        body_shape=body_shape or {},
-        motion=motion,
-        frames=frames,
-        lead_in=lead_in,
-        keep_lead_in=keep_lead_in,
-        crop=crop,
-        fps=fps,
-        arms_away=arms_away,
-        seed=seed,
-    )
-    return assemble(specification)
+    known = ("material", "pins", "triangles", *entries("scene"))
+    for option in options:
+        if option not in known:
+            raise unknown_name("option of a scene", option, known)
+    named: Sequence[Any] = garment if isinstance(garment, list | tuple) else [garment]
+    worn = tuple(each if isinstance(each, WornGarment) else WornGarment(each) for each in named)
+    open_ = {name: options.pop(name) for name in ("material", "pins", "triangles") if options.get(name) is not None}
+    options = {name: value for name, value in options.items() if value is not None}
+    run = Run(worn, body=body, motion=motion, **options)
+    filled = run.with_entries(open_)
+    kept = [
+        replace(after, **{name: getattr(given, name) for name in open_ if getattr(given, name) is not None})
+        for given, after in zip(worn, filled.garments, strict=True)
+    ]
+    return build_scene(replace(run, garments=tuple(kept)))
 
 
-def assemble(specification: SceneSpecification) -> Scene:
-    """Scene of a specification, everything in it loaded.
+def build_scene(run: Run) -> Scene:
+    """Scene of a run, everything in it loaded.
 
     Args:
-        specification: names, paths or loaded objects that the scene is made of.
+        run: names, paths or loaded objects that the scene is made of; its options are not looked at.
 
     Raises:
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
@@ -124,19 +104,19 @@ def assemble(specification: SceneSpecification) -> Scene:
     Warns:
         InputWarning: as `make_scene` does.
     """
-    recording = _recording(specification) if specification.as_recorded else None
-    body = _load_body(specification, recording)
+    recording = _recording(run) if run.as_recorded else None
+    body = _load_body(run, recording)
     if isinstance(body, ShapedBody):
-        performance = _perform(body, specification) if recording is None else _replay(body, recording, specification)
+        performance = _perform(body, run) if recording is None else _replay(body, recording, run)
     else:
-        performance = _play(body, specification)
-    collider, frames, lead_in, notes = performance.body, performance.frames, specification.lead_in, performance.notes
-    garments, specified = _load_garments(specification.garments, body)
+        performance = _play(body, run)
+    collider, frames, lead_in, notes = performance.body, performance.frames, run.lead_in, performance.notes
+    garments, specified = _load_garments(run.garments, body)
     places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
     dressed = [
         DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
     ]
-    if specification.keep_lead_in and lead_in:
+    if run.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
     sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
@@ -145,10 +125,10 @@ def assemble(specification: SceneSpecification) -> Scene:
         colliders=(collider,),
         frames=frames,
         lead_in=lead_in,
-        fps=specification.fps,
+        fps=run.fps,
         # A recording that is played as it is stands at whatever height it has.
         ground_height=Scene.ground_height if recording is None else None,
-        seed=specification.seed,
+        seed=run.seed,
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
             "sources": sources,
@@ -161,9 +141,9 @@ def assemble(specification: SceneSpecification) -> Scene:
 
 
 def _load_garments(
-    specified: Sequence[GarmentSpecification], body: ShapedBody | VertexSequence
-) -> tuple[list[Garment], list[GarmentSpecification]]:
-    """The garments, pinned, and their specifications in the order they are worn, inner first."""
+    specified: Sequence[WornGarment], body: ShapedBody | VertexSequence
+) -> tuple[list[Garment], list[WornGarment]]:
+    """The garments, pinned, and how each was asked for, in the order they are worn, inner first."""
     garments = []
     for each in specified:
         garment = _load_garment(each, body)
@@ -171,45 +151,6 @@ def _load_garments(
         garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
     order = worn_order(garments, [each.tucked for each in specified])
     return [garments[k] for k in order], [specified[k] for k in order]
-
-
-def _specified(
-    garment: GarmentChoice | Sequence[GarmentChoice],
-    triangles: int | Sequence[int | None] | None,
-    material: MaterialChoice | Sequence[MaterialChoice],
-    pins: PinChoice | Sequence[PinChoice],
-) -> tuple[GarmentSpecification, ...]:
-    worn = garment if isinstance(garment, list | tuple) else [garment]
-    # Whole numbers in a list are the indices of one choice of pins.
-    chosen_pins = [pins] * len(worn) if isinstance(pins, list | tuple) and _all_whole(pins) else pins
-    columns = [
-        _one_each(name, value, len(worn))
-        for name, value in (("triangles", triangles), ("material", material), ("pins", chosen_pins))
-    ]
-    specified = []
-    for each, count, cloth, pinned in zip(worn, *columns, strict=True):
-        given = each if isinstance(each, GarmentSpecification) else GarmentSpecification(each)
-        specified.append(
-            replace(
-                given,
-                triangles=count if given.triangles is None else given.triangles,
-                material=cloth if given.material is None else given.material,
-                pins=pinned if given.pins is None else given.pins,
-            )
-        )
-    return tuple(specified)
-
-
-def _all_whole(values: Sequence[object]) -> bool:
-    return all(isinstance(value, int | np.integer) for value in values)
-
-
-def _one_each(what: str, value: object, count: int) -> Sequence:
-    if not isinstance(value, list | tuple):
-        return [value] * count
-    if len(value) != count:
-        raise InputError(f"The list for {what} has {len(value)} entries for {count} garments; give one each.")
-    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,42 +179,41 @@ def _placement(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None
     return SkinnedPlacement(garment, collider, worn=worn)
 
 
-def _recording(specification: SceneSpecification) -> RecordingAsItIs:
-    motion = specification.motion
+def _recording(run: Run) -> RecordingAsItIs:
+    motion = run.motion
     if not isinstance(motion, str | Path) or not Path(motion).suffix:
         raise InputError("To play a recording as recorded, give its file as the motion: a .pkl or .npz of SMPL.")
-    return RecordingAsItIs(Path(motion), specification.crop, specification.arms_away)
+    kind: type[RecordingAsItIs] = resolve_name("pb4u.compat.recording_as_released:RecordingAsItIs")
+    return kind(Path(motion), run.crop, run.arms_away)
 
 
-def _load_body(
-    specification: SceneSpecification, recording: RecordingAsItIs | None = None
-) -> ShapedBody | VertexSequence:
-    body = _shaped_body(specification, {} if recording is None else recording.shape)
-    if specification.omitted is None:
+def _load_body(run: Run, recording: RecordingAsItIs | None = None) -> ShapedBody | VertexSequence:
+    body = _shaped_body(run, {} if recording is None else recording.shape)
+    if run.omitted is None:
         return body
-    return body.with_contact(read_contact(Path(specification.omitted), len(body.contact)))
+    return body.with_contact(read_contact(Path(run.omitted), len(body.contact)))
 
 
-def _shaped_body(specification: SceneSpecification, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
+def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
     """The body with the `shape` that its recording says, and over it what is asked for."""
-    body = specification.body
+    body = run.body
     if shape and not (isinstance(body, str | Path) and Path(body).suffix):
         raise InputError(
             f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
         )
     if isinstance(body, str | Path):
-        return load_body(body, {**shape, **specification.body_shape})
+        return load_body(body, {**shape, **run.body_shape})
     if not isinstance(body, ShapedBody | VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
-    if specification.body_shape:
+    if run.body_shape:
         raise InputError(f"{body.name} is a body already loaded, with its shape; give body_shape to load_body instead.")
     return body
 
 
-def _perform(body: ShapedBody, specification: SceneSpecification) -> _Performance:
+def _perform(body: ShapedBody, run: Run) -> _Performance:
     """A body with bones performs a motion."""
-    clip, name = _load_motion(specification)
-    frames, fps = specification.frames, specification.fps
+    clip, name = _load_motion(run)
+    frames, fps = run.frames, run.fps
     available = clip.available_frames(fps)
     if frames is None:
         frames = available or DEFAULT_FRAMES
@@ -284,24 +224,24 @@ def _perform(body: ShapedBody, specification: SceneSpecification) -> _Performanc
     notes = (*clip.notes, *told)
     for note in notes:
         _say(note)
-    return _Performance(body.posed(prepend_lead_in(poses, body, specification.lead_in)), frames, name, notes)
+    return _Performance(body.posed(prepend_lead_in(poses, body, run.lead_in)), frames, name, notes)
 
 
-def _replay(body: ShapedBody, recording: RecordingAsItIs, specification: SceneSpecification) -> _Performance:
+def _replay(body: ShapedBody, recording: RecordingAsItIs, run: Run) -> _Performance:
     """A body with bones plays its recording, nothing changed."""
-    frames, lead_in = specification.frames, specification.lead_in
-    available = recording.available_frames(specification.fps) or 0
+    frames, lead_in = run.frames, run.lead_in
+    available = recording.available_frames(run.fps) or 0
     if frames is not None and frames > available:
-        _say_shorter(recording.name, available, frames, specification.fps)
-    poses = recording.led_in(body, specification.fps, lead_in)
-    return _Performance(body.posed(poses), min(frames or available, available), str(specification.motion))
+        _say_shorter(recording.name, available, frames, run.fps)
+    poses = recording.led_in(body, run.fps, lead_in)
+    return _Performance(body.posed(poses), min(frames or available, available), str(run.motion))
 
 
-def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
-    motion = DEFAULT_MOTION if specification.motion is None else specification.motion
-    crop, arms_away = specification.crop, specification.arms_away
+def _load_motion(run: Run) -> tuple[Motion, str]:
+    motion = DEFAULT_MOTION if run.motion is None else run.motion
+    crop, arms_away = run.crop, run.arms_away
     if isinstance(motion, str | Path):
-        return load_motion(motion, crop, seed=specification.seed, arms_away_degrees=arms_away), str(motion)
+        return load_motion(motion, crop, seed=run.seed, arms_away_degrees=arms_away), str(motion)
     if not isinstance(motion, Motion):
         raise InputError(f"The motion must be a name, a path or a Motion, not {motion!r}.")
     for given, option in ((crop is not None, "crop"), (arms_away is not None, "arms_away")):
@@ -312,10 +252,10 @@ def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
     return motion, motion.name
 
 
-def _play(body: VertexSequence, specification: SceneSpecification) -> _Performance:
+def _play(body: VertexSequence, run: Run) -> _Performance:
     """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed anew."""
-    motion, frames, fps = specification.motion, specification.frames, specification.fps
-    for given, flag in ((specification.crop is not None, "crop"), (specification.arms_away is not None, "arms-away")):
+    motion, frames, fps = run.motion, run.frames, run.fps
+    for given, flag in ((run.crop is not None, "crop"), (run.arms_away is not None, "arms-away")):
         if given:
             raise InputError(
                 f"{body.name} is a sequence of vertices that moves by itself, so --{flag} cannot be applied; change "
@@ -326,32 +266,33 @@ def _play(body: VertexSequence, specification: SceneSpecification) -> _Performan
         _say(f"{body.name} is a sequence of vertices that moves by itself; the motion {ignored} is not used.")
     # A body that never moves has no end: it stands for as long as is asked.
     standing = (frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
-    held = body.resampled(fps).with_held_start(specification.lead_in + standing)
-    available = held.frame_count - specification.lead_in
+    held = body.resampled(fps).with_held_start(run.lead_in + standing)
+    available = held.frame_count - run.lead_in
     if frames is not None and frames > available:
         _say_shorter(body.name, available, frames, fps)
     return _Performance(held, min(frames or available, available), body.name)
 
 
-def _load_garment(specification: GarmentSpecification, body: ShapedBody | VertexSequence) -> Garment:
-    """The garment in its material, without the pins of the specification."""
-    garment, triangles = specification.garment, specification.triangles
+def _load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garment:
+    """The garment in its material, without the pins of the worn."""
+    garment, triangles = worn.garment, worn.triangles
     if isinstance(garment, Garment):
-        cloth = garment.material if specification.material is None else _load_material(specification.material)
+        cloth = garment.material if worn.material is None else _load_material(worn.material)
         return _remeshed(garment, triangles).with_material(cloth)
     if not isinstance(garment, str | Path):
         raise InputError(f"The garment must be a name, a path or a Garment, not {garment!r}.")
-    cloth = _load_material(specification.material or DEFAULT_MATERIAL)
+    cloth = _load_material(worn.material or DEFAULT_MATERIAL)
     entry = DictionaryEntry.parse(garment)
     if entry is not None:
-        return _worn(_remeshed(read_dictionary_garment(entry, cloth), triangles), body)
+        read = resolve_name("pb4u.compat.garment_dictionary:read_dictionary_garment")
+        return _worn(_remeshed(read(entry, cloth), triangles), body)
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
         if triangles is not None:
             loaded = _outside_as_made(loaded, RestBody.of(body))
-        if specification.pins is None:
+        if worn.pins is None:
             loaded = _held(loaded, body)
-        require_worn(loaded, body, garment, pins_given=specification.pins is not None)
+        require_worn(loaded, body, garment, pins_given=worn.pins is not None)
         return loaded
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())

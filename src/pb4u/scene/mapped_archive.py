@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from pb4u.array_archive import open_archive, read_layout, read_member
-from pb4u.reading_limits import Allowance
+from pb4u.io.array_archive import open_archive, read_layout, read_member
+from pb4u.io.reading_limits import Allowance
 
 _SMALLEST_MAPPED = 4096
 """Members of fewer bytes are read: a map costs a page and a file handle."""
@@ -18,8 +18,9 @@ _SMALLEST_MAPPED = 4096
 def map_archive(path: Path) -> dict[str, np.ndarray]:
     """Arrays (...) of any unit of an .npz file by name, mapped from the file; small and compressed ones are read.
 
-    Raises InputError, OSError, ValueError, or what else numpy's reader raises, when the file cannot be read whole, or
-    when what is compressed in it would take more memory than it may.
+    Raises:
+        InputError: the file cannot be read whole; OSError, ValueError or what else numpy's reader raises as well, or
+            when what is compressed in it would take more memory than it may.
     """
     members: dict[str, np.ndarray] = {}
     with open_archive(path) as archive, path.open("rb") as raw:

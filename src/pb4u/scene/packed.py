@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.collision.nearest_points import Found
+from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
+from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
-from pb4u.geometry.nearest_surface import PosedSurface, TriangleSurface
-from pb4u.geometry.proximity.nearest_points import Found
-from pb4u.geometry.proximity.surface_tree import SurfaceTree
 from pb4u.scene.scene import STANDARD_GRAVITY
 
 
@@ -394,7 +394,8 @@ def inverse_rest_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         vertices: (vertices, 3) [m] at rest.
         faces: (faces, 3) int64 vertex indices.
 
-    Raises InputError naming the degenerate triangles.
+    Raises:
+        InputError: triangles are degenerate; they are named.
     """
     e1 = vertices[faces[:, 1]] - vertices[faces[:, 0]]
     e2 = vertices[faces[:, 2]] - vertices[faces[:, 0]]
@@ -430,7 +431,8 @@ def pack(
         device: device of the arrays.
         worlds: world of each garment, ascending from 0; each alone in its own by default.
 
-    Raises InputError when a rest triangle is degenerate.
+    Raises:
+        InputError: a rest triangle is degenerate.
     """
     offsets = np.concatenate([[0], np.cumsum([len(g.vertices) for g in garments])]).astype(int)
 

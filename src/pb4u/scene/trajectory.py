@@ -16,10 +16,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from pb4u.array_archive import DamagedArchiveError
-from pb4u.atomic_file import move_into_place, working_folder
 from pb4u.errors import InputError, Interrupted
-from pb4u.reading_limits import Allowance, told_error
+from pb4u.io.array_archive import DamagedArchiveError
+from pb4u.io.atomic_file import move_into_place, working_folder
+from pb4u.io.reading_limits import Allowance, told_error
 from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_indices, joined_uvs, offsets
 from pb4u.scene.mapped_archive import map_archive
 from pb4u.scene.scene import Scene
@@ -223,7 +223,8 @@ class Trajectory:
             header: everything that does not change from frame to frame.
             frames: one or more, in order.
 
-        Raises InputError when there is no frame.
+        Raises:
+            InputError: there is no frame.
         """
         rows = list(frames)
         if not rows:
@@ -271,8 +272,8 @@ class Trajectory:
     def open(cls, path: str | Path) -> Trajectory:
         """Map a trajectory file into memory; frames are read from disk as they are touched.
 
-        Raises InputError when the file is cut short, of a newer format, not a trajectory, or holds what does not fit
-        together.
+        Raises:
+            InputError: the file is cut short, of a newer format, not a trajectory, or holds what does not fit together.
         """
         path = Path(path)
         try:
@@ -339,7 +340,8 @@ class TrajectoryWriter:
         path: path of the file.
         header: everything that does not change from frame to frame.
 
-    Raises InputError where the folder is absent or cannot be written.
+    Raises:
+        InputError: the folder is absent or cannot be written.
     """
 
     def __init__(self, path: str | Path, header: TrajectoryHeader) -> None:
@@ -358,7 +360,11 @@ class TrajectoryWriter:
         self._shapes: dict[str, tuple[int, ...]] = {}
 
     def append(self, frame: Frame) -> None:
-        """Write one frame. Raises InputError where the disk takes no more."""
+        """Write one frame.
+
+        Raises:
+            InputError: the disk takes no more.
+        """
         try:
             for name in _STREAMED:
                 row = np.ascontiguousarray(getattr(frame, name), dtype="<f4")
@@ -371,7 +377,8 @@ class TrajectoryWriter:
     def close(self) -> None:
         """Assemble the file and move it into place. Without a frame nothing is written.
 
-        Raises InputError where the disk takes no more.
+        Raises:
+            InputError: the disk takes no more.
         """
         try:
             for raw in self._raw.values():

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.reading_limits import parse_json
-from pb4u.stored_numbers import Layout, require_layout, require_places
+from pb4u.io.reading_limits import parse_json
+from pb4u.io.stored_numbers import Layout, require_layout, require_places
 
 _LAYOUT: Layout = {
     "positions": ("f", ("frames", "vertices", 3)),
@@ -61,7 +61,8 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
         members: arrays (...) of the file by name; `_LAYOUT` has the shape of each, lengths are in [m].
         path: path of the file, for the refusal.
 
-    Raises InputError naming the first member that does not fit.
+    Raises:
+        InputError: a member does not fit; the first is named.
     """
 
     def refuse(what: str) -> InputError:

@@ -17,11 +17,11 @@ from safetensors.torch import save
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from pb4u.atomic_file import replace_file
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
-from pb4u.nn.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
-from pb4u.reading_limits import MOST_DIGITS, parse_json, require_small_header, told_error
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.reading_limits import MOST_DIGITS, parse_json, require_small_header, told_error
+from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
@@ -140,7 +140,8 @@ def save_checkpoint(
         record: record of its training.
         licence: SPDX name of the weights' licence.
 
-    Raises InputError where the folder cannot be written.
+    Raises:
+        InputError: the folder cannot be written.
     """
     save_tensors(path, model.state_dict(), configuration, record, licence)
 
@@ -161,7 +162,8 @@ def save_tensors(
         record: record of its training.
         licence: SPDX name of the weights' licence.
 
-    Raises InputError where the folder cannot be written.
+    Raises:
+        InputError: the folder cannot be written.
     """
     path = Path(path)
     metadata = {
@@ -186,7 +188,8 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
         name: name of the checkpoint; the file's stem by default.
         dtype: precision of the model.
 
-    Raises InputError where the file is absent, cut, foreign, of a newer format, or at odds with its own configuration.
+    Raises:
+        InputError: the file is absent, cut, foreign, of a newer format, or at odds with its own configuration.
     """
     path = Path(path)
     if not path.is_file():
@@ -256,7 +259,8 @@ def built_checkpoint(
         dtype: precision of the model.
         origin: the file it comes from, for messages; the name by default.
 
-    Raises InputError where the state does not fit the configuration, or is not finite.
+    Raises:
+        InputError: the state does not fit the configuration, or is not finite.
     """
     _check_fit(origin or name, _described(configuration), state)
     model = AccelerationModel(configuration.network())
@@ -277,7 +281,8 @@ def built_in_models() -> tuple[str, ...]:
 def from_pretrained(name_or_path: str | Path) -> Checkpoint:
     """Checkpoint of a built-in name, or of a path.
 
-    Raises InputError where there is neither, listing the names, and whatever `load_checkpoint` refuses.
+    Raises:
+        InputError: there is neither, listing the names, and whatever `load_checkpoint` refuses.
     """
     wanted = str(name_or_path)
     with weights_file(wanted) as path:
@@ -286,7 +291,11 @@ def from_pretrained(name_or_path: str | Path) -> Checkpoint:
 
 @contextmanager
 def weights_file(name_or_path: str) -> Iterator[Path]:
-    """File of a built-in name, or of a path. Raises InputError where there is neither, listing the names."""
+    """File of a built-in name, or of a path.
+
+    Raises:
+        InputError: there is neither, listing the names.
+    """
     if name_or_path in built_in_models():
         with resources.as_file(resources.files("pb4u.simulation") / "weights" / (name_or_path + SUFFIX)) as path:
             yield path
@@ -300,7 +309,11 @@ def weights_file(name_or_path: str) -> Iterator[Path]:
 
 
 def training_record_from_json(data: dict[str, Any]) -> TrainingRecord:
-    """Record of a training from the fields of one as JSON gives them. Raises InputError where they are out of range."""
+    """Record of a training from the fields of one as JSON gives them.
+
+    Raises:
+        InputError: they are out of range.
+    """
     record = TrainingRecord(**data)
     finest, coarsest = (float(length) for length in record.mean_edge_lengths)
     fewest, most = (int(count) for count in record.propagation_steps)

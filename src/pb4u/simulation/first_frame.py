@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Solver
+from pb4u.physics.solver.newton_solver import Solver
 from pb4u.scene.state import State
 from pb4u.simulation.refinement import SolverRefinement, carried
 from pb4u.simulation.step import StepMethod, take

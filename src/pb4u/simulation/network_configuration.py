@@ -1,18 +1,27 @@
 """Network configurations as JSON, and back: frozen dataclasses tagged with the name of their type.
 
-The types that may be read are those of the presets and, from there, every dataclass that a field is annotated with.
+The types that may be read are `CONFIGURATIONS` and, from there, every dataclass that a field is annotated with.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import fields, is_dataclass
+from pkgutil import resolve_name
 from types import UnionType
 from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
 from pb4u.errors import InputError
-from pb4u.nn.acceleration_model import NetworkConfiguration
-from pb4u.presets.networks import NETWORKS
+from pb4u.network.acceleration_model import NetworkConfiguration
+
+CONFIGURATIONS = (
+    "pb4u.network.pb4u_gnet:Pb4uConfiguration",
+    "pb4u.paper.baselines.contourcraft:ContourCraftConfiguration",
+    "pb4u.paper.baselines.eslr:EslrConfiguration",
+    "pb4u.paper.baselines.hood:HoodConfiguration",
+    "pb4u.paper.baselines.meshgraphnet:MeshGraphNetConfiguration",
+)
+"""Every kind of network that a checkpoint may hold, as "module:class"; imported when a checkpoint is read."""
 
 
 def configuration_to_json(configuration: NetworkConfiguration) -> dict[str, Any]:
@@ -38,7 +47,7 @@ def configuration_from_json(data: Any) -> NetworkConfiguration:
 def _known_types() -> dict[str, type]:
     """The dataclasses that configurations are made of, by name."""
     known: dict[str, type] = {}
-    waiting: list[Any] = [type(configuration) for configuration in NETWORKS.values()]
+    waiting: list[Any] = [resolve_name(name) for name in CONFIGURATIONS]
     while waiting:
         annotation = waiting.pop()
         waiting += get_args(annotation)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import torch
 from torch import Tensor
 
-from pb4u.nn.acceleration_model import GraphNetwork
+from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import PackedGarments

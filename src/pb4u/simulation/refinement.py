@@ -9,15 +9,15 @@ from dataclasses import replace
 from torch import Tensor
 
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.physics.contact.collision import Collision
-from pb4u.physics.contact.hooked import newly_hooked
-from pb4u.physics.contact.response import Contact
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
-from pb4u.physics.implicit_steps import implicit_steps
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Solution, Solver
+from pb4u.physics.solver.implicit_steps import implicit_steps
+from pb4u.physics.solver.newton_solver import Solution, Solver
+from pb4u.physics.terms.collision import Collision
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.state import State
+from pb4u.simulation.penetration_response import Contact
+from pb4u.simulation.pierced_edges import newly_hooked
 from pb4u.simulation.step_start import CarriedStart, FreeFlight, StepStart
 
 _BALANCED = 20.0

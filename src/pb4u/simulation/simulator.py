@@ -119,7 +119,8 @@ class Simulator(ABC):
             progress: called with (frames done, frames in all), lead-in included; by default a bar on standard error
                 where that is a terminal. `pb4u.progress.unheard` is quiet.
 
-        Raises InputError when the state stopped being finite before the first frame to write.
+        Raises:
+            InputError: the state stopped being finite before the first frame to write.
         """
         with shown(progress, self.name) as heard:
             return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=heard))
@@ -141,7 +142,8 @@ class Simulator(ABC):
             progress: called with (frames done, frames in all), lead-in included; a bar by default, as in `simulate`.
             seen: called with every frame that was written.
 
-        Raises Pb4uError when the state stopped being finite before the first frame to write.
+        Raises:
+            Pb4uError: the state stopped being finite before the first frame to write.
         """
         record = record or RunRecord()
         with TrajectoryWriter(path, self.header(scene)) as writer, shown(progress, self.name) as heard:

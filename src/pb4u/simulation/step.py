@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 
 import torch
 
-from pb4u.physics.contact.response import Contact, NoContact
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import Network, NoNetwork
 from pb4u.simulation.pass_search import PassSearch, WholePass
+from pb4u.simulation.penetration_response import Contact, NoContact
 from pb4u.simulation.refinement import NoRefinement, Refinement, carried
 from pb4u.simulation.step_start import FreeFlight, StepStart
 from pb4u.threads import one_torch_thread
@@ -49,11 +49,14 @@ class StepMethod:
 
 
 def take(step: TimeStep, method: StepMethod) -> State:
-    """State at the end of a time step; nothing given is changed. Raises DivergedError where it is not finite.
+    """State at the end of a time step; nothing given is changed.
 
     Args:
         step: that is taken.
         method: what takes it.
+
+    Raises:
+        DivergedError: it is not finite.
     """
     with one_torch_thread():
         # Where the garments would be: led there by the start of the step, corrected by every pass of the network.

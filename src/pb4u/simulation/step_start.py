@@ -7,9 +7,9 @@ from abc import ABC, abstractmethod
 import torch
 from torch import Tensor
 
-from pb4u.nn.acceleration_model import GraphNetwork
-from pb4u.physics.contact.tracking import lifted_off_the_body
+from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.solver.contact_tracking import lifted_off_the_body
 from pb4u.physics.time_step import TimeStep, integrate
 
 CARRIED_SHARES = (0.25, 0.5, 0.75, 1.0)

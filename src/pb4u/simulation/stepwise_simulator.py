@@ -12,12 +12,11 @@ from typing import Any
 import torch
 
 from pb4u.errors import InputError
-from pb4u.graph.features import ADVANCE
-from pb4u.nn.acceleration_model import require_propagation_steps
-from pb4u.physics.contact.response import Contact, NoContact
+from pb4u.network.acceleration_model import require_propagation_steps
+from pb4u.network.graph.features import ADVANCE
 from pb4u.physics.contact.self_contact import NoSelfContact
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver import Solution
+from pb4u.physics.solver.newton_solver import Solution
 from pb4u.physics.time_step import DivergedError, require_finite
 from pb4u.scene.packed import ColliderPose, PackedGarments, pack
 from pb4u.scene.scene import Scene
@@ -26,6 +25,7 @@ from pb4u.simulation.checkpoint import Checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
+from pb4u.simulation.penetration_response import Contact, NoContact
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
@@ -145,7 +145,8 @@ class QuickSolverSimulator(StepwiseSimulator):
         first_frame: makes frame 0; settled by default.
         potential: the energies, and whether cloth feels cloth; the six terms by default.
 
-    Raises InputError for less than 1 iteration.
+    Raises:
+        InputError: less than 1 iteration.
     """
 
     name = QUICK_SOLVER
@@ -191,8 +192,9 @@ class NetworkSimulator(StepwiseSimulator):
         potential: the energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
         precision: data type of the network's products.
 
-    Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next, and for
-    a number of propagation steps out of range.
+    Raises:
+        InputError: less than 1 pass, or more than 1 of a network that cannot tell one pass from the next, and for a
+            number of propagation steps out of range.
     """
 
     def __init__(

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 from pb4u.errors import Pb4uError
-from pb4u.training.presets import TRAININGS
 from pb4u.training.session import Request, train
 
 
@@ -15,7 +14,7 @@ def main() -> int:
     """Run a training with the options of `pb4u train` that need no asset but the pack; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m pb4u.training", description="Train a network from a pack.")
     parser.add_argument("--pack", type=Path, help="file that `pb4u assets pack` wrote")
-    parser.add_argument("--preset", help=f"training: {', '.join(TRAININGS)}")
+    parser.add_argument("--preset", help="name of a training, as `pb4u train --preset` takes it")
     parser.add_argument("--steps", type=int, help="optimiser steps")
     parser.add_argument("--minutes", type=float, help="wall time [min]")
     parser.add_argument("--out", type=Path, help="new folder of the training")

@@ -70,7 +70,8 @@ class Budget:
         steps: number of optimiser steps, or None.
         minutes: wall time [min], or None.
 
-    Raises InputError where both are None or one is not above 0.
+    Raises:
+        InputError: both are None or one is not above 0.
     """
 
     steps: int | None = None
@@ -125,7 +126,11 @@ class Counters:
 
     @staticmethod
     def from_json(record: dict[str, Any]) -> Counters:
-        """Counters from the data that `to_json` gave. Raises InputError where it is something else."""
+        """Counters from the data that `to_json` gave.
+
+        Raises:
+            InputError: it is something else.
+        """
         try:
             given = dict(record)
             guard, best = ExplosionGuard(**given.pop("guard")), given.pop("best")

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from pb4u.errors import InputError
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.network.acceleration_model import AccelerationModel
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,11 @@ class Workers:
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
-        """Samples of a `batch` that fall to this process. Raises InputError where it cannot be divided."""
+        """Samples of a `batch` that fall to this process.
+
+        Raises:
+            InputError: it cannot be divided.
+        """
         if batch % self.count:
             raise InputError(f"A batch of {batch} cannot be shared by {self.count} processes; set batch to a multiple.")
         size = batch // self.count
@@ -77,7 +81,8 @@ def workers(device: str = "auto") -> Iterator[Workers]:
     Args:
         device: "auto", "cpu" or "cuda".
 
-    Raises InputError where an accelerator is asked for and absent.
+    Raises:
+        InputError: an accelerator is asked for and absent.
     """
     if device not in ("auto", "cpu", "cuda"):
         raise InputError(f"The device is auto, cpu or cuda, not {device!r}.")

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.distribution import Workers
 
@@ -127,7 +127,8 @@ class Learner:
         Args:
             tensors: (...) each as in the model, by name, in the unit of what it is a copy of.
 
-        Raises InputError where they are of another network.
+        Raises:
+            InputError: they are of another network.
         """
         parts: dict[str, dict[str, Tensor]] = {
             part: {} for part in ("model", "average", "taken", "mean", "square", "root")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from pb4u.evaluation.divergence import DIVERGED_DISTANCE, DIVERGED_STRAIN
+from pb4u.measures.divergence import DIVERGED_DISTANCE, DIVERGED_STRAIN
 from pb4u.scene.packed import PackedGarments
 
 SUNK = 2e-6

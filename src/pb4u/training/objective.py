@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError, unknown_name
-from pb4u.nn.acceleration_model import PreparedGarments
-from pb4u.physics.contact.collision import Collision
+from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential
+from pb4u.physics.terms.collision import Collision
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY
@@ -146,7 +146,11 @@ LOSS_WEIGHTS: dict[str, LossWeight] = {
 
 
 def loss_weight(name: str) -> LossWeight:
-    """The weight called `name`. Raises InputError listing the names."""
+    """The weight called `name`.
+
+    Raises:
+        InputError: there is none; the names are listed.
+    """
     if name not in LOSS_WEIGHTS:
         raise unknown_name("loss weight", name, LOSS_WEIGHTS)
     return LOSS_WEIGHTS[name]

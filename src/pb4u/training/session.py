@@ -8,10 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from pkgutil import resolve_name
 from types import FrameType
 from typing import Any
 
 from pb4u.errors import InputError
+from pb4u.network.propagation_control import FixedSteps
 from pb4u.progress import announced
 from pb4u.simulation.checkpoint import built_in_models, from_pretrained, training_record_from_json
 from pb4u.training.budget import Budget
@@ -25,7 +27,6 @@ from pb4u.training.distribution import Workers, workers
 from pb4u.training.journal import Reporter, draw_curve, reporter
 from pb4u.training.objective import PROGRESS
 from pb4u.training.packed_data import TrainingData, load_training_data, save_training_data
-from pb4u.training.presets import DEFAULT_STEPS, training_preset
 from pb4u.training.run_folder import CURVE, RunFolder
 from pb4u.training.trainer import Trainer
 
@@ -69,7 +70,8 @@ class Request:
 def train(request: Request) -> dict[str, Any]:
     """Train as asked; returns a summary: how it ended, its steps, seconds, rollbacks and best validation.
 
-    Raises InputError for what cannot be done as asked.
+    Raises:
+        InputError: something of the request cannot be done.
     """
     if (request.resume is None) == (request.out is None):
         raise InputError("Give --out FOLDER for a new training, or --resume FOLDER to go on with one.")
@@ -98,7 +100,7 @@ def train(request: Request) -> dict[str, Any]:
 
 def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
     preset = request.preset or "small"
-    configuration = training_preset(preset)
+    configuration: TrainingConfiguration = resolve_name("pb4u.paper.training_presets:training_preset")(preset)
     if request.weights is not None:
         keys = {setting.partition("=")[0].strip() for setting in request.settings}
         if any(key.split(".")[0] == "network" for key in keys - _OF_NO_WEIGHT):
@@ -111,9 +113,14 @@ def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
             "loss_weight=progress goes by what the search of conjugate passes frees: add --set network.conjugate=True "
             "(and --set network.descent_size=0.03, which it was made for), or --set loss_weight=joule."
         )
+    if configuration.most_propagation_steps and isinstance(getattr(configuration.network, "control", None), FixedSteps):
+        raise InputError(
+            "The network takes a fixed number of propagation steps, but most_propagation_steps draws another at every "
+            "step of training: add --set most_propagation_steps=0, or take a network with propagation control."
+        )
     steps = request.steps
     if steps is None and request.minutes is None:
-        steps = DEFAULT_STEPS[preset]
+        steps = resolve_name("pb4u.paper.training_presets:DEFAULT_STEPS")[preset]
     return configuration, Budget(steps, request.minutes)
 
 

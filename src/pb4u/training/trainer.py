@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.evaluation.metrics import strain_percentile
-from pb4u.nn.acceleration_model import PreparedGarments
+from pb4u.measures.metrics import strain_percentile
+from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint
@@ -357,11 +357,14 @@ class Trainer:
         return seen if self.origin is None else seen.after(self.origin)
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
-        """Go on from a checkpoint. Raises InputError where it is not of this configuration.
+        """Go on from a checkpoint.
 
         Args:
             tensors: what `Learner.state` gave, by name.
             counters: what `Counters.to_json` gave.
+
+        Raises:
+            InputError: it is not of this configuration.
         """
         self.counters = self.recovery.resume(tensors, counters)
 

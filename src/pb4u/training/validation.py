@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from pb4u.evaluation.metrics import strain_percentile
 from pb4u.garment.material import MATERIALS
-from pb4u.nn.acceleration_model import AccelerationModel
+from pb4u.measures.metrics import strain_percentile
+from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from pb4u.body.skeleton import PoseSequence
 from pb4u.body.skinning import SkinningWeights, bone_transforms, skin
+from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.garment.material import Material
-from pb4u.geometry.nearest_surface import TriangleSurface
 from pb4u.scene.packed import PackedColliders, PackedGarments, pack, pack_colliders
 from pb4u.training.packed_data import TrainingData
 

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from pb4u.body.skeleton import PoseSequence
 from pb4u.garment.material import Material
-from pb4u.model.propagation_control import RandomSteps
-from pb4u.nn.acceleration_model import PreparedGarments
-from pb4u.physics.contact.planes import nearest_planes
+from pb4u.network.acceleration_model import PreparedGarments
+from pb4u.network.propagation_control import RandomSteps
+from pb4u.physics.contact.contact_set import nearest_planes
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State

@@ -11,14 +11,14 @@ from html import escape
 import numpy as np
 import torch
 
+from pb4u.collision.crossing_search import CrossingSearch
 from pb4u.errors import InputError
-from pb4u.evaluation.metrics import Ruler, visible_skin
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.geometry.proximity.crossing_search import CrossingSearch
-from pb4u.graph.features import MaterialRange
-from pb4u.graph.garment_graph import garment_graph
-from pb4u.model.propagation_control import ConstantDistance
-from pb4u.model.update_scaling import PerVertexScaling
+from pb4u.measures.metrics import Ruler, visible_skin
+from pb4u.network.graph.features import MaterialRange
+from pb4u.network.graph.garment_graph import garment_graph
+from pb4u.network.propagation_control import ConstantDistance
+from pb4u.network.update_scaling import PerVertexScaling
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.view_state import SHADED
 

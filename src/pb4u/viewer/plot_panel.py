@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.evaluation.metrics import ENERGIES, Ruler
+from pb4u.measures.metrics import ENERGIES, Ruler
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.panel import Panel, notice
 from pb4u.viewer.worker import Worker, plain_sentence

@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.geometry.proximity.crossing_search import CrossingSearch
-from pb4u.geometry.proximity.surface_tree import SurfaceTree
+from pb4u.collision.crossing_search import CrossingSearch
+from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import vertex_areas
-from pb4u.physics.contact.planes import MOTION_REACH, ContactPlanes, nearest_planes
-from pb4u.physics.contact.self_contact import as_array
+from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
+from pb4u.physics.contact.self_contact import as_float64
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments
 
 _SPARE = 1e-3
@@ -109,7 +109,7 @@ def _noted(
     among: np.ndarray | None = None,
 ) -> np.ndarray:
     """Vertices (vertices + body vertices,) of the cloth at `x` that bodies are through; kept at the pose."""
-    passed = CrossingSearch(tree).crossed(np.concatenate([as_array(x), body]), among)
+    passed = CrossingSearch(tree).crossed(np.concatenate([as_float64(x), body]), among)
     planes = nearest_planes(pose, garments, x, within=MOTION_REACH)
     inside = (planes.touchable & (planes.distance < 0.0)).numpy()
     passed[: len(x)] |= inside if among is None else inside & among[: len(x)]
@@ -140,7 +140,7 @@ def sags(garments: PackedGarments, planes: ContactPlanes) -> Tensor:
 
 
 def _positions(pose: ColliderPose) -> np.ndarray:
-    return as_array(pose.positions)[_touched(pose.colliders)[0]]
+    return as_float64(pose.positions)[_touched(pose.colliders)[0]]
 
 
 @lru_cache(maxsize=8)

@@ -15,9 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.geometry.proximity.collision_free import free_shares, past_obstacles, smallest_gaps, through_obstacle
-from pb4u.geometry.proximity.element_distance import crossing_shares
-from pb4u.geometry.proximity.element_pairs import ElementPairs
+from pb4u.collision.collision_free import free_shares, past_obstacles, smallest_gaps, through_obstacle
+from pb4u.collision.element_distance import crossing_shares
+from pb4u.collision.element_pairs import ElementPairs
+from pb4u.collision.jit import as_float64
 from pb4u.scene.packed import PackedGarments
 
 if TYPE_CHECKING:
@@ -77,8 +78,8 @@ class ClothPairs:
             obstacle: the bodies, which move while the cloth does; None for none.
         """
         tree = garments.surface_tree if obstacle is None else obstacle.tree
-        way = None if moves is None else as_array(moves)
-        points, began, areas = as_array(x), as_array(before), garments.vertex_areas.detach().cpu().numpy()
+        way = None if moves is None else as_float64(moves)
+        points, began, areas = as_float64(x), as_float64(before), garments.vertex_areas.detach().cpu().numpy()
         if obstacle is not None:
             still = np.zeros_like(points) if way is None else way
             way = np.concatenate([still, obstacle.moves])
@@ -115,8 +116,8 @@ class ClothPairs:
             before: whether the bodies are where they begin, not where they end.
         """
         if self.obstacle is None:
-            return as_array(x)
-        return np.concatenate([as_array(x), self.obstacle.before if before else self.obstacle.after])
+            return as_float64(x)
+        return np.concatenate([as_float64(x), self.obstacle.before if before else self.obstacle.after])
 
     def sides(self, vertex_count: int) -> np.ndarray:
         """A vertex of the cloth (pairs, 2) int64 of each element; of an obstacle's, that of the other element."""
@@ -207,7 +208,8 @@ class SelfContact(ABC):
             garments: static quantities.
             x: (vertices, 3) [m].
 
-        Raises InputError where what crosses cannot be untangled.
+        Raises:
+            InputError: what crosses cannot be untangled.
         """
 
     @abstractmethod
@@ -307,7 +309,7 @@ class CollisionFree(SelfContact):
         # Needs what a machine that only trains may lack.
         from pb4u.garment.tangles import untangled_start
 
-        positions, freed = as_array(x), []
+        positions, freed = as_float64(x), []
         for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
             worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
             freed.append(untangled_start(worn, positions[first:stop]))
@@ -323,8 +325,9 @@ class CollisionFree(SelfContact):
         obstacle: Obstacle | None = None,
     ) -> tuple[Tensor, Obstacle | None]:
         firm = garments.pinned if held is None else garments.pinned | held
-        masses = as_array(torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12)))
-        begun, asked, known = as_array(before), as_array(wanted), None if cloth is None else (cloth.pairs, cloth.gaps)
+        masses = as_float64(torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12)))
+        begun, asked = as_float64(before), as_float64(wanted)
+        known = None if cloth is None else (cloth.pairs, cloth.gaps)
         if obstacle is None:
             result = past_obstacles(garments.surface_tree, begun, asked, masses, known)[0]
             return wanted if result is asked else torch.from_numpy(result).to(wanted), None
@@ -344,14 +347,9 @@ class CollisionFree(SelfContact):
         result = x.new_ones(garments.world_count)
         if cloth is None or not len(cloth.pairs):
             return result
-        way = as_array(moves)
+        way = as_float64(moves)
         if cloth.obstacle is not None:
             way = np.concatenate([way, cloth.obstacle.moves])
         free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, cloth.joined(x, before=True), way))
         world = garments.vertex_world[torch.from_numpy(cloth.sides(len(x))[:, 0])]
         return result.scatter_reduce(0, world, free.to(x), "amin")
-
-
-def as_array(values: Tensor) -> np.ndarray:
-    """`values` as a contiguous float64 array, in their unit; its memory is that of the tensor where it can be."""
-    return values.detach().to("cpu", torch.float64).contiguous().numpy()

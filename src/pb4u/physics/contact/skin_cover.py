@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pb4u.geometry.nearest_surface import PosedSurface
-from pb4u.geometry.proximity.element_distance import compiled
-from pb4u.geometry.proximity.nearest_points import Found
-from pb4u.physics.contact.self_contact import as_array
+from pb4u.collision.jit import as_float64, compiled
+from pb4u.collision.nearest_points import Found
+from pb4u.collision.nearest_surface import PosedSurface
 
 SKIN_OVER_CLOTH = 0.02
 """Height [m] of skin over cloth up to which it has come through: what lies higher wears other cloth, or none."""
@@ -63,7 +62,7 @@ class SkinCover:
         normals: np.ndarray,
         cloth: PosedSurface,
     ) -> SkinCover:
-        vertices, faces = as_array(cloth.vertices), cloth.surface.faces
+        vertices, faces = as_float64(cloth.vertices), cloth.surface.faces
         heights, distances, belongs = _described(nearest, places, normals, vertices, faces)
         return SkinCover(heights, distances, belongs, nearest[0], barycentric)
 

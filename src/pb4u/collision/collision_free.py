@@ -1,0 +1,320 @@
+"""Moves of a surface that carry no element of it through another.
+
+A move from a surface that crosses nowhere is made so that it crosses nowhere either, and that no two elements come
+nearer than a smallest gap. Where two would touch, they are given an impulse along the line between them that leaves
+the rest of their motion as it was; where impulses do not settle it, what touches moves together as one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pb4u.collision.element_distance import free_share, gather, nearest
+from pb4u.collision.element_pairs import ElementPairs
+from pb4u.collision.jit import compiled
+from pb4u.collision.surface_tree import SurfaceTree
+
+SMALLEST_GAP = 1e-4
+"""Distance [m] that no two elements come within: rounding to float32 at two metres moves a vertex by 1e-7 m."""
+
+_SHARE_OF_REST = 0.25
+"""Share of their distance at rest that two elements of one garment may always come within: slivers of a mesh."""
+
+_IMPULSES = 12
+"""Rounds of impulses: a stack of layers passes one on from layer to layer."""
+
+_LEAST_RESPONSE = 0.1
+"""Share of the response of a pair of free elements below which an impulse is not made larger for it: where nearly all
+of the weight is on vertices that do not give way, it would fling the others."""
+
+_ZONES = 20
+"""Rounds in which what touches is moved together: each joins more."""
+
+_ZONES_WITH_OBSTACLES = 8
+"""The same of what touches moving obstacles, before these are let through it."""
+
+
+def smallest_gaps(pairs: ElementPairs, before: np.ndarray) -> np.ndarray:
+    """Gaps (pairs,) [m] that the pairs keep; less than `SMALLEST_GAP` where they are that near at rest or `before`.
+
+    Args:
+        pairs: of the surface.
+        before: (vertices, 3) [m] positions that cross nowhere.
+    """
+    gaps = np.minimum(SMALLEST_GAP, _SHARE_OF_REST * pairs.rest_distance)
+    return _below_present(before, pairs.corners, pairs.vertex_faces, gaps)
+
+
+def free_shares(pairs: ElementPairs, gaps: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Shares (pairs,) in [0, 1] of `moves` that each pair may take without coming nearer than its gap.
+
+    Args:
+        pairs: all that may touch on the way.
+        gaps: (pairs,) [m].
+        vertices: (vertices, 3) [m].
+        moves: (vertices, 3) [m], linear.
+    """
+    return _free_shares(vertices, moves, pairs.corners, pairs.vertex_faces, gaps)
+
+
+def collision_free(
+    tree: SurfaceTree,
+    before: np.ndarray,
+    wanted: np.ndarray,
+    masses: np.ndarray,
+    known: tuple[ElementPairs, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Positions (vertices, 3) [m] near `wanted` that `before` reaches without an element passing through another.
+
+    Gives back `wanted` itself where nothing touches.
+
+    Args:
+        tree: of the surface, without obstacles.
+        before: (vertices, 3) float64 [m] that cross nowhere.
+        wanted: (vertices, 3) float64 [m].
+        masses: (vertices,) [kg]; infinite for vertices that give way to no impulse.
+        known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were looked up already.
+    """
+    return past_obstacles(tree, before, wanted, masses, known)[0]
+
+
+def past_obstacles(
+    tree: SurfaceTree,
+    before: np.ndarray,
+    wanted: np.ndarray,
+    masses: np.ndarray,
+    known: tuple[ElementPairs, np.ndarray] | None = None,
+    passed: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `collision_free`, of a surface with obstacles, which go where they want; and what they have passed through.
+
+    Where obstacles leave no room between them, those that meet an element last are let through it.
+
+    Args:
+        tree: of the surface, its obstacles last.
+        before: (vertices, 3) float64 [m] that cross nowhere but where obstacles have `passed`.
+        wanted: (vertices, 3) float64 [m].
+        masses: (vertices,) [kg]; infinite for vertices that give way to no impulse, as those of obstacles are.
+        known: as in `collision_free`.
+        passed: (vertices,) bool of the surface that obstacles are let through; none by default.
+
+    Returns:
+        Positions (vertices, 3) [m], `wanted` itself where nothing touches, and what (vertices,) bool obstacles have
+        passed through by then.
+    """
+    passed = np.zeros(len(before), dtype=bool) if passed is None else passed
+    moves = wanted - before
+    if not moves.any():
+        return wanted, passed
+    pairs, gaps = known or _met(tree, before, moves, passed)
+    shares = free_shares(pairs, gaps, before, moves)
+    if (shares >= 1.0).all():
+        return wanted, passed
+    inverse, joined = 1.0 / masses, np.arange(len(before))
+    worlds = tree.vertex_world.max(initial=0) + 1
+    fastest = np.zeros(worlds)
+    np.maximum.at(fastest, tree.vertex_world, (moves**2).sum(axis=1))
+    firm = slice(tree.first_obstacle, None)
+    closing, looked_up = moves[firm].any(), moves.copy()
+    for attempt in range(_IMPULSES + _ZONES):
+        if (shares >= 1.0).all():
+            # Changed moves may meet others than the first ones did.
+            pairs, gaps = _met(tree, before, moves, passed, pairs, (moves != looked_up).any(axis=1))
+            looked_up = moves.copy()
+            shares = free_shares(pairs, gaps, before, moves)
+            if (shares >= 1.0).all():
+                return before + moves, passed
+        touching, previous = shares < 1.0, moves.copy()
+        if attempt >= _IMPULSES + _ZONES_WITH_OBSTACLES and closing:
+            # Nor does it help to go with them: there is no room. Beside what stands still there always is.
+            passed = passed | _met_by_obstacles(pairs.corners[touching], tree.first_obstacle, len(moves))
+            kept = ~through_obstacle(pairs.corners, tree.first_obstacle, passed)
+            pairs, gaps, shares = pairs.chosen(kept), gaps[kept], shares[kept]
+            touching = shares < 1.0
+        hit = pairs.chosen(touching)
+        if attempt < _IMPULSES:
+            stopped = (gaps[touching], shares[touching])
+            _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, fastest)
+        else:
+            moves = _together(moves, hit.corners, joined, masses)
+            moves[firm] = previous[firm]
+        changed = (moves != previous).any(axis=1)[pairs.corners].any(axis=1)
+        shares[changed] = free_shares(pairs.chosen(changed), gaps[changed], before, moves)
+    # All of a world together, as far as nothing touches: it always can be, but for obstacles.
+    pairs, gaps = _met(tree, before, moves, passed, pairs)
+    free, shares = np.ones(worlds), free_shares(pairs, gaps, before, moves)
+    own = (pairs.corners < tree.first_obstacle).all(axis=1)
+    np.minimum.at(free, tree.vertex_world[pairs.corners[own, 0]], shares[own])
+    moves[: tree.first_obstacle] *= free[tree.vertex_world[: tree.first_obstacle], None]
+    if closing:
+        pairs, gaps = _met(tree, before, moves, passed, pairs)
+        hit = pairs.corners[free_shares(pairs, gaps, before, moves) < 1.0]
+        passed = passed | _met_by_obstacles(hit, tree.first_obstacle, len(moves))
+    return before + moves, passed
+
+
+def through_obstacle(corners: np.ndarray, first_obstacle: int, passed: np.ndarray) -> np.ndarray:
+    """Which pairs (pairs,) bool are of an obstacle and an element that obstacles are let through.
+
+    Args:
+        corners: (pairs, 4) int64 of the pairs.
+        first_obstacle: number of the first vertex of obstacles; they are the last ones.
+        passed: (vertices,) bool of the surface that obstacles are let through.
+    """
+    result: np.ndarray = (corners >= first_obstacle).any(axis=1) & passed[corners].any(axis=1)
+    return result
+
+
+def _met_by_obstacles(corners: np.ndarray, first_obstacle: int, count: int) -> np.ndarray:
+    """Vertices (count,) bool of the surface in those pairs `corners` (pairs, 4) that are with an obstacle."""
+    met = np.zeros(count, dtype=bool)
+    own = corners < first_obstacle
+    mixed = ~own.all(axis=1)
+    met[corners[mixed][own[mixed]]] = True
+    return met
+
+
+def _met(
+    tree: SurfaceTree,
+    before: np.ndarray,
+    moves: np.ndarray,
+    passed: np.ndarray,
+    known: ElementPairs | None = None,
+    changed: np.ndarray | None = None,
+) -> tuple[ElementPairs, np.ndarray]:
+    """Pairs that may touch along `moves`, and their gaps (pairs,) [m]; what obstacles have `passed` is left out.
+
+    Pairs of vertices that have not `changed` (vertices,) their moves since they were known free may be left out too.
+    """
+    # The push out of the body and the lift move few vertices; what stands still meets nothing that does.
+    if known is not None and known.neighbourhood is not None:
+        pairs = tree.pairs(before, SMALLEST_GAP, moves, known)
+    else:
+        moved = np.any(moves, axis=1) if changed is None else changed
+        if moved[tree.first_obstacle :].any():
+            moved = np.arange(len(moved)) < tree.first_obstacle
+        pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved)
+    if passed.any():
+        pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, passed))
+    return pairs, smallest_gaps(pairs, before)
+
+
+@compiled
+def _below_present(before: np.ndarray, corners: np.ndarray, vertex_faces: int, gaps: np.ndarray) -> np.ndarray:
+    """`gaps` (pairs,) lowered to nine tenths of the distance that pairs have `before`, where that is less."""
+    points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
+    lowered = np.empty(len(corners))
+    for pair in range(len(corners)):
+        gather(before, corners[pair], points)
+        distance = nearest(points, pair < vertex_faces, weights, between)
+        lowered[pair] = gaps[pair] if distance > gaps[pair] else 0.9 * distance
+    return lowered
+
+
+@compiled
+def _free_shares(
+    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_faces: int, gaps: np.ndarray
+) -> np.ndarray:
+    """Shares (pairs,) of the moves that each pair may take."""
+    points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
+    shares = np.empty(len(corners))
+    for pair in range(len(corners)):
+        gather(vertices, corners[pair], points)
+        gather(moves, corners[pair], way)
+        shares[pair] = free_share(points, way, pair < vertex_faces, gaps[pair], weights, between)
+    return shares
+
+
+@compiled
+def _impulses(
+    before: np.ndarray,
+    moves: np.ndarray,
+    corners: np.ndarray,
+    vertex_faces: int,
+    gaps: np.ndarray,
+    shares: np.ndarray,
+    inverse: np.ndarray,
+    world: np.ndarray,
+    fastest: np.ndarray,
+) -> None:
+    """Change `moves` of touching pairs, the first to touch first, so that each keeps half of its gap open.
+
+    The impulse acts along the line between the nearest points where the pair was stopped, and makes no vertex faster
+    than the `fastest` (worlds,) [m^2] of its world was.
+    """
+    points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
+    for pair in np.argsort(shares):
+        ids = corners[pair]
+        for corner in range(4):
+            for axis in range(3):
+                points[corner, axis] = before[ids[corner], axis] + shares[pair] * moves[ids[corner], axis]
+        distance = nearest(points, pair < vertex_faces, weights, between)
+        if not distance > 0.0:
+            continue
+        # How much nearer they come by the rest of the move, and how much of that is room.
+        approach, response, squared, lightest = 0.0, 0.0, 0.0, 0.0
+        for corner in range(4):
+            response += weights[corner] * weights[corner] * inverse[ids[corner]]
+            squared += weights[corner] * weights[corner]
+            lightest = max(lightest, inverse[ids[corner]])
+            for axis in range(3):
+                approach += weights[corner] * between[axis] * moves[ids[corner], axis] / distance
+        approach *= 1.0 - shares[pair]
+        room = 0.5 * (distance - gaps[pair])
+        excess = -approach - room
+        if excess <= 0.0 or response <= 0.0:
+            continue
+        response = max(response, _LEAST_RESPONSE * squared * lightest)
+        for corner in range(4):
+            factor, move = inverse[ids[corner]] * weights[corner] * excess / (response * distance), moves[ids[corner]]
+            if factor == 0.0:
+                continue
+            for axis in range(3):
+                move[axis] += factor * between[axis]
+            speed = move[0] ** 2 + move[1] ** 2 + move[2] ** 2
+            limit = fastest[world[ids[corner]]]
+            if speed > limit:
+                for axis in range(3):
+                    move[axis] *= np.sqrt(limit / speed)
+
+
+@compiled
+def _root(joined: np.ndarray, vertex: int) -> int:
+    while joined[vertex] != vertex:
+        joined[vertex] = joined[joined[vertex]]
+        vertex = joined[vertex]
+    return vertex
+
+
+@compiled
+def _together(moves: np.ndarray, corners: np.ndarray, joined: np.ndarray, masses: np.ndarray) -> np.ndarray:
+    """Moves (vertices, 3) with vertices of touching pairs moved alike; `joined` (vertices,) is their forest.
+
+    What is joined keeps its momentum, or goes where its vertices of infinite mass go on average.
+    """
+    for pair in range(len(corners)):
+        first = _root(joined, corners[pair, 0])
+        for corner in range(1, 4):
+            other = _root(joined, corners[pair, corner])
+            joined[other] = first
+    held = np.zeros(len(moves), dtype=np.bool_)
+    for vertex in range(len(moves)):
+        if np.isinf(masses[vertex]):
+            held[_root(joined, vertex)] = True
+    sums, weights, counts = np.zeros_like(moves), np.zeros(len(moves)), np.zeros(len(moves), dtype=np.int64)
+    for vertex in range(len(moves)):
+        root = _root(joined, vertex)
+        counts[root] += 1
+        weight = masses[vertex]
+        if held[root]:
+            weight = 1.0 if np.isinf(weight) else 0.0
+        weights[root] += weight
+        for axis in range(3):
+            sums[root, axis] += weight * moves[vertex, axis]
+    result = moves.copy()
+    for vertex in range(len(moves)):
+        root = _root(joined, vertex)
+        if counts[root] > 1:
+            for axis in range(3):
+                result[vertex, axis] = sums[root, axis] / weights[root]
+    return result

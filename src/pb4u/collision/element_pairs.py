@@ -1,0 +1,219 @@
+"""Pairs of near elements of a surface, a vertex and a face or two edges: how far apart they are, and stay on a move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pb4u.collision.box_tree import copy_row, with_room
+from pb4u.collision.element_distance import fastest_approach, gather, nearest
+from pb4u.collision.jit import compiled
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhood:
+    """Pairs of elements that may come within a reach on a move, and after it while no corner goes out of its room.
+
+    They are all there are for another move from the same start, too, that ends within the room of the first one's end.
+
+    Args:
+        start: (vertices, 3) [m] where the move began.
+        end: (vertices, 3) [m] where it led.
+        reach: distance [m].
+        room: how far [m] a vertex may go from the end.
+        corners: (pairs, 4) int64, as those of `ElementPairs`.
+        vertex_faces: number of pairs of a vertex and a face, which come first.
+        distances: (pairs,) [m] between them at the end.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    reach: float
+    room: float
+    corners: np.ndarray
+    vertex_faces: int
+    distances: np.ndarray
+
+    def left(self, vertices: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far (vertices,) [m] vertices get from the end, and which (vertices,) what was found does not serve.
+
+        Args:
+            vertices: (vertices, 3) [m].
+            moves: (vertices, 3) [m] from there, linear.
+        """
+        away, last = _away(self.end, vertices, moves)
+        same = np.array_equal(self.start, vertices)
+        return away, (last if same else away) > self.room
+
+    def near(
+        self, vertices: np.ndarray, moves: np.ndarray, away: np.ndarray, left: np.ndarray, reach: float
+    ) -> tuple[np.ndarray, int]:
+        """Corners of its pairs that may come within `reach` [m], and the number of those of a vertex and a face.
+
+        Args:
+            vertices: (vertices, 3) [m].
+            moves: (vertices, 3) [m] from there, linear.
+            away: (vertices,) [m] as `left` gives it.
+            left: (vertices,) the same; no pair with one of these.
+            reach: distance [m].
+        """
+        rows = _stay_near(vertices, moves, self.corners, self.vertex_faces, self.distances, away, left, reach)
+        return self.corners[rows], int(rows[: self.vertex_faces].sum())
+
+
+@dataclass(frozen=True, eq=False)
+class ElementPairs:
+    """Pairs of a vertex and a face, then pairs of two edges, that come near one another and share no vertex.
+
+    Args:
+        corners: (pairs, 4) int64 the vertex and the face's corners, or the ends of both edges.
+        vertex_faces: number of pairs of the first kind, which come first.
+        rest_distance: (pairs,) [m] between them in the rest shape; infinite between two parts.
+        neighbourhood: by which they were found, or None.
+    """
+
+    corners: np.ndarray
+    vertex_faces: int
+    rest_distance: np.ndarray
+    neighbourhood: Neighbourhood | None = None
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+    def nearest(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distances (pairs,) [m], weights (pairs, 4) of the corners and unit normals (pairs, 3).
+
+        The vector between the nearest points, the normal times the distance, is the sum of the weighted corners.
+
+        Args:
+            vertices: (vertices, 3) float64 [m].
+        """
+        return _all_nearest(np.ascontiguousarray(vertices), self.corners, self.vertex_faces)
+
+    def chosen(self, rows: np.ndarray) -> ElementPairs:
+        """The pairs where `rows` (pairs,) bool holds."""
+        return replace(
+            self,
+            corners=self.corners[rows],
+            vertex_faces=int(rows[: self.vertex_faces].sum()),
+            rest_distance=self.rest_distance[rows],
+        )
+
+
+@compiled
+def may_meet(
+    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_face: bool, reach: float
+) -> np.ndarray:
+    """Whether each pair (pairs,) is no further apart than `reach` and what it may approach by the moves."""
+    points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
+    near = np.empty(len(corners), dtype=np.bool_)
+    for pair in range(len(corners)):
+        gather(vertices, corners[pair], points)
+        gather(moves, corners[pair], way)
+        near[pair] = nearest(points, vertex_face, weights, between) <= reach + fastest_approach(way, vertex_face)
+    return near
+
+
+@compiled
+def lasting_pairs(
+    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_face: bool, within: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Those of the `corners` (pairs, 4) that may come `within` a distance [m] on their moves.
+
+    With their distances (pairs,) [m] after the moves, and bounds (pairs,) [m] that they stay beyond on them.
+    """
+    points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
+    kept, distances, least = np.empty((64, 4), dtype=np.int64), np.empty(len(corners)), np.empty(len(corners))
+    count = 0
+    for pair in range(len(corners)):
+        gather(vertices, corners[pair], points)
+        gather(moves, corners[pair], way)
+        bound = nearest(points, vertex_face, weights, between)
+        for corner in range(4):
+            for axis in range(3):
+                points[corner, axis] += way[corner, axis]
+        bound -= fastest_approach(way, vertex_face)
+        if bound > within:
+            continue
+        kept = with_room(kept, count)
+        copy_row(corners[pair], kept[count])
+        distances[count], least[count] = nearest(points, vertex_face, weights, between), bound
+        count += 1
+    return kept[:count], distances[:count], least[:count]
+
+
+@compiled
+def rest_distances(rest: np.ndarray, part: np.ndarray, corners: np.ndarray, vertex_faces: int) -> np.ndarray:
+    """Distances (pairs,) [m] at rest of pairs of one part, infinite between two."""
+    count = len(corners)
+    distances = np.full(count, np.inf)
+    points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
+    for pair in range(count):
+        if part[corners[pair, 0]] == part[corners[pair, 2]]:
+            gather(rest, corners[pair], points)
+            distances[pair] = nearest(points, pair < vertex_faces, weights, between)
+    return distances
+
+
+@compiled
+def _away(end: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far (vertices,) [m] each vertex is from its `end` at most on its move, and when it has moved."""
+    away, last = np.empty(len(vertices)), np.empty(len(vertices))
+    for row in range(len(vertices)):
+        before, after = 0.0, 0.0
+        for axis in range(3):
+            way = vertices[row, axis] - end[row, axis]
+            before += way * way
+            after += (way + moves[row, axis]) ** 2
+        last[row] = np.sqrt(after)
+        away[row] = max(last[row], np.sqrt(before))
+    return away, last
+
+
+@compiled
+def _stay_near(
+    vertices: np.ndarray,
+    moves: np.ndarray,
+    corners: np.ndarray,
+    vertex_faces: int,
+    distances: np.ndarray,
+    away: np.ndarray,
+    left: np.ndarray,
+    reach: float,
+) -> np.ndarray:
+    """Whether each pair (pairs,) that has none of its corners `left` is no further apart than it may approach.
+
+    Most are told by what was between them, `distances` (pairs,) [m], and how far `away` (vertices,) [m] they got.
+    """
+    points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
+    near = np.zeros(len(corners), dtype=np.bool_)
+    for pair in range(len(corners)):
+        a, b, c, d = corners[pair, 0], corners[pair, 1], corners[pair, 2], corners[pair, 3]
+        vertex_face = pair < vertex_faces
+        if vertex_face:
+            gone = away[a] + max(away[b], max(away[c], away[d]))
+        else:
+            gone = max(away[a], away[b]) + max(away[c], away[d])
+        if distances[pair] - gone > reach or left[a] or left[b] or left[c] or left[d]:
+            continue
+        gather(vertices, corners[pair], points)
+        gather(moves, corners[pair], way)
+        near[pair] = nearest(points, vertex_face, weights, between) <= reach + fastest_approach(way, vertex_face)
+    return near
+
+
+@compiled
+def _all_nearest(
+    vertices: np.ndarray, corners: np.ndarray, vertex_faces: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distances (pairs,), weights (pairs, 4) and unit normals (pairs, 3) of pairs."""
+    count = len(corners)
+    distances, weights, normals = np.empty(count), np.empty((count, 4)), np.empty((count, 3))
+    points = np.empty((4, 3))
+    for pair in range(count):
+        gather(vertices, corners[pair], points)
+        distances[pair] = nearest(points, pair < vertex_faces, weights[pair], normals[pair])
+        for axis in range(3):
+            normals[pair, axis] /= max(distances[pair], 1e-300)
+    return distances, weights, normals

@@ -1,0 +1,54 @@
+"""The compiler of kernels: Numba where it is installed, plain Python where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+try:
+    import numba
+except ImportError:
+    # A machine that only trains from packed data needs no contact between cloths.
+    numba = None  # type: ignore[assignment]
+
+COMPILES = numba is not None
+"""Whether what is marked as `compiled` is."""
+
+Compiled = TypeVar("Compiled", bound=Callable)
+
+
+def compiled(function: Compiled) -> Compiled:
+    """`function` compiled when first called; the machine code is kept on disk and does not hold up other threads.
+
+    Without Numba it stays as it is: right, and thousands of times slower.
+    """
+    return _compiled(function, set())
+
+
+def compiled_with_fused_products(function: Compiled) -> Compiled:
+    """As `compiled`, a product and the sum that it enters rounded once: faster, for what compares nothing exactly."""
+    return _compiled(function, {"contract"})
+
+
+def compiled_with_free_sums(function: Compiled) -> Compiled:
+    """As `compiled_with_fused_products`, and sums over columns taken in any order, many columns at once."""
+    return _compiled(function, {"contract", "reassoc"})
+
+
+def _compiled(function: Compiled, freedom: set[str]) -> Compiled:
+    if numba is None:
+        return function
+    try:
+        return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=freedom)(function))
+    except RuntimeError:
+        # No folder may be written, neither beside the package nor of the user: compiled anew in every run.
+        return cast(Compiled, numba.njit(nogil=True, error_model="numpy", fastmath=freedom)(function))
+
+
+def as_float64(values: Tensor) -> np.ndarray:
+    """`values` as a contiguous float64 array, in their unit; its memory is that of the tensor where it can be."""
+    return values.detach().to("cpu", torch.float64).contiguous().numpy()

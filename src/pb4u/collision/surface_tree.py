@@ -1,0 +1,466 @@
+"""A bounding-volume tree over a moving triangle surface: which vertices, edges and faces of it come near each other.
+
+The tree is built once, from the rest shape, and its boxes are fitted to the positions of every search: cloth deforms,
+but what is near on it stays near. A box has both ends of a move, and two are followed from one end to the other in the
+same measure, so that cloth which is carried along by centimetres gives no more pairs than cloth at rest.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from pb4u.collision.box_tree import (
+    EVERY,
+    BoxTree,
+    boxes_meet,
+    boxes_of,
+    copy_row,
+    fill_boxes,
+    fit_nodes,
+    meeting_leaves,
+    with_room,
+)
+from pb4u.collision.element_pairs import (
+    ElementPairs,
+    Neighbourhood,
+    lasting_pairs,
+    may_meet,
+    rest_distances,
+)
+from pb4u.collision.jit import compiled
+from pb4u.threads import of_parts
+
+_ROOM = 0.08
+"""How far a vertex may go, in mean edge lengths at rest, before what is near it is searched again."""
+
+_MOST_LEAVING = 0.1
+"""Share of the vertices that may leave their room before the whole surface is searched again."""
+
+_FEW = 4096
+"""Vertices up to which one thread searches: 6 ms, beside which it takes long to wake another processor."""
+
+_HALVED = 2
+"""How often the surface is halved for the parts that threads search: four pieces, and the three seams between them."""
+
+
+Boxes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+class _Fitted(NamedTuple):
+    """Boxes fitted to where obstacles were, which they mostly are in the next search.
+
+    Args:
+        obstacles: (obstacle vertices, 3) [m].
+        moves: (obstacle vertices, 3) [m].
+        margin: what the boxes are wider by [m].
+        room: the same at the end of the moves [m].
+        boxes: of nodes, faces, edges and vertices.
+    """
+
+    obstacles: np.ndarray
+    moves: np.ndarray
+    margin: float
+    room: float
+    boxes: Boxes
+
+    def serves(self, obstacles: np.ndarray, moves: np.ndarray, margin: float, room: float) -> bool:
+        """Whether what is kept of the obstacles holds for a search; arguments as those of the record."""
+        wide = margin <= self.margin and room <= self.room
+        return wide and np.array_equal(obstacles, self.obstacles) and np.array_equal(moves, self.moves)
+
+
+class SurfaceTree:
+    """Search for near pairs of elements of one surface.
+
+    Args:
+        rest: (vertices, 3) [m] from which the tree is built.
+        faces: (faces, 3) int64.
+        edges: (edges, 2) int64 of the faces.
+        part: (vertices,) int64 part of the surface that each belongs to, such as a garment.
+        world: (parts,) int64; parts of different worlds never meet.
+        obstacles: number of vertices, the last ones, with their faces and edges, that come near each other unasked:
+            of each pair one element is of the others.
+
+    Attributes:
+        first_obstacle: number of the first of these vertices.
+    """
+
+    def __init__(
+        self,
+        rest: np.ndarray,
+        faces: np.ndarray,
+        edges: np.ndarray,
+        part: np.ndarray,
+        world: Sequence[int],
+        obstacles: int = 0,
+    ) -> None:
+        self.rest = np.ascontiguousarray(rest, dtype=np.float64)
+        self.faces = np.ascontiguousarray(faces, dtype=np.int64)
+        self.part = np.ascontiguousarray(part, dtype=np.int64)
+        self.edges = np.ascontiguousarray(edges, dtype=np.int64)
+        face_part = self.part[self.faces[:, 0]]
+        centres = self.rest[self.faces].mean(axis=1)
+        self.vertex_world = np.asarray(world, dtype=np.int64)[self.part]
+        self.boxes = BoxTree.over(centres, face_part, np.asarray(world))
+        self._vertices = np.arange(len(self.rest))[:, None]
+        self.first_obstacle = len(self.rest) - obstacles
+        own_edges, own_faces = (int((e[:, 0] < self.first_obstacle).sum()) for e in (self.edges, self.faces))
+        self._own_counts = own_faces, own_edges, self.first_obstacle
+        lengths = np.linalg.norm(self.rest[self.edges[:own_edges, 0]] - self.rest[self.edges[:own_edges, 1]], axis=1)
+        self._room = _ROOM * float(lengths.mean()) if len(lengths) else 0.0
+        self._owned_vertices, self._owned_edges = _owners(self.faces, self.edges, len(self.rest))
+        around = (values[:own_faces] for values in (self.faces, self._owned_vertices, self._owned_edges))
+        own, own_vertices, own_sides = around
+        self._around = _pairs_around(own, self.edges, own_vertices, own_sides, len(self.rest))
+
+    @cached_property
+    def _still(self) -> np.ndarray:
+        return np.zeros_like(self.rest)
+
+    @cached_property
+    def _everywhere(self) -> np.ndarray:
+        return np.arange(len(self.rest)) < self.first_obstacle
+
+    def pairs(
+        self,
+        vertices: np.ndarray,
+        reach: float,
+        moves: np.ndarray | None = None,
+        known: ElementPairs | None = None,
+        lasting: bool = False,
+        among: np.ndarray | None = None,
+    ) -> ElementPairs:
+        """Pairs that may come within `reach` of one another, a superset of those that do.
+
+        Without moves it is those that do; with moves, those that are no further apart than they can approach.
+
+        Args:
+            vertices: (vertices, 3) float64 [m].
+            reach: distance [m].
+            moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
+            known: pairs of positions a little before these, where there are such: only what went far since is searched.
+            lasting: whether to look further than asked, so that the result serves as the next `known`.
+            among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
+
+        Raises:
+            ValueError: they are given together.
+        """
+        if among is not None and (known is not None or lasting):
+            raise ValueError("pairs of some vertices are neither taken from known pairs nor kept as such")
+        vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+        moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
+        neighbourhood = None if known is None else known.neighbourhood
+        if neighbourhood is not None and neighbourhood.reach >= reach:
+            away, left = neighbourhood.left(vertices, moving)
+            if np.count_nonzero(left) <= _MOST_LEAVING * self.first_obstacle:
+                stayed = neighbourhood.near(vertices, moving, away, left, reach)
+                found = _near(self._search(vertices, moving, 0.5 * reach, left), vertices, moving, reach)
+                return self._pairs((stayed, found), neighbourhood)
+        if not lasting:
+            asked = self._everywhere if among is None else among
+            found = _near(self._search(vertices, moving, 0.5 * reach, asked), vertices, moving, reach)
+            return self._pairs((found,), None)
+        candidates = self._search(vertices, moving, 0.5 * reach, self._everywhere, self._room)
+        neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reach)
+        found = neighbourhood.corners[rows], int(rows[: neighbourhood.vertex_faces].sum())
+        return self._pairs((found,), neighbourhood)
+
+    def _neighbourhood(
+        self, candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reach: float
+    ) -> tuple[Neighbourhood, np.ndarray]:
+        """Those of the `candidates` that come near, or do so after the move; and which (pairs,) do on it."""
+        kinds = [
+            lasting_pairs(vertices, moves, corners, kind, reach + 2.0 * self._room)
+            for corners, kind in zip(candidates, (True, False), strict=True)
+        ]
+        corners, distances, least = (np.concatenate(parts) for parts in zip(*kinds, strict=True))
+        made = Neighbourhood(vertices.copy(), vertices + moves, reach, self._room, corners, len(kinds[0][0]), distances)
+        return made, least <= reach
+
+    def _pairs(self, parts: Sequence[tuple[np.ndarray, int]], neighbourhood: Neighbourhood | None) -> ElementPairs:
+        """All `parts` as one: corners, of which the first so many are of a vertex and a face."""
+        faces, edges = [c[:first] for c, first in parts], [c[first:] for c, first in parts]
+        corners, first = np.concatenate([*faces, *edges]), sum(first for _, first in parts)
+        return ElementPairs(corners, first, rest_distances(self.rest, self.part, corners, first), neighbourhood)
+
+    def _search(
+        self, vertices: np.ndarray, moves: np.ndarray, margin: float, among: np.ndarray, room: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
+
+        Whose boxes meet that are wider by `margin` [m] on every side, and at the end of the move by `room` [m] more.
+        """
+        if not among.any():
+            return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
+        boxes = self.fitted(vertices, moves, margin, room)
+        elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
+        tree = self.boxes.arrays[:3]
+        asked = (among, *asked_for(tree, self.faces, self.edges, among))
+        whole = np.count_nonzero(among) > _FEW
+        parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
+        found = of_parts(lambda part: _search(boxes, tree, elements, asked, part), parts)
+        # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
+        found.append(_search_around(boxes, elements, asked, *self._around))
+        vertex_faces, edge_edges = (np.concatenate(pairs) for pairs in zip(*found, strict=True))
+        if among[self.first_obstacle :].any():
+            vertex_faces, edge_edges = (
+                corners[(corners < self.first_obstacle).any(axis=1)] for corners in (vertex_faces, edge_edges)
+            )
+        return vertex_faces, edge_edges
+
+    def fitted(self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0) -> Boxes:
+        """Boxes (.., 12) [m] of the nodes, faces, edges and vertices; those of obstacles may be wider than asked for.
+
+        They hold until the next call in the same thread.
+
+        Args:
+            vertices: (vertices, 3) float64 [m].
+            moves: (vertices, 3) float64 [m].
+            margin: what they are wider by on every side [m].
+            room: the same at the end of the move [m].
+        """
+        elements, first = (self.faces, self.edges, self._vertices), self.first_obstacle
+        if first == len(vertices):
+            made = [boxes_of(vertices, moves, corners, margin, room) for corners in elements]
+            return self.boxes.fitted(made[0]), made[0], made[1], made[2]
+        kept: _Fitted | None = getattr(self._kept, "boxes", None)
+        if kept is None or not kept.serves(vertices[first:], moves[first:], margin, room):
+            made = [boxes_of(vertices, moves, corners, margin, room) for corners in elements]
+            boxes = self.boxes.fitted(made[0]), made[0], made[1], made[2]
+            self._kept.boxes = _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes)
+            return boxes
+        for corners, own, boxes_of_them in zip(elements, self._own_counts, kept.boxes[1:], strict=True):
+            fill_boxes(vertices, moves, corners[:own], margin, room, boxes_of_them)
+        fit_nodes(self._own_nodes, kept.boxes[1], *self.boxes.arrays[:3], kept.boxes[0])
+        return kept.boxes
+
+    @cached_property
+    def _kept(self) -> threading.local:
+        return threading.local()
+
+    @cached_property
+    def _own_nodes(self) -> np.ndarray:
+        """Nodes (nodes,) int64 that hold a face which is no obstacle's, children before their parents."""
+        own = self.faces[:, 0] < self.first_obstacle
+        counts = np.concatenate([[0], np.cumsum(own[self.boxes.order])])
+        nodes = np.flatnonzero(counts[self.boxes.ranges[:, 1]] > counts[self.boxes.ranges[:, 0]])
+        return np.ascontiguousarray(nodes[::-1])
+
+    @cached_property
+    def _parts(self) -> np.ndarray:
+        """Pairs (parts, 2) int64 of nodes, a search of all of which is one of everything."""
+        parts = [(root, root) for root in self.boxes.roots]
+        children = self.boxes.children
+        for _ in range(_HALVED):
+            finer = []
+            for a, b in parts:
+                left, right = children[a]
+                finer += [(left, left), (right, right), (left, right)] if a == b and left >= 0 else [(a, b)]
+            parts = finer
+        return np.asarray(parts, dtype=np.int64).reshape(-1, 2)
+
+
+def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (faces, 3) and edges (faces, 3) that each face answers for, -1 where another face does.
+
+    So that every pair of elements is met once, though neighbouring faces share corners and sides.
+    """
+    _, first = np.unique(faces.reshape(-1), return_index=True)
+    own = np.full(faces.size, -1, dtype=np.int64)
+    own[first] = faces.reshape(-1)[first]
+    sides = np.sort(np.stack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]], axis=1).reshape(-1, 2), axis=1)
+    keys = sides[:, 0] * vertex_count + sides[:, 1]
+    ordered = np.sort(edges, axis=1)
+    edge_keys = ordered[:, 0] * vertex_count + ordered[:, 1]
+    by_key = np.argsort(edge_keys)
+    number = by_key[np.searchsorted(edge_keys[by_key], keys)] if len(keys) else keys
+    _, first = np.unique(number, return_index=True)
+    own_edges = np.full(len(keys), -1, dtype=np.int64)
+    own_edges[first] = number[first]
+    return own.reshape(-1, 3), own_edges.reshape(-1, 3)
+
+
+def _near(
+    candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reach: float
+) -> tuple[np.ndarray, int]:
+    """Corners of the `candidates` that may come within `reach`, and the number of those of a vertex and a face."""
+    # Boxes of long edges across each other meet long before the edges do.
+    vertex_faces, edge_edges = (
+        corners[may_meet(vertices, moves, corners, kind, reach)] if len(corners) else corners
+        for corners, kind in zip(candidates, (True, False), strict=True)
+    )
+    return np.concatenate([vertex_faces, edge_edges]), len(vertex_faces)
+
+
+def _pairs_around(
+    faces: np.ndarray, edges: np.ndarray, owned_vertices: np.ndarray, owned_edges: np.ndarray, vertex_count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of a vertex and a face, and of two edges, without a common vertex, whose faces have one.
+
+    (pairs, 2) int64 each, the second element given by its number; each pair once.
+    """
+    by_vertex = np.argsort(faces.reshape(-1), kind="stable")
+    starts = np.searchsorted(faces.reshape(-1)[by_vertex], np.arange(vertex_count + 1))
+    return _listed_around(faces, edges, owned_vertices, owned_edges, by_vertex // 3, starts)
+
+
+@compiled
+def _share_a_vertex(faces: np.ndarray, one: int, other: int) -> bool:
+    """Whether two of the `faces` (faces, 3) have a vertex in common."""
+    a, b, c = faces[one, 0], faces[one, 1], faces[one, 2]
+    d, e, f = faces[other, 0], faces[other, 1], faces[other, 2]
+    first, second, third = (
+        (a == d) | (a == e) | (a == f),
+        (b == d) | (b == e) | (b == f),
+        (c == d) | (c == e) | (c == f),
+    )
+    return first | second | third
+
+
+@compiled
+def _listed_around(
+    faces: np.ndarray,
+    edges: np.ndarray,
+    owned_vertices: np.ndarray,
+    owned_edges: np.ndarray,
+    ring: np.ndarray,
+    starts: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `_pairs_around`; `ring` holds the faces around each vertex, from `starts` (vertices + 1,) of it on."""
+    near_faces, near_edges = np.empty((1024, 2), dtype=np.int64), np.empty((1024, 2), dtype=np.int64)
+    face_count, edge_count = 0, 0
+    met = np.full(len(faces), -1)
+    for f in range(len(faces)):
+        for corner in range(3):
+            for place in range(starts[faces[f, corner]], starts[faces[f, corner] + 1]):
+                g = ring[place]
+                if g == f or met[g] == f:
+                    continue
+                met[g] = f
+                for k in range(3):
+                    v = owned_vertices[f, k]
+                    if v >= 0 and v != faces[g, 0] and v != faces[g, 1] and v != faces[g, 2]:
+                        near_faces = with_room(near_faces, face_count)
+                        near_faces[face_count, 0], near_faces[face_count, 1] = v, g
+                        face_count += 1
+                    p = owned_edges[f, k]
+                    if p < 0 or g < f:
+                        continue
+                    for m in range(3):
+                        q = owned_edges[g, m]
+                        if q < 0 or edges[p, 0] == edges[q, 0] or edges[p, 0] == edges[q, 1]:
+                            continue
+                        if edges[p, 1] == edges[q, 0] or edges[p, 1] == edges[q, 1]:
+                            continue
+                        near_edges = with_room(near_edges, edge_count)
+                        near_edges[edge_count, 0], near_edges[edge_count, 1] = p, q
+                        edge_count += 1
+    return near_faces[:face_count].copy(), near_edges[:edge_count].copy()
+
+
+@compiled
+def _search_around(
+    boxes: tuple, elements: tuple, asked: tuple, vertex_faces: np.ndarray, edge_edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `_search`, of the pairs `vertex_faces` and `edge_edges` (pairs, 2) that `_pairs_around` lists."""
+    _, face_boxes, edge_boxes, vertex_boxes = boxes
+    faces, edges = elements[0], elements[1]
+    among, _, asked_faces, asked_edges = asked
+    near_faces, near_edges = np.empty((64, 4), dtype=np.int64), np.empty((64, 4), dtype=np.int64)
+    face_count, edge_count = 0, 0
+    for pair in range(len(vertex_faces)):
+        v, f = vertex_faces[pair, 0], vertex_faces[pair, 1]
+        if (among[v] or asked_faces[f]) and boxes_meet(vertex_boxes, v, face_boxes, f):
+            near_faces = with_room(near_faces, face_count)
+            near_faces[face_count, 0] = v
+            copy_row(faces[f], near_faces[face_count, 1:])
+            face_count += 1
+    for pair in range(len(edge_edges)):
+        p, q = edge_edges[pair, 0], edge_edges[pair, 1]
+        if (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes, p, edge_boxes, q):
+            near_edges = with_room(near_edges, edge_count)
+            copy_row(edges[p], near_edges[edge_count, :2])
+            copy_row(edges[q], near_edges[edge_count, 2:])
+            edge_count += 1
+    return near_faces[:face_count], near_edges[:edge_count]
+
+
+@compiled
+def asked_for(
+    tree: tuple, faces: np.ndarray, edges: np.ndarray, among: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which nodes, faces and edges have a vertex `among` (vertices,) those asked for."""
+    order, children, ranges = tree
+    asked_edges, asked_faces = _any_corner(edges, among), _any_corner(faces, among)
+    asked_nodes = np.empty(len(children), dtype=np.bool_)
+    for node in range(len(children) - 1, -1, -1):
+        asked = False
+        if children[node, 0] >= 0:
+            asked = asked_nodes[children[node, 0]] or asked_nodes[children[node, 1]]
+        else:
+            for place in range(ranges[node, 0], ranges[node, 1]):
+                asked = asked or asked_faces[order[place]]
+        asked_nodes[node] = asked
+    return asked_nodes, asked_faces, asked_edges
+
+
+@compiled
+def _search(
+    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (pairs, 4) of vertex and face, and of two edges, with one `asked` for and boxes that meet.
+
+    Of the elements in the pairs of nodes `parts` (parts, 2), of faces that share no vertex.
+    """
+    order, children, ranges = tree
+    faces, edges, owned_vertices, owned_edges = elements
+    node_boxes, face_boxes, edge_boxes, vertex_boxes = boxes
+    among, asked_nodes, asked_faces, asked_edges = asked
+    near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
+    face_count, edge_count = 0, 0
+    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY)
+    for pair in range(len(leaves)):
+        a, b = leaves[pair]
+        for i in range(ranges[a, 0], ranges[a, 1]):
+            f = order[i]
+            for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
+                g = order[j]
+                if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes, f, face_boxes, g):
+                    continue
+                if _share_a_vertex(faces, f, g):
+                    continue
+                for one, two in ((f, g), (g, f)):
+                    for k in range(3):
+                        v = owned_vertices[one, k]
+                        if v >= 0 and (among[v] or asked_faces[two]) and boxes_meet(vertex_boxes, v, face_boxes, two):
+                            near_faces = with_room(near_faces, face_count)
+                            near_faces[face_count, 0] = v
+                            copy_row(faces[two], near_faces[face_count, 1:])
+                            face_count += 1
+                for k in range(3):
+                    p = owned_edges[f, k]
+                    if p < 0 or not boxes_meet(edge_boxes, p, face_boxes, g):
+                        continue
+                    for m in range(3):
+                        q = owned_edges[g, m]
+                        if q >= 0 and (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes, p, edge_boxes, q):
+                            near_edges = with_room(near_edges, edge_count)
+                            copy_row(edges[p], near_edges[edge_count, :2])
+                            copy_row(edges[q], near_edges[edge_count, 2:])
+                            edge_count += 1
+    return near_faces[:face_count], near_edges[:edge_count]
+
+
+@compiled
+def _any_corner(elements: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Whether any corner of each of the `elements` (elements, corners) is `among` (vertices,)."""
+    found = np.zeros(len(elements), dtype=np.bool_)
+    for element in range(len(elements)):
+        for corner in range(elements.shape[1]):
+            found[element] = found[element] or among[elements[element, corner]]
+    return found

@@ -1,0 +1,116 @@
+"""How rollouts of the released research code begin: the frames before its networks go on by themselves.
+
+Every frame of a recording is written; the first two are skinned, and what the released code writes follows from 2.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from pb4u.scene.packed import ColliderFrame, ColliderPose
+from pb4u.scene.state import State
+from pb4u.simulation.first_frame import FirstFrame
+from pb4u.simulation.step import StepMethod, take
+from pb4u.simulation.timeline import SETTLING_DT, Timeline
+
+CLEARANCE = 2e-3
+"""Distance from the body that cloth is pushed to before a rollout [m]."""
+
+
+class StartProtocol(FirstFrame):
+    """Rule that makes the first frames of a run."""
+
+    @abstractmethod
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]: ...
+
+    def start(self, timeline: Timeline, method: StepMethod) -> State:
+        *_, last = self.states(timeline, method)
+        return last
+
+
+@dataclass(frozen=True)
+class StandingStart(StartProtocol):
+    """Pb4U-GNet and HOOD: one long step on the body standing at frame 2, whose displacement is carried on as velocity.
+
+    Args:
+        push: factor on the push out of the body before it; 1.5 in the code of Pb4U-GNet, 1 in HOOD's.
+    """
+
+    push: float = 1.5
+
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+        yield from (timeline.skinned_state(frame) for frame in (0, 1))
+        begun = timeline.skinned_state(2)
+        pushed = pushed_out(begun.positions, timeline.pose(2), self.push)
+        begun = replace(begun, positions=method.self_contact.free_start(timeline.garments, pushed))
+        settled = take(timeline.settling_from(begun), method)
+        state = State(settled.positions, settled.velocities * (SETTLING_DT / timeline.dt), 2)
+        yield state
+        step = timeline.step_from(state)
+        assert step.collider is not None
+        standing = ColliderFrame(step.collider.now, step.collider.now, step.collider.following)
+        yield take(replace(step, collider=standing), method)
+
+
+@dataclass(frozen=True)
+class MovingStart(StartProtocol):
+    """MeshGraphNet and the HOOD of the paper: one long step from frame 1 to 2, after which the cloth is at rest.
+
+    Args:
+        push: factor on the push out of the body before it.
+    """
+
+    push: float = 1.0
+
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+        yield timeline.skinned_state(0)
+        skinned = timeline.skinned(1)
+        pushed = pushed_out(skinned, timeline.pose(1), self.push)
+        begun = State(method.self_contact.free_start(timeline.garments, pushed), torch.zeros_like(skinned), 1)
+        yield begun
+        moved = take(replace(timeline.step_from(begun), dt=SETTLING_DT), method)
+        yield replace(moved, velocities=torch.zeros_like(moved.velocities))
+
+
+class SkinnedStart(StartProtocol):
+    """ContourCraft: two skinned frames, whose velocity is kept; no push and no long step."""
+
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+        for frame in (0, 1):
+            skinned = timeline.skinned_state(frame)
+            yield replace(skinned, positions=method.self_contact.free_start(timeline.garments, skinned.positions))
+
+
+def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:
+    """Positions (vertices, 3) [m] pushed along the normal of the body face whose centre is nearest to each.
+
+    Source: the released code (reference 1.8). One world; without a body nothing moves.
+
+    Args:
+        positions: (vertices, 3) [m].
+        body: where the bodies are.
+        factor: on the missing distance to `CLEARANCE`.
+    """
+    (surface,) = body.whole_surfaces
+    if surface is None:
+        return positions
+    face, _ = surface.nearest_face_centre(positions)
+    corners = body.positions.to(positions)[body.colliders.faces[face]]
+    normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = torch.nn.functional.normalize(normal, dim=1)
+    height = ((positions - corners.mean(dim=1)) * normal).sum(dim=1, keepdim=True)
+    return positions - factor * (height - CLEARANCE).clamp_max(0.0) * normal
+
+
+FIRST_FRAMES: dict[str, StartProtocol] = {
+    "release": StandingStart(),
+    "hood": StandingStart(push=1.0),
+    "mgn": MovingStart(),
+    "contourcraft": SkinnedStart(),
+}
+"""First frames of the released code, by the name that `first_frame` takes."""

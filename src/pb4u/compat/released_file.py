@@ -1,0 +1,159 @@
+"""Checkpoint files of the released research code: what they hold, read without running it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.numpy import load_file
+from torch import Tensor
+
+from pb4u.errors import InputError
+from pb4u.io.reading_limits import require_small_header, told_error
+from pb4u.io.restricted_pickle import load_torch_archive
+
+NETWORK = "model._learned_model."
+"""What all keys of the network's weights begin with."""
+_SMALLEST_SPREAD = 1e-8
+"""Floor of a spread in the released code."""
+_LAYERS = {"0": "first", "2": "second", "4": "last"}
+
+
+class ReleasedFile:
+    """Tensors and settings of a released checkpoint; remembers what was read.
+
+    Args:
+        path: of the file, for messages.
+        content: the dictionary in it.
+
+    Raises:
+        InputError: it is no checkpoint of a released network, or holds something other than finite numbers.
+    """
+
+    def __init__(self, path: Path, content: Any) -> None:
+        self.path = path
+        if not isinstance(content, Mapping):
+            raise InputError(f"{path} holds a {type(content).__name__}, not the dictionary of a checkpoint.")
+        weights = content.get("training_module", content)
+        self.settings: Mapping[str, Any] = content.get("config") or {}
+        self.optimiser = content.get("optimizer") or {}
+        if not isinstance(weights, Mapping) or not any(str(key).startswith(NETWORK) for key in weights):
+            raise InputError(
+                f"{path} is no checkpoint of Pb4U-GNet, HOOD or ContourCraft: it has no weights named {NETWORK}*."
+            )
+        self.weights: dict[str, Tensor] = {}
+        for key, value in weights.items():
+            if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+                raise InputError(f"{path} holds something other than numbers in {key}.")
+            if not np.isfinite(value).all():
+                raise InputError(f"{path} holds numbers that are not finite in {key}; its training diverged.")
+            self.weights[str(key)] = torch.from_numpy(value.astype(np.float32))
+        self.used: set[str] = set()
+
+    @classmethod
+    def read(cls, path: Path) -> ReleasedFile:
+        """A .pth file, or .safetensors with the same keys.
+
+        Raises:
+            InputError: it is damaged, of another project, or holds something unexpected.
+        """
+        if path.suffix.lower() != ".safetensors":
+            return cls(path, load_torch_archive(path))
+        try:
+            require_small_header(path)
+            return cls(path, load_file(path))
+        except InputError:
+            raise
+        except (SafetensorError, OSError, ValueError) as error:
+            raise InputError(f"{path} is no whole safetensors file ({told_error(error)}); fetch it again.") from None
+
+    def tensor(self, key: str, columns: int | None = None) -> Tensor:
+        """The weights called `key`, float32.
+
+        Raises:
+            InputError: they are missing or of other than `columns`.
+        """
+        if key not in self.weights:
+            raise InputError(f"{self.path} lacks {key}; it is half a checkpoint, or of another project.")
+        self.used.add(key)
+        found = self.weights[key]
+        if columns is not None and (found.ndim != 2 or found.shape[1] != columns):
+            raise InputError(
+                f"{self.path} has {key} of the shape {tuple(found.shape)}, where {columns} columns belong."
+            )
+        return found
+
+    def mlp(self, prefix: str, layers: str = ".0.layers.") -> dict[str, Tensor]:
+        """The MLP called `prefix` by our names; with a LayerNorm unless `layers` says that none ends it."""
+        prefix = NETWORK + prefix
+        named = {
+            f"{ours}.{part}": self.tensor(f"{prefix}{layers}{theirs}.{part}")
+            for theirs, ours in _LAYERS.items()
+            for part in ("weight", "bias")
+        }
+        if layers.startswith(".0"):
+            named |= {f"norm.{part}": self.tensor(f"{prefix}.1.{part}") for part in ("weight", "bias")}
+        return named
+
+    def statistics(self, name: str) -> tuple[Tensor, Tensor]:
+        """Mean and spread (columns,) float64 of a released normaliser.
+
+        Raises:
+            InputError: its parts do not fit.
+        """
+        counts, _, sums, squares = (
+            self.tensor(f"model._{name}_normalizer._{part}").to(torch.float64).reshape(-1)
+            for part in ("acc_count", "num_accumulations", "acc_sum", "acc_sum_squared")
+        )
+        if len(counts) != 1 or len(sums) != len(squares):
+            raise InputError(f"{self.path} has statistics of {name} whose parts do not fit each other.")
+        count = counts.clamp_min(1.0)
+        mean = sums / count
+        return mean, (squares / count - mean.square()).clamp_min(0.0).sqrt().clamp_min(_SMALLEST_SPREAD)
+
+    def count(self, pattern: str) -> int:
+        """Number of blocks whose keys match `pattern`, a number in its one group.
+
+        Raises:
+            InputError: they do not count from 0 without a gap.
+        """
+        found = {int(match[1]) for key in self.weights if (match := re.match(re.escape(NETWORK) + pattern, key))}
+        if found != set(range(len(found))):
+            raise InputError(f"{self.path} lacks a block between its blocks {sorted(found)}.")
+        return len(found)
+
+    def setting(self, *names: str, default: Any) -> Any:
+        """A number of the settings by its path, "*" for any name; `default` where the file says nothing."""
+        found: Any = self.settings
+        for name in names:
+            if isinstance(found, Mapping) and name == "*" and len(found) == 1:
+                found = next(iter(found.values()))
+            elif isinstance(found, Mapping) and name in found:
+                found = found[name]
+            else:
+                return default
+        if isinstance(default, (int, float)) and (isinstance(found, bool) or not isinstance(found, (int, float))):
+            return default  # an interpolation that was left as text
+        return found
+
+
+def prefixed(prefix: str, mlp: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights of an MLP with `prefix` and a dot before their names."""
+    return {f"{prefix}.{name}": value for name, value in mlp.items()}
+
+
+def reordered(weight: Tensor, given: Sequence[str], wanted: Sequence[str]) -> Tensor:
+    """The first layer of an MLP of parts of one width, its parts in another order.
+
+    Raises:
+        InputError: its columns are not those of as many parts.
+    """
+    if weight.shape[1] % len(given):
+        raise InputError(f"A block reads {weight.shape[1]} columns, which are not {len(given)} latents.")
+    parts = dict(zip(given, weight.chunk(len(given), dim=1), strict=True))
+    return torch.cat([parts[name] for name in wanted], dim=1)

@@ -1,0 +1,150 @@
+"""Files that are always the old one or the new one, never half of either; and what a killed process left, swept away.
+
+What is not finished lies beside its place under a hidden name that ends in `MARK`: a file for the length of one write,
+a folder for as long as its owner holds the lock in it. A kill that no process can answer leaves it; the next one that
+writes in the same place finds the lock free and deletes it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+MARK = ".pb4u"
+"""End of the name of what is not finished."""
+_LOCK = ".lock"
+_UNLOCKED_SECONDS = 60.0
+"""Age from which what holds no lock is a leftover: a folder is locked, and a file written, in far less."""
+_NAME_KEPT = 100
+"""Characters kept of a file's name, so that the hidden one is not too long."""
+
+
+@contextmanager
+def working_folder(path: Path) -> Iterator[Path]:
+    """A hidden folder beside a file, for what becomes it; deleted at the end, or by the next one after a kill.
+
+    Args:
+        path: path of the file.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    sweep(path.parent)
+    folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:_NAME_KEPT]}.", suffix=MARK, dir=path.parent))
+    lock = FileLock(folder / _LOCK)
+    try:
+        lock.acquire(timeout=0)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        lock.release()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def sweep(folder: Path) -> None:
+    """Delete what killed processes left unfinished in a folder; what is in use stays, and so does what cannot be told.
+
+    Args:
+        folder: path of the folder.
+    """
+    for leftover in folder.glob(f".*{MARK}"):
+        with contextlib.suppress(OSError, Timeout):
+            if leftover.is_symlink():
+                continue
+            if leftover.is_dir():
+                _sweep_folder(leftover)
+            elif _is_old(leftover) and not _is_alive(leftover.name.removesuffix(MARK).rpartition(".")[2]):
+                leftover.unlink()
+
+
+def _sweep_folder(leftover: Path) -> None:
+    if not (leftover / _LOCK).exists() and not _is_old(leftover):
+        return
+    lock = FileLock(leftover / _LOCK)
+    with lock.acquire(timeout=0):
+        shutil.rmtree(leftover, ignore_errors=True)
+    shutil.rmtree(leftover, ignore_errors=True)
+
+
+def _is_old(path: Path) -> bool:
+    return time.time() - path.stat().st_mtime > _UNLOCKED_SECONDS
+
+
+def _is_alive(process: str) -> bool:
+    """Whether a process of this number runs; as good as yes where that cannot be told."""
+    if not process.isdecimal():
+        return True
+    try:
+        os.kill(int(process), 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def move_into_place(written: Path, path: Path) -> None:
+    """Give a complete file its name, once its bytes are on the disk.
+
+    Args:
+        written: path of the file as it was written, on the same disk.
+        path: path that it gets; a file there is replaced.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    with open(written, "rb+") as stream:
+        os.fsync(stream.fileno())
+    os.replace(written, path)
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Write a file beside its place and move it there.
+
+    Args:
+        path: path of the file.
+        content: all of its bytes.
+
+    Raises:
+        OSError: the disk does not take it; nothing is left behind.
+    """
+    beside = path.with_name(f".{path.name[:_NAME_KEPT]}.{os.getpid()}{MARK}")
+    try:
+        with open(beside, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(beside, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            beside.unlink()
+        raise
+
+
+def json_text(value: Any, indent: int | None = None) -> str:
+    """JSON text of a value, numbers that are not finite written as null, which every reader takes.
+
+    Args:
+        value: JSON data.
+        indent: spaces for each level; None for one line.
+    """
+    return json.dumps(_finite(value), indent=indent, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

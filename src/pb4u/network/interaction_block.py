@@ -1,0 +1,120 @@
+"""One MeshGraphNet block over named node sets and kinds of edges (Pfaff et al. 2021; reference 1.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from pb4u.network.graph.graph import EdgePiece, Graph
+from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP, SplitMLP
+from pb4u.network.segment import gather, joined, segment_sum, sum_of_rows
+from pb4u.network.tiles import of_tiles
+
+
+class InteractionBlock(nn.Module):
+    """Edges e' = f_e([v_i, v_j, e_ij]), nodes v_i + f_v([v_i, sum of e' a kind]), then e_ij + e'.
+
+    The sum is over edge outputs before their residual. All node sets share f_v; all edge sets of a kind share f_e.
+
+    Args:
+        width: number of columns of all latents and hidden layers.
+        kinds: kinds of edges that messages pass over; others are left out.
+    """
+
+    def __init__(self, width: int, kinds: Sequence[str]) -> None:
+        super().__init__()
+        self.kinds = tuple(kinds)
+        self.edge_mlps = nn.ModuleDict({kind: EdgeMLP(width, norm=True) for kind in kinds})
+        self.node_mlp = SplitMLP((width,) * (1 + len(self.kinds)), width, width, norm=True)
+
+    def forward(
+        self,
+        nodes: dict[str, Tensor],
+        edges: dict[str, Tensor],
+        graph: Graph,
+        receivers: Sequence[str] | None = None,
+        masks: Mapping[str, Tensor] | None = None,
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """New node latents, and those of the edges passed over, (rows, width), dimensionless, by set name.
+
+        Args:
+            nodes: latents (nodes, width) [1] by set name.
+            edges: latents (edges, width) [1] by set name; overwritten while gradients are off.
+            graph: the ends of the edges.
+            receivers: node sets still wanted, all by default; where given, edge latents are left as they are, since
+                nothing reads them again.
+            masks: (edges, 1) dimensionless factors on the messages by set name, 1 where a set is not named.
+        """
+        wanted = list(nodes) if receivers is None else list(receivers)
+        run = self._recorded if torch.is_grad_enabled() else self._in_runs
+        return run(nodes, edges, graph, wanted, masks or {}, receivers is None)
+
+    def _recorded(
+        self,
+        nodes: dict[str, Tensor],
+        edges: dict[str, Tensor],
+        graph: Graph,
+        wanted: Sequence[str],
+        masks: Mapping[str, Tensor],
+        keep_edges: bool,
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """The block while gradients are recorded: all edges of a set at once."""
+        hidden = {name: self.node_mlp.project(0, nodes[name], bias=True) for name in wanted}
+        new_edges = {}
+        for name, edge_set in graph.edges.items():
+            if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
+                continue
+            mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
+            first = mlp.project(EDGE, edges[name])
+            first = first + gather(mlp.project(SENDER, nodes[edge_set.sender_set]), edge_set.senders)
+            at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set], bias=True)
+            new = mlp.after_first(first + gather(at_receiver, edge_set.receivers))
+            sums = segment_sum(new * masks[name] if name in masks else new, edge_set.receivers)
+            share = self.node_mlp.project(1 + self.kinds.index(edge_set.kind), sums)
+            hidden[edge_set.receiver_set] = hidden[edge_set.receiver_set] + share
+            new_edges[name] = edges[name] + new if keep_edges else edges[name]
+        return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges
+
+    def _in_runs(
+        self,
+        nodes: dict[str, Tensor],
+        edges: dict[str, Tensor],
+        graph: Graph,
+        wanted: Sequence[str],
+        masks: Mapping[str, Tensor],
+        keep_edges: bool,
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """The block without gradients, on edges a run at a time; edge latents are overwritten."""
+        rounded = {name: values.to(self.node_mlp.precision) for name, values in nodes.items()}
+        hidden = {name: self.node_mlp.project(0, rounded[name], bias=True) for name in wanted}
+        new_edges = {}
+        for name, edge_set in graph.edges.items():
+            if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
+                continue
+            mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
+            table = mlp.shares_of_ends(rounded[edge_set.sender_set], rounded[edge_set.receiver_set])
+            run = _EdgeRun(mlp, table, edges[name], masks.get(name), keep_edges)
+            sums = of_tiles(run, edge_set.pieces)
+            share = self.node_mlp.weight_of(1 + self.kinds.index(edge_set.kind))
+            hidden[edge_set.receiver_set].addmm_(joined(sums).to(self.node_mlp.precision), share.t())
+            new_edges[name] = edges[name]
+        return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges
+
+
+class _EdgeRun:
+    """Sums of the new edges of a piece at its receivers; what that needs of the weights is made once for all pieces."""
+
+    def __init__(self, mlp: EdgeMLP, table: Tensor, latents: Tensor, mask: Tensor | None, keep: bool) -> None:
+        self.mlp, self.table, self.latents, self.mask, self.keep = mlp, table, latents, mask, keep
+        self.of_edges, self.output = mlp.weight_of(EDGE).t(), mlp.output_layer()
+
+    def __call__(self, piece: EdgePiece) -> Tensor:
+        old = self.latents[piece.edges]
+        first = sum_of_rows(self.table, piece.ends).addmm_(old.to(self.mlp.precision), self.of_edges)
+        new = self.output(self.mlp.up_to_last(first))
+        sums = segment_sum(new if self.mask is None else new * self.mask[piece.edges], piece.receivers)
+        if self.keep:
+            old += new
+        return sums

@@ -1,0 +1,99 @@
+"""Pb4U-GNet: encode, propagate K steps, update once, fifteen MeshGraphNet blocks, decode (paper, figure 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+
+from pb4u.collision.jit import COMPILES
+from pb4u.network.acceleration_model import GraphNetwork, NetworkConfiguration
+from pb4u.network.encode_process_decode import EncodeProcessDecode
+from pb4u.network.graph.garment_graph import GarmentGraph
+from pb4u.network.graph.graph import GARMENT, Graph
+from pb4u.network.interaction_block import InteractionBlock
+from pb4u.network.mlp import MLP, SplitMLP, in_runs
+from pb4u.network.propagation import Propagation, PropagationForm
+from pb4u.network.propagation_control import ConstantDistance, FixedSteps, PropagationControl, TruncatedDistance
+from pb4u.network.update_scaling import MeanScaling, NoScaling, PerVertexScaling, UpdateScaling
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pb4uConfiguration(NetworkConfiguration):
+    """Configuration of a Pb4U-GNet; fields that are not listed are as in `NetworkConfiguration`.
+
+    Args:
+        blocks: number of MeshGraphNet blocks after the update.
+        propagation: the paper's or the released form.
+        control: rule for the number of propagation steps.
+        scaling: rule for the factors on the accelerations.
+    """
+
+    blocks: int = 15
+    propagation: PropagationForm = field(default_factory=PropagationForm)
+    control: ConstantDistance | TruncatedDistance | FixedSteps = field(default_factory=ConstantDistance)
+    scaling: PerVertexScaling | MeanScaling | NoScaling = field(default_factory=PerVertexScaling)
+
+    def network(self) -> Pb4uGNet:
+        """A network of this configuration with fresh weights."""
+        return Pb4uGNet(self)
+
+
+class Pb4uGNet(EncodeProcessDecode):
+    """The network of the paper, on normalised features.
+
+    Args:
+        configuration: width, columns, propagation and blocks.
+    """
+
+    propagates = True
+
+    def __init__(self, configuration: Pb4uConfiguration) -> None:
+        super().__init__(configuration)
+        self.configuration = configuration
+        self.kinds = ("mesh", "world")
+        self.control: PropagationControl = configuration.control
+        self.scaling: UpdateScaling = configuration.scaling
+        width = configuration.width
+        self.propagation = Propagation(width, configuration.propagation)
+        self.update = SplitMLP((width, width), width, width, norm=True)
+        self.blocks = nn.ModuleList(InteractionBlock(width, self.kinds) for _ in range(configuration.blocks))
+        self.decoder = MLP(width, width, 3, norm=False)
+
+    def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
+        """Normalised accelerations (garment vertices, 3), dimensionless.
+
+        Args:
+            graph: with normalised features.
+            steps: propagation steps of each garment.
+        """
+        nodes, edges = self.encode(graph)
+        propagated = self.propagation(nodes, edges, graph, steps)
+        nodes = {**nodes, GARMENT: in_runs(self._updated, nodes[GARMENT], propagated)}
+        return self.decode_after(self.blocks, nodes, edges, graph)
+
+    def _updated(self, before: Tensor, propagated: Tensor) -> Tensor:
+        hidden = self.update.project(0, before, bias=True) + self.update.project(1, propagated)
+        return self.update.after_first(hidden)
+
+    def for_inference(self, precision: torch.dtype) -> GraphNetwork:
+        """Network that computes the same without gradients; see `GraphNetwork.for_inference`."""
+        if not COMPILES or next(self.parameters()).device.type != "cpu":
+            return super().for_inference(precision)
+        from pb4u.network.kernels.compiled_pb4u_gnet import CompiledPb4uGNet
+
+        return (
+            CompiledPb4uGNet(self, precision)
+            if CompiledPb4uGNet.takes(self, precision)
+            else super().for_inference(precision)
+        )
+
+    def propagation_steps(self, mean_edge_length: float) -> int:
+        """Number K of propagation steps of a garment of `mean_edge_length` [m]."""
+        return self.control.steps(mean_edge_length)
+
+    def update_scale(self, garments: GarmentGraph) -> Tensor | None:
+        """Factors S (vertices, 1), dimensionless, on the accelerations, or None for 1."""
+        return self.scaling.factors(garments)

@@ -1,0 +1,199 @@
+"""Propagation before update: K message-passing steps with one set of weights, then nodes are updated once.
+
+Paper, "Propagation-before-Update": h^0 = v; h~_i = LayerNorm(sum_j f_m(h_i, h_j, e_ij)); h_i <- gamma h_i + h~_i.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from pb4u.errors import InputError
+from pb4u.network.graph.graph import GARMENT, EdgePiece, EdgeSet, Graph, pieces
+from pb4u.network.graph.incidence import Incidence, Span, incidence
+from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP
+from pb4u.network.segment import gather, segment_sum, sum_of_rows
+from pb4u.network.tiles import of_tiles
+
+
+@dataclass(frozen=True)
+class PropagationForm:
+    """Form of the propagation: choices in which the paper and its released code differ.
+
+    Args:
+        decay: gamma; 0.9 in the released code, not stated in the paper.
+        norm: "messages": h = gamma h + LN(sum) (paper); "accumulated": h = LN(gamma h + sum) (release).
+        message_norm: whether f_m ends in a LayerNorm of its own (release).
+        world_edges: whether body neighbours send messages too (paper: "spatial and topological" neighbours).
+
+    Raises:
+        InputError: a norm of another name.
+    """
+
+    decay: float = 0.9
+    norm: str = "messages"
+    message_norm: bool = False
+    world_edges: bool = True
+
+    def __post_init__(self) -> None:
+        if self.norm not in ("messages", "accumulated"):
+            raise InputError(f'The norm of propagation is "messages" or "accumulated", not {self.norm!r}.')
+
+
+PAPER_PROPAGATION = PropagationForm()
+RELEASED_PROPAGATION = PropagationForm(norm="accumulated", message_norm=True, world_edges=False)
+
+
+class Propagation(nn.Module):
+    """K weight-shared message steps over the garment; the latents of body vertices are sent, but do not change.
+
+    Args:
+        width: number of columns of all latents and hidden layers.
+        form: the paper's or the released one.
+    """
+
+    def __init__(self, width: int, form: PropagationForm) -> None:
+        super().__init__()
+        self.form = form
+        self.message = EdgeMLP(width, norm=form.message_norm)
+        self.norm = nn.LayerNorm(width)
+
+    def forward(self, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph, steps: Sequence[int]) -> Tensor:
+        """Latents h^K (garment vertices, width), dimensionless; a garment is left out after its last step.
+
+        Args:
+            nodes: latents (nodes, width) [1] by set name.
+            edges: latents (edges, width) [1] by set name.
+            graph: the ends of the edges.
+            steps: K of each garment.
+        """
+        inflows = self._inflows(nodes, edges, graph)
+        state, done, depths = nodes[GARMENT], 0, sorted(set(steps))
+        running = dict(enumerate(pairwise(graph.vertex_offsets)))
+        finished: dict[int, Tensor] = {}
+        for depth in depths:
+            state, done = self._after(depth - done, state, inflows), depth
+            finished |= {garment: state[slice(*span)] for garment, span in running.items() if steps[garment] == depth}
+            running = {garment: span for garment, span in running.items() if steps[garment] > depth}
+            if running:
+                spans = list(running.values())
+                state = torch.cat([state[start:stop] for start, stop in spans])
+                inflows = [inflow.restrict(spans) for inflow in inflows]
+                running = dict(zip(running, _packed(spans), strict=True))
+        return state if len(depths) == 1 else torch.cat([finished[garment] for garment in sorted(finished)])
+
+    def _inflows(self, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph) -> list[EdgeSet]:
+        """Edges into the garment; as their features, the part of the first layer that is the same at every step."""
+        inflows = []
+        for name, edge_set in graph.edges.items():
+            from_garment = edge_set.sender_set == GARMENT
+            if edge_set.receiver_set != GARMENT or not (from_garment or self.form.world_edges):
+                continue
+            constant = self.message.project(EDGE, edges[name], bias=True)
+            if not from_garment:
+                constant += gather(self.message.project(SENDER, nodes[edge_set.sender_set]), edge_set.senders)
+            inflows.append(replace(edge_set, features=constant))
+        return inflows
+
+    def _after(self, steps: int, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
+        """State after `steps` steps of the garments that all `inflows` end in."""
+        if torch.is_grad_enabled():
+            for _ in range(steps):
+                state = self._recorded_step(state, inflows)
+            return state
+        return self._tiled_steps(steps, state, inflows)
+
+    def _recorded_step(self, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
+        """One step while gradients are recorded: all edges of a set at once."""
+        message = self.message
+        at_receiver, at_sender = message.project(RECEIVER, state), message.project(SENDER, state)
+        sums = []
+        for inflow in inflows:
+            hidden = inflow.features + gather(at_receiver, inflow.receivers)
+            if inflow.sender_set == GARMENT:
+                hidden = hidden + gather(at_sender, inflow.senders)
+            sent = message.up_to_last(hidden)
+            if self.form.message_norm:
+                sent = message.output_layer()(sent)
+            sums.append(segment_sum(sent, inflow.receivers))
+        total = torch.stack(sums).sum(dim=0)
+        if not self.form.message_norm:
+            degrees = torch.stack([inflow.degrees() for inflow in inflows]).sum(dim=0)
+            total = message.last_of_sums(total, degrees)
+        return self._moved(state, total)
+
+    def _tiled_steps(self, steps: int, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
+        """Steps without gradients, each run by run from messages to the new state and its shares in the next step.
+
+        Messages over all kinds of edges have the same weights and are taken together. A table holds both shares of
+        every vertex, before a step and after it, and what is the same at every step; a message's first layer is then
+        the sum of three rows, in one pass over memory.
+        """
+        message, form, vertices = self.message, self.form, state.shape[0]
+        ends = message.weight_of_both_ends().t()
+        order, senders, receivers = _merged(inflows, vertices)
+        width = ends.shape[0]
+        constants = [inflow.features for inflow in inflows]
+        # Rows: (before or after, vertex, as sender or as receiver), the constants, and zeros for senders outside.
+        table = torch.cat([constants[0].new_empty(4 * vertices, width), *constants, constants[0].new_zeros(1, width)])
+        shares = table[: 4 * vertices].view(2, vertices, 2 * width)
+        torch.mm(state.to(message.precision), ends, out=shares[0])
+        runs = []
+        for parity in range(2):
+            first = 2 * vertices * parity
+            from_sender = torch.where(senders < 0, len(table) - 1, first + 2 * senders)
+            rows = torch.stack([from_sender, first + 2 * receivers.index + 1, 4 * vertices + order], dim=1)
+            runs.append(pieces(receivers, rows))
+        output = message.output_layer() if form.message_norm else None
+        # W (sum of x) + degree b.
+        last = message.last.weight.t()
+        shift = receivers.offsets.diff()[:, None].to(last.dtype) * message.last.bias
+        state = state.clone()
+
+        def moved(after: Tensor, run: EdgePiece) -> None:
+            sent = message.up_to_last(sum_of_rows(table, run.ends))
+            if output is None:
+                total = torch.addmm(shift[run.nodes], segment_sum(sent, run.receivers), last)
+            else:
+                total = segment_sum(output(sent), run.receivers)
+            at = state[run.nodes]
+            at.copy_(self._moved(at, total.to(at.dtype)))
+            torch.mm(at.to(message.precision), ends, out=after[run.nodes])
+
+        for step in range(steps):
+            of_tiles(partial(moved, shares[1 - step % 2]), runs[step % 2])
+        return state
+
+    def _moved(self, state: Tensor, total: Tensor) -> Tensor:
+        """State after a step, given the sums `total` (vertices, width) [1] of its messages."""
+        form = self.form
+        return (
+            form.decay * state + self.norm(total) if form.norm == "messages" else self.norm(form.decay * state + total)
+        )
+
+
+def _merged(inflows: list[EdgeSet], vertices: int) -> tuple[Tensor, Tensor, Incidence]:
+    """All edges in ascending order of receiver: their numbers, the vertices they start from or -1, their receivers."""
+    receivers = torch.cat([inflow.receivers.index for inflow in inflows])
+    order = torch.argsort(receivers, stable=True)
+    senders = torch.cat(
+        [
+            inflow.senders.index if inflow.sender_set == GARMENT else torch.full_like(inflow.senders.index, -1)
+            for inflow in inflows
+        ]
+    )
+    return order, senders[order], incidence(receivers[order], vertices)
+
+
+def _packed(spans: Sequence[Span]) -> list[Span]:
+    """The same spans moved together, in order, from 0."""
+    packed, base = [], 0
+    for start, stop in spans:
+        packed.append((base, base + stop - start))
+        base += stop - start
+    return packed

@@ -1,0 +1,85 @@
+"""Reading node values at edges and summing edge values at nodes, deterministic in both directions of differentiation.
+
+Each is the other's derivative. Sums run through `embedding_bag`, which adds up one node's edges at a time: on a CPU
+it took a tenth of the time of `segment_reduce` and less than half of that of `index_add_` (33,000 edges, 128 wide).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pb4u.network.graph.incidence import Bags, Incidence
+
+
+def _bag_sums(values: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
+    if order.shape[0] == 0:
+        return values.new_zeros(offsets.shape[0] - 1, values.shape[1])
+    # The operator itself: beside tiles that stay in cache, its Python wrapper takes a tenth of the time.
+    return torch.embedding_bag(values, order, offsets, mode=0, include_last_offset=True)[0]
+
+
+class _Gather(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, nodes: Tensor, index: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
+        ctx.save_for_backward(order, offsets)
+        return nodes.index_select(0, index)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        order, offsets = ctx.saved_tensors
+        return _bag_sums(gradients[0].contiguous(), order, offsets), None, None, None
+
+
+class _SegmentSum(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, edges: Tensor, index: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
+        ctx.save_for_backward(index)
+        return _bag_sums(edges, order, offsets)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        return gradients[0].index_select(0, ctx.saved_tensors[0]), None, None, None
+
+
+def gather(nodes: Tensor, ends: Incidence) -> Tensor:
+    """Values (edges, width) of the node at each edge's end, in the unit of `nodes`.
+
+    Args:
+        nodes: (nodes, width) values of any unit.
+        ends: node at that end of each edge.
+    """
+    if not torch.is_grad_enabled():
+        return nodes.index_select(0, ends.index)
+    return _Gather.apply(nodes, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
+
+
+def sum_of_rows(table: Tensor, bags: Bags) -> Tensor:
+    """Sums (edges, width) of each edge's rows of a table, in its unit; not differentiable.
+
+    One pass over memory, where a gather for each end and their addition are three.
+
+    Args:
+        table: (rows, width) values of any unit.
+        bags: rows of each edge.
+    """
+    return _bag_sums(table, bags.rows, bags.offsets)
+
+
+def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:
+    """Sums (nodes, width) over the edges that end at each node, in the unit of `edges`; zero where none does.
+
+    Args:
+        edges: (edges, width) values of any unit.
+        ends: node at that end of each edge.
+    """
+    if not torch.is_grad_enabled():
+        return _bag_sums(edges, ends.order, ends.offsets)
+    return _SegmentSum.apply(edges, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
+
+
+def joined(parts: list[Tensor]) -> Tensor:
+    """Concatenation (rows, width) of `parts` (rows, width) of one unit; a single part as it is."""
+    return parts[0] if len(parts) == 1 else torch.cat(parts)

@@ -1,0 +1,132 @@
+"""The report of a run: results.json, tables, plots, and one page with all of them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from pb4u import __version__
+from pb4u.io.atomic_file import json_text
+from pb4u.paper.page import Block, Plot, Remark, as_html, as_markdown
+from pb4u.paper.paper_figures import PAPER
+from pb4u.paper.pictures import picture_grid
+from pb4u.paper.plots import across_levels, against_steps, over_time
+from pb4u.paper.protocol_plan import EvaluationRequest, Plan
+from pb4u.paper.result_folder import ResultFolder
+from pb4u.paper.robustness import failure_pictures, failure_table, parts_tables, robustness_table
+from pb4u.paper.rollout import PROTOCOL_VERSION
+from pb4u.paper.summary import Summary, summarise
+from pb4u.paper.tables import level_table, terms_tables
+
+RESULTS, TABLES, PLOTS, PAGE = "results.json", "tables.md", "plots", "report.html"
+
+View = Callable[[Summary], list[Block]]
+"""Draws tables or plots of a run; none where the run has nothing for them."""
+
+_STRETCH_OVER_TIME = partial(over_time, term="stretch", preferred="07_02")
+
+VIEWS: dict[str, tuple[View, ...]] = {
+    "resolution": (terms_tables, across_levels, _STRETCH_OVER_TIME),
+    "unseen": (terms_tables, _STRETCH_OVER_TIME),
+    "depth": (against_steps, partial(level_table, quantities=("total",))),
+    "efficiency": (
+        partial(level_table, quantities=("total", "ms")),
+        partial(across_levels, quantities=("ratio", "ms")),
+    ),
+    "ablation": (
+        partial(level_table, quantities=("total",)),
+        partial(across_levels, quantities=("stretch", "ratio", "survived_percent")),
+    ),
+    "robustness": (robustness_table, parts_tables, failure_table, failure_pictures),
+}
+"""Protocol -> its tables and plots, in the order of the page; pictures follow where it has them."""
+
+
+def write_report(planned: Plan, folder: ResultFolder, request: EvaluationRequest) -> dict[str, Any]:
+    """Write results.json, the tables, the plots and the page of what is done.
+
+    Args:
+        planned: what the run consists of.
+        folder: where results are, and the report goes.
+        request: what was asked for.
+
+    Returns:
+        The content of results.json.
+    """
+    summary = summarise(planned, folder)
+    protocol = planned.protocol
+    views = (*VIEWS[protocol.name], *([picture_grid] if protocol.pictured else []))
+    blocks = [_about(summary), *(block for view in views for block in view(summary)), *_remarks(summary)]
+    title = f"pb4u evaluation: {protocol.name}"
+    shutil.rmtree(folder.path / PLOTS, ignore_errors=True)
+    (folder.path / PLOTS).mkdir()
+    for block in blocks:
+        if isinstance(block, Plot):
+            folder.write(f"{PLOTS}/{block.name}.png", block.png)
+    folder.write(TABLES, as_markdown(title, blocks).encode())
+    folder.write(PAGE, as_html(title, blocks).encode())
+    text = json_text(
+        {
+            "protocol": protocol.name,
+            "protocol_version": PROTOCOL_VERSION,
+            "pb4u": __version__,
+            "reproduces": protocol.reproduces,
+            "request": request.as_json(),
+            "absent": planned.absent,
+            "failures": [{"job": job, "sentence": sentence} for job, sentence in summary.failures],
+            **summary.as_json(),
+            "paper": PAPER.get(protocol.name, {}),
+        },
+        indent=1,
+    )
+    folder.write(RESULTS, (text + "\n").encode())
+    return dict(json.loads(text))
+
+
+def _about(summary: Summary) -> Block:
+    protocol = summary.plan.protocol
+    done = sum(row.result is not None for row in summary.rows)
+    where = f"{', '.join(protocol.garments)} on {', '.join(protocol.motions)} ({', '.join(protocol.bodies)})"
+    lines = [
+        protocol.reproduces,
+        f"{done} of {len(summary.rows)} rollouts are done: {where}, {protocol.frames} frames at levels "
+        f"{', '.join(protocol.levels)}; what varies is {protocol.varied}.",
+        *summary.plan.absent,
+    ]
+    return Remark("", lines)
+
+
+def _remarks(summary: Summary) -> list[Block]:
+    blocks: list[Block] = []
+    if summary.failures:
+        lines = [f"{job}: {sentence}" for job, sentence in summary.failures]
+        blocks.append(Remark("Rollouts that could not be made", lines))
+    results = [row.result for row in summary.rows if row.result]
+    if notes := told_once(dict.fromkeys(note for result in results for note in result["notes"])):
+        blocks.append(Remark("Notes", notes))
+    machines = dict.fromkeys(
+        ", ".join(f"{key} {value}" for key, value in result["machine"].items()) for result in results
+    )
+    if machines:
+        lines = [
+            f"pb4u {__version__}, protocols of version {PROTOCOL_VERSION}.",
+            *machines,
+            "Times are medians a step of a rollout, without metrics and files; workers beside it share the machine.",
+        ]
+        blocks.append(Remark("Made on", lines))
+    return blocks
+
+
+def told_once(notes: Iterable[str]) -> list[str]:
+    """Notes shortened: those that differ in their numbers alone become the first one, and how many more there are."""
+    alike: dict[str, list[str]] = {}
+    for note in notes:
+        alike.setdefault(re.sub(r"\d+(?:\.\d+)?", "#", note), []).append(note)
+    return [
+        first + (f" ({len(others)} more with other numbers, in results.json.)" if others else "")
+        for first, *others in alike.values()
+    ]

@@ -1,0 +1,187 @@
+"""Report of a run whose scenes are drawn: how often something fails, how far from the floor, and each failure."""
+
+from __future__ import annotations
+
+import io
+import math
+import statistics
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pb4u.errors import Pb4uError
+from pb4u.measures.divergence import SLID, SLID_FRAMES
+from pb4u.paper.page import Block, Plot, Remark, Table
+from pb4u.paper.pictures import draw_still
+from pb4u.paper.summary import FAR_FROM_FLOOR, MOST_INSIDE, Row, Summary
+
+MOST_PICTURES = 24
+"""Failures that are drawn; all are named."""
+
+_COLUMNS = 6
+
+_NOTE = (
+    "Energy / floor: the mean energy without gravity over that of the solver on the same scene, under the same "
+    f"contact, of rollouts that did not diverge. Slid: what holds the garment up was more than {100 * SLID:.0f} cm "
+    f"from where skinning puts it for {SLID_FRAMES} frames on end. Failed: diverged, slid, more than "
+    f"{MOST_INSIDE:.0f} % of the vertices inside the body over all frames, or more than {FAR_FROM_FLOOR:.0f} times "
+    "the floor."
+)
+
+
+def robustness_table(summary: Summary) -> list[Block]:
+    """Table with a row for each model in each of its ways.
+
+    Args:
+        summary: the run.
+    """
+    head = [
+        "model", "rollouts", "diverged", "slid", "failed", "energy / floor, median", "95 %", "worst",
+        "inside, mean [%]", "worst [%]", "deepest [mm]", "crossings a frame, mean", "worst", "time a step [ms]",
+    ]  # fmt: skip
+    rows = []
+    for model in summary.plan.protocol.models:
+        done = [row for row in summary.select(model=model) if row.result or row.failure]
+        inside = _finite(row.value("penetration_percent") for row in done)
+        crossings = _finite(_mean(row, "self_intersections") for row in done)
+        ratios = _ratios(done)
+        rows.append(
+            [
+                model,
+                f"{len(done)}",
+                _share(done, lambda row: row.diverged),
+                _share(done, lambda row: (row.result or {}).get("slid_at") is not None),
+                _share(done, lambda row: bool(row.faults)),
+                _shown(ratios, statistics.median, ".2f"),
+                _shown(ratios, lambda values: float(np.percentile(values, 95)), ".2f"),
+                _shown(ratios, max, ".2f"),
+                _shown(inside, statistics.fmean, ".2g"),
+                _shown(inside, max, ".2g"),
+                _shown(_finite(1e3 * _most(row, "penetration_depth_max") for row in done), max, ".1f"),
+                _shown(crossings, statistics.fmean, ".1f"),
+                _shown(crossings, max, ".0f"),
+                _shown(_finite(row.value("ms") for row in done), statistics.median, ".0f"),
+            ]
+        )
+    return [Table("All scenes", _NOTE, head, rows)]
+
+
+def parts_tables(summary: Summary) -> list[Block]:
+    """Tables by garment, motion, material and level: median and worst energy over the floor, and failures.
+
+    Args:
+        summary: the run.
+    """
+    models = summary.plan.protocol.models
+    parts: dict[str, Callable[[Row], str]] = {
+        "garment": lambda row: str(row.coordinates["garment"]),
+        "motion": lambda row: row.case.job.scene.label("motion"),
+        "material": lambda row: str(row.coordinates.get("material")),
+        "level": lambda row: row.case.level,
+    }
+    tables: list[Block] = []
+    for part, named in parts.items():
+        groups: dict[str, list[Row]] = {}
+        for row in summary.rows:
+            groups.setdefault(named(row), []).append(row)
+        if len(groups) < 2:
+            continue
+        rows = []
+        for name, members in sorted(groups.items()):
+            cells = []
+            for model in models:
+                own = [row for row in members if row.model == model and (row.result or row.failure)]
+                ratios, failed = _ratios(own), sum(bool(row.faults) for row in own)
+                cells.append(
+                    f"{_shown(ratios, statistics.median, '.2f')}, {_shown(ratios, max, '.2f')}; {failed} of {len(own)}"
+                )
+            rows.append([name, *cells])
+        caption = "Energy over the floor, median and worst; failed rollouts."
+        tables.append(Table(f"By {part}", caption, [part, *models], rows))
+    return tables
+
+
+def failure_table(summary: Summary) -> list[Block]:
+    """Every failure with the number of its scene, and what makes the scene again.
+
+    Args:
+        summary: the run.
+    """
+    rows = [
+        [str(row.case.number), row.model, _scene_words(row), "; ".join(row.faults)]
+        for row in summary.rows
+        if row.faults
+    ]
+    if not rows:
+        return [Remark("Failures", ["None."])]
+    caption = "The scene's options are those of `pb4u simulate`."
+    return [Table("Failures", caption, ["scene", "model", "made by", "what"], rows, words=4)]
+
+
+def failure_pictures(summary: Summary) -> list[Block]:
+    """Pictures of the failures, each in the frame that shows it best.
+
+    Args:
+        summary: the run.
+    """
+    title = "Failures, each in its worst frame"
+    failed = [row for row in summary.rows if row.faults and row.result]
+    shown: list[tuple[Row, np.ndarray]] = []
+    try:
+        for row in failed[:MOST_PICTURES]:
+            picture = draw_still(summary.still(row.case.job), frame=-1)
+            if picture is not None:
+                shown.append((row, picture))
+    except Pb4uError as error:
+        return [Remark(title, (str(error),))]
+    if not shown:
+        return []
+    lines = math.ceil(len(shown) / _COLUMNS)
+    figure = Figure(figsize=(2.2 * _COLUMNS, 3.5 * lines), layout="constrained")
+    panels = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
+    for axis in panels:
+        axis.set_axis_off()
+    for axis, (row, picture) in zip(panels, shown, strict=False):
+        axis.imshow(picture)
+        axis.set_title(f"{row.case.number}: {row.model}\n{row.faults[0]}", fontsize=7)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=110)
+    left = f" {len(failed) - MOST_PICTURES} more are named above alone." if len(failed) > MOST_PICTURES else ""
+    return [Plot("failures", title, f"Number of the scene, model, and what went wrong.{left}", stream.getvalue())]
+
+
+def _scene_words(row: Row) -> str:
+    scene = row.case.job.scene
+    shape = "".join(f" --body-shape {name}={value:g}" for name, value in scene.shape)
+    seed = "" if scene.seed is None else f" --seed {scene.seed}"
+    return (
+        f"--garment {scene.garment} --triangles {scene.triangles} --material {scene.material} "
+        f"--body {scene.body}{shape} --motion {scene.motion}{seed} --frames {scene.frames} --lead-in {scene.lead_in}"
+    )
+
+
+def _ratios(rows: Iterable[Row]) -> list[float]:
+    return _finite(row.ratio for row in rows if not row.diverged)
+
+
+def _finite(values: Iterable[float | None]) -> list[float]:
+    return [value for value in values if value is not None and math.isfinite(value)]
+
+
+def _mean(row: Row, metric: str) -> float | None:
+    return (row.result or {}).get("metrics", {}).get(metric, {}).get("mean")
+
+
+def _most(row: Row, metric: str) -> float:
+    value = (row.result or {}).get("metrics", {}).get(metric, {}).get("max")
+    return math.nan if value is None else float(value)
+
+
+def _shown(values: list[float], of: Callable[[list[float]], float], digits: str) -> str:
+    return format(of(values), digits) if values else "-"
+
+
+def _share(rows: list[Row], what: Callable[[Row], bool]) -> str:
+    count = sum(what(row) for row in rows)
+    return f"{count} ({100.0 * count / len(rows):.1f} %)" if rows else "-"

@@ -1,0 +1,306 @@
+"""What the rollouts of a run come to: means and spreads over scenes, ratios to the floor, how many diverged."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pb4u.jobs.job import Failure
+from pb4u.paper.paper_figures import TERMS
+from pb4u.paper.protocol_plan import Case, Plan
+from pb4u.paper.reference_energies import ratio
+from pb4u.paper.result_folder import ResultFolder
+from pb4u.paper.rollout import RolloutJob
+
+MOST_INSIDE = 1.0
+"""Percent of the vertices inside the body, over all frames, beyond which a rollout counts as a failure."""
+
+FAR_FROM_FLOOR = 3.0
+"""Energy over the floor beyond which it does: cloth that is plainly stretched or crumpled."""
+
+
+class Quantity(NamedTuple):
+    """Notation of a quantity in tables.
+
+    Args:
+        title: its title.
+        unit: its unit, or "".
+        digits: format of its numbers, as after the colon of an f-string.
+    """
+
+    title: str
+    unit: str
+    digits: str
+
+
+_BESIDE_ENERGIES = {
+    "ratio": Quantity("energy / floor", "", ".3g"),
+    "survived_percent": Quantity("frames before divergence", "%", ".0f"),
+    "strain_p95": Quantity("strain, 95th percentile", "", ".3g"),
+    "penetration_percent": Quantity("penetration", "%", ".3g"),
+    "visible_skin_percent": Quantity("skin through cloth", "%", ".3g"),
+    "ms": Quantity("time a step", "ms", ".1f"),
+}
+
+
+def quantity_named(name: str) -> Quantity:
+    """Notation of the quantity `name`; what is none of those above is an energy of the potential."""
+    return _BESIDE_ENERGIES.get(name) or Quantity("total loss" if name == "total" else name, "J", ".2e")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean and standard deviation over scenes, in the unit of the quantity.
+
+    Args:
+        mean: mean over the scenes.
+        deviation: standard deviation of the population of scenes.
+        scenes: number of scenes.
+    """
+
+    mean: float
+    deviation: float
+    scenes: int
+
+
+def spread(values: Iterable[float | None]) -> Spread | None:
+    """The spread of the values there are; None where there are none."""
+    present = [value for value in values if value is not None]
+    if not present:
+        return None
+    return Spread(statistics.fmean(present), statistics.pstdev(present), len(present))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A case and its outcome.
+
+    Args:
+        case: the rollout in its place.
+        result: of the rollout; None where it is not done.
+        failure: why there is none, where it was tried.
+        ratio: mean energy without gravity over the floor's; None where either is absent or the run broke off.
+        floor_source: "solver run", "stored" or "absent".
+    """
+
+    case: Case
+    result: dict[str, Any] | None
+    failure: Failure | None
+    ratio: float | None
+    floor_source: str
+
+    @cached_property
+    def coordinates(self) -> dict[str, Any]:
+        """Coordinates of the case in the tables: model, level, garment, body, motion, seed and steps."""
+        scene, job = self.case.job.scene, self.case.job
+        return {
+            "model": job.model.label,
+            "level": self.case.level,
+            "garment": scene.label("garment"),
+            "body": scene.label("body"),
+            "motion": self.case.motion,
+            "seed": scene.seed,
+            "steps": job.settings.propagation_steps,
+            **({} if self.case.number is None else {"number": self.case.number, "material": scene.material}),
+        }
+
+    @property
+    def model(self) -> str:
+        return self.case.job.model.label
+
+    @property
+    def diverged(self) -> bool:
+        return bool(self.result and self.result["diverged"])
+
+    @property
+    def faults(self) -> list[str]:
+        """What went wrong, in words; nothing of a rollout that is as it should be, or not done yet."""
+        if self.failure is not None:
+            return [f"could not be made: {self.failure.sentence}"]
+        if self.result is None:
+            return []
+        if self.diverged:
+            return [f"diverged in frame {self.result['diverged_at']}"]
+        found = []
+        if self.result.get("slid_at") is not None:
+            shift = 100.0 * self.result["hold_shift"]["max"]
+            found.append(f"slid from frame {self.result['slid_at']}, {shift:.0f} cm")
+        inside = self.value("penetration_percent")
+        if inside is not None and inside > MOST_INSIDE:
+            found.append(f"{inside:.1f} % of vertices inside the body")
+        if self.ratio is not None and self.ratio > FAR_FROM_FLOOR:
+            found.append(f"{self.ratio:.1f} times the floor's energy")
+        return found
+
+    @property
+    def survived_percent(self) -> float | None:
+        """Share of the frames asked for that came before the run diverged."""
+        if self.result is None:
+            return None
+        diverged_at = self.result["diverged_at"]
+        good = self.result["frames"] if diverged_at is None else diverged_at
+        return 100.0 * float(good) / self.case.job.scene.frames
+
+    def value(self, quantity: str) -> float | None:
+        """A quantity by the name that tables use; energies [J] are means over frames by the released convention."""
+        if quantity in ("ratio", "survived_percent"):
+            value = getattr(self, quantity)
+        elif self.result is None:
+            return None
+        elif quantity == "ms":
+            value = self.result["ms_per_step"]
+        else:
+            tables = self.result["metrics"] if quantity in _BESIDE_ENERGIES else self.result["metrics_paper"]
+            value = tables.get(quantity, {}).get("mean")
+        return None if value is None else float(value)
+
+    def series(self, term: str) -> list[float]:
+        """Energy [J] of a term over the frames, by the released convention; not a number where it is none."""
+        per_frame = (self.result or {}).get("metrics_paper", {}).get(term, {}).get("per_frame", [])
+        return [math.nan if value is None else value for value in per_frame]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table: the scenes of one model, level and number of steps.
+
+    Args:
+        level: its name.
+        model: its name.
+        steps: number of propagation steps asked for; None for the model's own.
+        triangles: mean number of triangles of the garments there are.
+        quantities: name -> spread over the scenes that are done.
+        deepest: deepest penetration of all [m].
+        scenes: scenes in all.
+        done: those with a result.
+        failed: those without, where why is known.
+        diverged: of those done.
+    """
+
+    level: str
+    model: str
+    steps: int | None
+    triangles: float | None
+    quantities: dict[str, Spread | None]
+    deepest: float | None
+    scenes: int
+    done: int
+    failed: int
+    diverged: int
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A run in figures.
+
+    Args:
+        plan: what the run consists of.
+        rows: every case with what came of it.
+        failures: (job, sentence) of the rollouts that could not be made, those of floors among them.
+        still: where the kept frame of a job is.
+    """
+
+    plan: Plan
+    rows: tuple[Row, ...]
+    failures: tuple[tuple[str, str], ...]
+    still: Callable[[RolloutJob], Path] = field(repr=False)
+
+    @cached_property
+    def energies(self) -> tuple[str, ...]:
+        """The terms of the potential and their total: the paper's in its own order, then what the results have more."""
+        names = dict.fromkeys(TERMS)
+        names |= dict.fromkeys(name for row in self.rows if row.result for name in row.result["metrics_paper"])
+        return (*(name for name in names if name != "total"), "total")
+
+    def select(self, **wanted: object) -> list[Row]:
+        """Rows whose coordinates have the wanted values.
+
+        Args:
+            **wanted: value by name of the coordinate: level, model, garment, body, motion, seed or steps.
+        """
+        return [row for row in self.rows if wanted.items() <= row.coordinates.items()]
+
+    def cell(self, level: str, model: str, steps: int | None = None) -> Cell:
+        """The cell of a model at a level.
+
+        Args:
+            level: name of the resolution.
+            model: name of the model.
+            steps: number of propagation steps asked for; None for the model's own.
+        """
+        rows = self.select(level=level, model=model, steps=steps)
+        results = [row.result for row in rows if row.result is not None]
+        triangles = spread(float(result["triangles"]) for result in results)
+        depths = [result["metrics"].get("penetration_depth_max", {}).get("max") for result in results]
+        return Cell(
+            level,
+            model,
+            steps,
+            triangles.mean if triangles else None,
+            {name: spread(row.value(name) for row in rows) for name in (*self.energies, *_BESIDE_ENERGIES)},
+            max((depth for depth in depths if depth is not None), default=None),
+            len(rows),
+            len(results),
+            sum(row.failure is not None for row in rows),
+            sum(row.diverged for row in rows),
+        )
+
+    def cells(self) -> list[Cell]:
+        """Cells of the run, all of them."""
+        at = dict.fromkeys(tuple(row.coordinates[name] for name in ("level", "model", "steps")) for row in self.rows)
+        return [self.cell(*each) for each in at]
+
+    def as_json(self) -> dict[str, Any]:
+        """Rows and cells as JSON."""
+        return {"cells": [asdict(cell) for cell in self.cells()], "rollouts": [_row_json(row) for row in self.rows]}
+
+
+def summarise(plan: Plan, folder: ResultFolder) -> Summary:
+    """Read the results of a run.
+
+    Args:
+        plan: what it consists of.
+        folder: where its results are.
+    """
+    results = {job.key: folder.result(job) for job in plan.jobs}
+    failures = {job.key: folder.failure(job) for job in plan.jobs if results[job.key] is None}
+    rows = []
+    for case in plan.cases:
+        result = results[case.job.key]
+        reached, source = _floor_energies(case, results)
+        complete = result is not None and result["frames"] == case.job.scene.frames and result["failed_at"] is None
+        above = ratio(_energies(result), reached) if result and complete and reached else None
+        finite = above is not None and math.isfinite(above)
+        rows.append(Row(case, result, failures.get(case.job.key), above if finite else None, source))
+    told = tuple((str(job), failure.sentence) for job in plan.jobs if (failure := failures.get(job.key)))
+    return Summary(plan, tuple(rows), told, folder.still)
+
+
+def _floor_energies(case: Case, results: dict[str, dict[str, Any] | None]) -> tuple[dict[str, float] | None, str]:
+    if isinstance(case.floor, dict):
+        return case.floor, "stored"
+    result = results.get(case.floor.key) if case.floor else None
+    if result is None or result["diverged"]:
+        return None, "absent"
+    return _energies(result), "solver run"
+
+
+def _energies(result: dict[str, Any]) -> dict[str, float]:
+    means = {term: result["metrics"][term]["mean"] for term in result["metrics_paper"]}
+    return {term: math.nan if mean is None else mean for term, mean in means.items()}
+
+
+def _row_json(row: Row) -> dict[str, Any]:
+    return {
+        "key": row.case.job.key,
+        **row.coordinates,
+        "failure": row.failure.sentence if row.failure else None,
+        "ratio_to_floor": row.ratio,
+        "floor": row.floor_source,
+        "result": row.result,
+    }

@@ -1,0 +1,110 @@
+"""The tables of a run's report, with the paper's own figures beside them."""
+
+from __future__ import annotations
+
+from pb4u.paper.page import Block, Table
+from pb4u.paper.paper_figures import paper_figures
+from pb4u.paper.summary import Cell, Spread, Summary, quantity_named
+
+PAPER_MARK = "paper, other data"
+
+_NOTE = (
+    "Mean ± standard deviation over scenes. The six terms and their total are by the released convention; the total "
+    "holds an arbitrary height and rewards sagging, so rank by energy / floor: the mean energy without gravity over "
+    "what the solver reaches on the same scene (1 is the floor, - where it is absent or the run broke off)."
+)
+
+
+def number(quantity: str, value: float) -> str:
+    """A value as tables print it.
+
+    Args:
+        quantity: its name.
+        value: in the unit of the quantity.
+    """
+    return f"{value:{quantity_named(quantity).digits}}"
+
+
+def with_spread(quantity: str, cell: Spread | None) -> str:
+    """Mean and spread as tables print them; a dash where there are none.
+
+    Args:
+        quantity: its name.
+        cell: mean and spread, in the unit of the quantity, or None.
+    """
+    if cell is None:
+        return "-"
+    mean = number(quantity, cell.mean)
+    return f"{mean} ± {number(quantity, cell.deviation)}" if cell.scenes > 1 else mean
+
+
+def label(quantity: str) -> str:
+    """The title of a quantity with its unit."""
+    title, unit, _ = quantity_named(quantity)
+    return f"{title} [{unit}]" if unit else title
+
+
+def _counts(cell: Cell) -> tuple[str, str]:
+    missing = f", {cell.scenes - cell.done} missing" if cell.done < cell.scenes else ""
+    return f"{cell.diverged} of {cell.done}", f"{cell.done}{missing}"
+
+
+def terms_tables(summary: Summary) -> list[Block]:
+    """Tables, one a level: the energies and what they leave out, a column a model, the paper's columns beside them.
+
+    Args:
+        summary: the run.
+    """
+    protocol = summary.plan.protocol
+    tables: list[Block] = []
+    for level in protocol.levels:
+        cells = [summary.cell(level, model) for model in protocol.models]
+        paper = paper_figures(protocol.name, level)
+        rows = [
+            [
+                label(quantity),
+                *(with_spread(quantity, cell.quantities[quantity]) for cell in cells),
+                *(number(quantity, theirs[quantity]) if quantity in theirs else "" for theirs in paper.values()),
+            ]
+            for quantity in (
+                *summary.energies,
+                "ratio",
+                "survived_percent",
+                "strain_p95",
+                "penetration_percent",
+                "visible_skin_percent",
+            )
+        ]
+        blank = [""] * len(paper)
+        deepest = ["-" if cell.deepest is None else f"{1e3 * cell.deepest:.1f}" for cell in cells]
+        rows.append(["deepest penetration [mm]", *deepest, *blank])
+        rows.append(["diverged", *(_counts(cell)[0] for cell in cells), *blank])
+        rows.append(["scenes", *(_counts(cell)[1] for cell in cells), *blank])
+        head = ["", *(cell.model for cell in cells), *(f"{name} ({PAPER_MARK})" for name in paper)]
+        theirs = frozenset(range(1 + len(cells), len(head)))
+        tables.append(Table(f"Level {level}", "" if tables else _NOTE, head, rows, their_columns=theirs))
+    return tables
+
+
+def level_table(summary: Summary, quantities: tuple[str, ...]) -> list[Block]:
+    """Table with a row for each level and model, the paper's rows below its level's.
+
+    Args:
+        summary: the run.
+        quantities: columns that the paper has too.
+    """
+    steps = any(cell.steps is not None for cell in summary.cells())
+    rows: list[list[str]] = []
+    theirs: list[int] = []
+    shown = (*quantities, "ratio", "survived_percent", "penetration_percent")
+    for level in summary.plan.protocol.levels:
+        for cell in (cell for cell in summary.cells() if cell.level == level):
+            values = [with_spread(quantity, cell.quantities[quantity]) for quantity in shown]
+            own = ["-" if cell.steps is None else str(cell.steps)] if steps else []
+            rows.append([level, cell.model, *own, *values, *_counts(cell)])
+        for model, figures in paper_figures(summary.plan.protocol.name, level).items():
+            theirs.append(len(rows))
+            values = [number(quantity, figures[quantity]) if quantity in figures else "" for quantity in shown]
+            rows.append([level, f"{model} ({PAPER_MARK})", *([""] if steps else []), *values, "", ""])
+    head = ["level", "model", *(["K"] if steps else []), *map(label, shown), "diverged", "scenes"]
+    return [Table("By level", _NOTE, head, rows, their_rows=frozenset(theirs), words=2)]

@@ -1,0 +1,246 @@
+"""Tangent planes of the body at the point nearest to each vertex, shared by the energies and the contact response."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from pb4u.collision.jit import as_float64
+from pb4u.collision.nearest_points import Found
+from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
+from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
+
+if TYPE_CHECKING:
+    from pb4u.physics.contact.obstacle import Obstacle
+
+
+@dataclass(frozen=True, eq=False)
+class ContactPlanes:
+    """The body near each vertex as a plane; distance and gradient are exact at the vertex position used for the lookup.
+
+    Args:
+        points: (vertices, 3) nearest points of the body [m].
+        normals: (vertices, 3) outward unit normals.
+        distance: (vertices,) distance [m] of the position used for the lookup, signed for exact planes; of a vertex out
+            of reach that may be an earlier position.
+        touchable: (vertices,) bool, False where the vertex has no body or is nearest to a region left out of contact.
+        triangle: (vertices,) int64 among the contact faces of the packed colliders.
+        barycentric: (vertices, 3) of the point in that face.
+    """
+
+    points: Tensor
+    normals: Tensor
+    distance: Tensor
+    touchable: Tensor
+    triangle: Tensor
+    barycentric: Tensor
+
+    def signed_distance(self, x: Tensor) -> Tensor:
+        """Height (vertices,) [m] of each vertex over its plane, negative inside the body.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
+        return ((x - self.points) * self.normals).sum(-1)
+
+    def raised(self, heights: Tensor) -> ContactPlanes:
+        """These planes raised by `heights` (vertices,) [m] along their normals."""
+        return replace(self, points=self.points + heights[:, None] * self.normals, distance=self.distance - heights)
+
+    def where(self, rows: Tensor, otherwise: ContactPlanes) -> ContactPlanes:
+        """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest."""
+        return ContactPlanes(
+            **{
+                name: torch.where(rows.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(otherwise, name))
+                for name, value in vars(self).items()
+            }
+        )
+
+    def transported(self, pose: ColliderPose) -> Tensor:
+        """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`."""
+        return self.interpolated(pose.positions, pose.colliders.contact_faces)
+
+    def interpolated(self, values: Tensor, faces: Tensor) -> Tensor:
+        """Values (vertices, 3) interpolated at the nearest points, in the unit of `values`.
+
+        Args:
+            values: (body vertices, 3) of any unit.
+            faces: (body faces, 3) int64 contact faces of the packed colliders.
+        """
+        corners = values.to(self.barycentric.dtype)[faces[self.triangle]]
+        return (self.barycentric[:, :, None] * corners).sum(1)
+
+    def transported_normals(self, pose: ColliderPose) -> Tensor:
+        """Dimensionless unit normals (vertices, 3) of the faces of the nearest points when the bodies take `pose`."""
+        corners = pose.positions.to(self.normals.dtype)[pose.colliders.contact_faces[self.triangle]]
+        cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSet:
+    """Contacts of one time step, as the energies see them.
+
+    The solver looks up contacts at frame t once a step, and those at t+1 anew for vertices that moved.
+
+    Args:
+        now: for each vertex at frame t, the plane of the body that it may slide on, or None.
+        next: for each vertex at frame t+1, the plane of the body that it may enter, or None.
+        opposite: a second plane for vertices caught between two parts of the body, or None.
+        transported: (vertices, 3) [m] positions of the vertices if the body carried them over the step, or None.
+        transported_normals: (vertices, 3) the body's unit normals there at t+1, or None.
+        cloth: pairs of cloth elements that may feel each other at t+1, or None.
+        cloth_now: those that do at frame t, or None.
+        obstacle: the bodies at t+1 as cloth may not pass through them, or None.
+        raised: heights (vertices,) [m] that the planes are raised by for the cloth between vertices, or None.
+    """
+
+    now: ContactPlanes | None = None
+    next: ContactPlanes | None = None
+    opposite: ContactPlanes | None = None
+    transported: Tensor | None = None
+    transported_normals: Tensor | None = None
+    cloth: ClothPairs | None = None
+    cloth_now: TouchingCloth | None = None
+    obstacle: Obstacle | None = None
+    raised: Tensor | None = None
+
+    @staticmethod
+    def at_start(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor, search: PlaneSearch) -> ContactSet:
+        """Contacts known at the start of a step; every finder is called here.
+
+        Args:
+            garments: whose vertices they are.
+            bodies: around the step, or None.
+            x: (vertices, 3) [m] at frame t.
+            search: finds the planes of the bodies at frame t.
+        """
+        if bodies is None:
+            return ContactSet()
+        now = search(bodies.now, garments, x.detach())
+        motion = now.interpolated(bodies.motion, bodies.colliders.contact_faces)
+        normals = now.transported_normals(bodies.following)
+        return ContactSet(now=now, transported=x + motion.to(x), transported_normals=normals.to(x))
+
+
+PlaneSearch = Callable[[ColliderPose, PackedGarments, Tensor], ContactPlanes]
+"""Finds the plane of each vertex; called with the pose of the bodies, the garments and positions (vertices, 3) [m]."""
+
+CONTACT_REACH = 0.01
+"""Distance [m] from the body from which on the plane of a vertex concerns no energy: five times where that begins."""
+
+MOTION_REACH = 0.05
+"""Distance [m] from the body from which on its motion over a step does not concern a vertex."""
+
+UNMOVED = 1e-9
+"""Way [m] up to which a vertex counts as unmoved since it was looked up: sums in another order end so far apart."""
+
+
+def nearest_planes(
+    pose: ColliderPose,
+    garments: PackedGarments,
+    x: Tensor,
+    within: float = CONTACT_REACH,
+    patience: float = UNMOVED,
+) -> ContactPlanes:
+    """Planes through the exact nearest points of the bodies of each vertex's world.
+
+    A vertex keeps the plane that it had at this pose before where it did not move, or is known to be out of reach yet:
+    its distance changes by no more than its way. The first look-up at a pose is exact for all.
+
+    Args:
+        pose: the bodies at one instant.
+        garments: pack whose vertices are looked up.
+        x: (vertices, 3) [m].
+        within: distance [m] from which on a vertex need only be known to be so far.
+        patience: way [m] that a vertex may have gone since it was looked up.
+    """
+    if all(surface is None or surface.compiled for surface in pose.surfaces):
+        return _of_found(_renewed(pose, garments, x, within, patience), x)
+    planes = _blank(x)
+    for world, (surface, rows) in enumerate(zip(pose.surfaces, _worlds(garments), strict=False)):
+        if surface is None or rows.start == rows.stop:
+            continue
+        nearest = surface.nearest(x.detach()[rows])
+        planes.points[rows] = nearest.positions
+        planes.normals[rows] = nearest.normals
+        planes.distance[rows] = nearest.signed_distance
+        planes.touchable[rows] = ~nearest.beyond_border
+        planes.triangle[rows] = pose.colliders.world_contact_faces[world][nearest.triangle]
+        planes.barycentric[rows] = nearest.barycentric
+    return planes
+
+
+def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: float, patience: float) -> Found:
+    """What was found at the pose, brought up to date for `x`; the same object where nothing had to be searched for."""
+    points, known, searched = as_float64(x), pose.found.get(garments), 0
+    found = Found.nothing(len(points)) if known is None else known.copy()
+    for world, rows in enumerate(_worlds(garments)):
+        part, surface = found.rows(rows.start, rows.stop), pose.surfaces[world] if world < len(pose.surfaces) else None
+        if surface is not None:
+            names = pose.colliders.searched_faces[world]
+            searched += surface.look_up(points[rows], part, within, patience, names)
+        elif known is None:
+            part.positions[:] = points[rows]
+    if known is None or searched:
+        pose.found[garments] = known = found
+    return known
+
+
+def _of_found(found: Found, x: Tensor) -> ContactPlanes:
+    """The planes that were found, in the data type of `x`."""
+    _, triangle, barycentric, positions, normals, distances, beyond = (torch.from_numpy(values) for values in found)
+    return ContactPlanes(
+        points=positions.to(x),
+        normals=normals.to(x),
+        distance=distances.to(x),
+        touchable=~beyond,
+        triangle=triangle,
+        barycentric=barycentric.to(x),
+    )
+
+
+def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor) -> ContactPlanes:
+    """Planes of the faces whose centres are nearest, with the distance to the centre: the HOOD family's convention.
+
+    Args:
+        pose: the bodies at one instant, regions left out of contact included.
+        garments: pack whose vertices are looked up.
+        x: (vertices, 3) [m].
+    """
+    planes = _blank(x)
+    planes.barycentric.fill_(1.0 / 3.0)
+    for world, (surface, rows) in enumerate(zip(pose.whole_surfaces, _worlds(garments), strict=False)):
+        if surface is None:
+            continue
+        face, distance = surface.nearest_face_centre(x[rows])
+        corners = surface.vertices[torch.from_numpy(surface.surface.faces).to(surface.vertices.device)[face]]
+        cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        planes.points[rows] = corners.mean(1).to(x)
+        planes.normals[rows] = (cross / cross.norm(dim=1, keepdim=True).clamp_min(1e-300)).to(x)
+        planes.distance[rows] = distance
+        planes.touchable[rows] = True
+        planes.triangle[rows] = pose.colliders.world_faces[world][face]
+    return planes
+
+
+def _worlds(garments: PackedGarments) -> list[slice]:
+    """Rows of the vertices of each world."""
+    return [slice(first, stop) for first, stop in pairwise(garments.world_offsets)]
+
+
+def _blank(x: Tensor) -> ContactPlanes:
+    normals = torch.zeros_like(x, requires_grad=False)
+    return ContactPlanes(
+        points=x.detach().clone(),
+        normals=normals,
+        distance=torch.full_like(x[:, 0], torch.inf, requires_grad=False),
+        touchable=torch.zeros(len(x), dtype=torch.bool, device=x.device),
+        triangle=torch.zeros(len(x), dtype=torch.int64, device=x.device),
+        barycentric=torch.zeros_like(x, requires_grad=False),
+    )

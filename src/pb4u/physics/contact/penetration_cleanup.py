@@ -1,0 +1,409 @@
+"""Keeps the body from showing through cloth: lifts cloth that dips into it between its corners, or that skin pierces.
+
+Energies and contact response look at vertices. On a body of radius R an edge of length L sags L^2 / (8 R) below its
+ends: 1.5 mm for the 27 mm edges of a 2.5K T-shirt on a shoulder, more than the distance cloth keeps from the skin.
+Between the middles that are looked at, a quarter of that is left: L^2 / (32 R), which is added to their clearance.
+Where the body is rounder than R, or bends at a joint, its vertices still come through between the middles: these are
+looked up in turn, and the cloth that they pierce is lifted over them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.collision.jit import as_float64, compiled
+from pb4u.collision.nearest_points import Found
+from pb4u.collision.nearest_surface import PosedSurface
+from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
+from pb4u.physics.contact.obstacle import Obstacle
+from pb4u.physics.contact.self_contact import SelfContact
+from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH, SkinCover
+from pb4u.scene.packed import ColliderPose, PackedGarments
+from pb4u.scene.state import State
+
+_DEEPER = 1e-3
+"""Depth [m] by which a lift counts as taking a vertex into the body: less is not seen, and undone it bares skin."""
+
+_HALVINGS = 8
+"""Times that a lift which would tear cloth is cut back before it is given up there."""
+
+_ROUNDS = 8
+"""Times that what a lift takes into the body is held back before the lift is given up: up to thrice in a squat."""
+
+_ROUNDING = 1.0 + 1e-9
+"""Factor on a squared length within which it is the same."""
+
+
+@dataclass(frozen=True)
+class FaceClearance:
+    """Moves cloth along the body's normal until its vertices, the middles of its edges and faces, and skin are clear.
+
+    Velocities stay as they are. Pinned vertices do not move.
+
+    Args:
+        clearance: distance that the cloth keeps from the surface [m].
+        smallest_radius: smallest radius of the body where cloth rests on it [m].
+        largest_push: largest displacement of a vertex in one pass [m].
+        passes: most passes, since a lifted vertex lifts what is beside it too; clothes of 2,500 and 11,000 triangles
+            need two to six.
+        most_stretch: length over the length at rest up to which an edge is stretched by it. Straps over a shoulder
+            and sleeves of 2,500 triangles over a raised elbow need 1.55 to 1.7; what asks for more has a limb through
+            it, and is not covered by pulling.
+    """
+
+    clearance: float = 3e-4
+    smallest_radius: float = 0.03
+    largest_push: float = 5e-3
+    passes: int = 6
+    most_stretch: float = 1.8
+
+    def lift(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: SelfContact) -> State:
+        """State with its cloth lifted out of the bodies.
+
+        Args:
+            garments: static quantities.
+            state: to be lifted.
+            pose: the bodies at the state's frame.
+            cloth: keeps the lift from carrying cloth through cloth.
+        """
+        x, worlds = as_float64(state.positions).copy(), range(min(garments.world_count, len(pose.surfaces)))
+        if all(pose.surfaces[world] is None for world in worlds):
+            return state
+        planes = nearest_planes(pose, garments, state.positions, MOTION_REACH)
+        elements = [part for world in worlds for part in self._near(garments, pose, planes, x, world)]
+        skin = [_skin(pose.surfaces[world], x, slice(*garments.world_offsets[world : world + 2])) for world in worlds]
+        lift = _Lift(np.zeros_like(x), np.zeros(len(x)))
+        for _ in range(self.passes):
+            moved, lift = lift.size, _Lift(np.zeros_like(x), np.zeros(len(x)))
+            elements = [self._lift_middles(lift, x, part) for part in elements]
+            for world, places in enumerate(skin):
+                skin[world] = self._cover(lift, garments, x, moved, world, places)
+            if not _move(x, *lift, garments.pinned.numpy(), self.largest_push):
+                break
+        return replace(state, positions=self._without_harm(garments, pose, state.positions, x, planes, cloth))
+
+    def _without_harm(
+        self,
+        garments: PackedGarments,
+        pose: ColliderPose,
+        before: Tensor,
+        lifted: np.ndarray,
+        planes: ContactPlanes,
+        cloth: SelfContact,
+    ) -> Tensor:
+        """Positions (vertices, 3) [m] between those `before` and those `lifted`.
+
+        What the lift would take into another part of the body, or tear, or carry through cloth stays where it was, or
+        part of the way.
+        """
+        stood, edges = as_float64(before), garments.edges.numpy()
+        longest = self.most_stretch * garments.edge_lengths.numpy()
+        held = self._taken_deeper(garments, pose, stood, lifted, planes)
+        obstacle = Obstacle.at(garments, pose, before) if cloth.feels_bodies else None
+        for _ in range(_ROUNDS):
+            x = _cut_back(stood, lifted, np.where(held, 0.0, 1.0), edges, longest)
+            wanted, firm = torch.from_numpy(x).to(before), torch.from_numpy(held)
+            # What lifted cloth pushes aside goes into the body as well: what is held back stays where it is.
+            reached, _ = cloth.carried(garments, before, wanted, held=firm, obstacle=obstacle)
+            # In a fold a part of the way may lead where the whole of it does not.
+            deeper = self._taken_deeper(garments, pose, stood, as_float64(reached), planes)
+            if not deeper.any():
+                return reached
+            held |= deeper
+        return before
+
+    def _taken_deeper(
+        self,
+        garments: PackedGarments,
+        pose: ColliderPose,
+        before: np.ndarray,
+        after: np.ndarray,
+        planes: ContactPlanes,
+    ) -> np.ndarray:
+        """Vertices (vertices,) bool that are deeper in the body after a lift (vertices, 3) [m] than before it."""
+        taken = np.zeros(len(before), dtype=bool)
+        moved = np.abs(after - before).max(axis=1) > self.clearance
+        distances = as_float64(planes.distance)
+        for world, surface in enumerate(pose.surfaces[: garments.world_count]):
+            rows = np.flatnonzero(moved & (garments.vertex_world.numpy() == world))
+            if surface is None or not len(rows):
+                continue
+            found = Found.nothing(len(rows), as_float64(planes.points)[rows])
+            surface.look_up(after[rows], found)
+            deeper = found.distances < np.minimum(distances[rows], 0.0) - _DEEPER
+            taken[rows[~found.beyond & deeper]] = True
+        return taken
+
+    def _near(
+        self, garments: PackedGarments, pose: ColliderPose, planes: ContactPlanes, x: np.ndarray, world: int
+    ) -> Iterator[_Middles]:
+        """Vertices, edges and faces of a world whose middle may be too near to its body."""
+        surface, points = pose.surfaces[world], as_float64(planes.points)
+        if surface is None:
+            return
+        # Of what is out of reach no more is known than that.
+        distances = np.minimum(as_float64(planes.distance), MOTION_REACH)
+        of_world = garments.vertex_world.numpy() == world
+        lengths = garments.vertex_edge_lengths.numpy()
+        vertices = np.arange(len(x))[:, None]
+        for corners in (vertices, garments.edges.numpy(), garments.faces.numpy()):
+            sag = lengths**2 / (32.0 * self.smallest_radius) if corners.shape[1] > 1 else 0.0
+            wanted = np.where(of_world, self.clearance + sag, -np.inf)
+            kept = corners[_may_be_near(x, corners, distances, wanted)]
+            # What is nearest to a corner bounds what is nearest to the middle.
+            near = Found.nothing(len(kept), points[kept[:, 0]])
+            yield _Middles(surface, len(pose.colliders.world_faces[world]), kept, wanted[kept[:, 0]], near)
+
+    def _lift_middles(self, lift: _Lift, x: np.ndarray, middles: _Middles) -> _Middles:
+        """Lift elements whose middle is too near to the body, and give back those."""
+        if not len(middles.corners):
+            return middles
+        found = middles.found
+        middles.surface.look_up(x[middles.corners].mean(axis=1), found)
+        # Where a region is left out of contact there is no skin, nor is the cap of one.
+        skin = ~found.beyond & (found.triangle < middles.skin_faces)
+        low = skin & (found.distances < middles.wanted)
+        kept = middles._replace(corners=middles.corners[low], wanted=middles.wanted[low], found=found.among(low))
+        shares = np.full(kept.corners.shape, 1.0 / kept.corners.shape[1])
+        _add(*lift, kept.corners, shares, kept.wanted - kept.found.distances, kept.found.normals)
+        return kept
+
+    def _cover(
+        self, lift: _Lift, garments: PackedGarments, x: np.ndarray, moved: np.ndarray, world: int, skin: _Skin
+    ) -> _Skin:
+        """Lift the faces that skin shows through; the skin that has cloth of its own near it is given back.
+
+        Cloth is looked for anew where it `moved` (vertices,) [m] since the pass before.
+        """
+        if not len(skin.places):
+            return skin
+        first, stop = garments.world_offsets[world : world + 2]
+        cloth, found = garments.surfaces[world].at(x[first:stop].copy()), skin.found
+        faces = cloth.surface.faces
+        went = (moved[faces + first] > 0.0).any(axis=1)
+        if not skin.new:
+            # Where the nearest cloth went bounds what is nearest now.
+            _carry(found, went, x[first:stop], faces)
+            cloth.look_up(skin.places, found)
+        cloth.look_up_nearer(skin.places, found, None if skin.new else went)
+        near = np.abs(found.distances) < SKIN_OVER_CLOTH
+        cover = SkinCover.of(found, skin.places, skin.normals, cloth)
+        low = cover.belongs & near & (cover.heights < self.clearance)
+        heights = self.clearance - cover.heights[low]
+        _add(*lift, faces[found.triangle[low]] + first, found.barycentric[low], heights, skin.normals[low])
+        if near.all():
+            return skin._replace(new=False)
+        return _Skin(skin.places[near], skin.normals[near], found.among(near), new=False)
+
+
+class _Middles(NamedTuple):
+    """Elements of the cloth of one world whose middles may be too near to its body.
+
+    Args:
+        surface: of the body.
+        skin_faces: number of its faces that are skin; those after them are caps.
+        corners: (elements, corners) int64.
+        wanted: (elements,) [m] distance that each keeps.
+        found: of the body, for each middle.
+    """
+
+    surface: PosedSurface
+    skin_faces: int
+    corners: np.ndarray
+    wanted: np.ndarray
+    found: Found
+
+
+class _Skin(NamedTuple):
+    """Places on the skin of one world.
+
+    Args:
+        places: (places, 3) [m].
+        normals: (places, 3) outward unit normals.
+        found: of the cloth, for each place.
+        new: whether that is a place at the end of their reach yet, and no cloth.
+    """
+
+    places: np.ndarray
+    normals: np.ndarray
+    found: Found
+    new: bool = True
+
+
+class _Lift(NamedTuple):
+    """Displacements gathered over one pass.
+
+    Args:
+        direction: (vertices, 3) [m] all lifts of a vertex summed.
+        size: (vertices,) [m] the largest of them.
+    """
+
+    direction: np.ndarray
+    size: np.ndarray
+
+
+def _skin(surface: PosedSurface | None, x: np.ndarray, own: slice) -> _Skin:
+    """The body's vertices around the cloth of a world, rows `own` of `x` (vertices, 3) [m], that may be touched."""
+    cloth = x[own]
+    if surface is None or not len(cloth):
+        return _Skin(np.zeros((0, 3)), np.zeros((0, 3)), Found.nothing(0))
+    low, high = cloth.min(axis=0) - SKIN_OVER_CLOTH, cloth.max(axis=0) + SKIN_OVER_CLOTH
+    places, normals = _within(as_float64(surface.vertices), surface.surface.region_faces, low, high)
+    return _Skin(places, normals, Found.nothing(len(places), places + SKIN_OVER_CLOTH * normals))
+
+
+@compiled
+def _within(
+    vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (places, 3) [m] of the `faces` (faces, 3) in a box from `low` to `high` (3,) [m], and their normals.
+
+    Unit normals (places, 3), weighted by area.
+    """
+    inside = np.empty(len(vertices), dtype=np.bool_)
+    for row in range(len(vertices)):
+        inside[row] = True
+        for axis in range(3):
+            inside[row] &= low[axis] <= vertices[row, axis] <= high[axis]
+    sums, used = np.zeros(vertices.shape), np.zeros(len(vertices), dtype=np.bool_)
+    for face in range(len(faces)):
+        a, b, c = faces[face]
+        if not (inside[a] or inside[b] or inside[c]):
+            continue
+        for axis in range(3):
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            across = (vertices[b, i] - vertices[a, i]) * (vertices[c, j] - vertices[a, j])
+            across -= (vertices[b, j] - vertices[a, j]) * (vertices[c, i] - vertices[a, i])
+            sums[a, axis] += across
+            sums[b, axis] += across
+            sums[c, axis] += across
+        used[a] = used[b] = used[c] = True
+    rows = np.flatnonzero(inside & used)
+    places, normals = vertices[rows], sums[rows]
+    for row in range(len(rows)):
+        length = np.sqrt(normals[row, 0] ** 2 + normals[row, 1] ** 2 + normals[row, 2] ** 2)
+        for axis in range(3):
+            normals[row, axis] /= max(length, 1e-30)
+    return places, normals
+
+
+@compiled
+def _may_be_near(x: np.ndarray, corners: np.ndarray, distances: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Whether the middle of each element (elements, corners) may be nearer to the body than `wanted` of its first one.
+
+    `distances` (vertices,) [m] are those of the vertices; a distance changes by no more than the way.
+    """
+    near = np.empty(len(corners), dtype=np.bool_)
+    count = corners.shape[1]
+    for row in range(len(corners)):
+        far = -np.inf
+        for k in range(count):
+            squared = 0.0
+            for axis in range(3):
+                middle = 0.0
+                for other in range(count):
+                    middle += x[corners[row, other], axis]
+                squared += (x[corners[row, k], axis] - middle / count) ** 2
+            far = max(far, distances[corners[row, k]] - np.sqrt(squared))
+        near[row] = far < wanted[corners[row, 0]]
+    return near
+
+
+@compiled
+def _carry(found: Found, went: np.ndarray, x: np.ndarray, faces: np.ndarray) -> None:
+    """Forget what was `found` of the `faces` (faces, 3) that `went` (faces,); keep where it lies on them now.
+
+    `x` (vertices, 3) [m] are their vertices.
+    """
+    at, triangle, barycentric, positions = found.at, found.triangle, found.barycentric, found.positions
+    for row in range(len(at)):
+        if not went[triangle[row]]:
+            continue
+        a, b, c = faces[triangle[row]]
+        for axis in range(3):
+            at[row, axis] = np.nan
+            positions[row, axis] = (
+                barycentric[row, 0] * x[a, axis] + barycentric[row, 1] * x[b, axis] + barycentric[row, 2] * x[c, axis]
+            )
+
+
+@compiled
+def _add(
+    direction: np.ndarray,
+    size: np.ndarray,
+    corners: np.ndarray,
+    shares: np.ndarray,
+    heights: np.ndarray,
+    normals: np.ndarray,
+) -> None:
+    """Lift points of the cloth by `heights` (points,) [m] along unit `normals` (points, 3).
+
+    Each by the least displacement of its `corners` (points, corners), whose positions sum to it with `shares` (points,
+    corners). What is added to is that of `_Lift`.
+    """
+    for row in range(len(corners)):
+        squared = 0.0
+        for k in range(corners.shape[1]):
+            squared += shares[row, k] ** 2
+        for k in range(corners.shape[1]):
+            vertex, move = corners[row, k], heights[row] * shares[row, k] / squared
+            size[vertex] = max(size[vertex], move)
+            for axis in range(3):
+                direction[vertex, axis] += move * normals[row, axis]
+
+
+@compiled
+def _cut_back(
+    before: np.ndarray, lifted: np.ndarray, shares: np.ndarray, edges: np.ndarray, longest: np.ndarray
+) -> np.ndarray:
+    """Positions (vertices, 3) [m] some shares of the way from `before` to `lifted`; `shares` (vertices,) are changed.
+
+    Ends of edges (edges, 2) that would be stretched beyond `longest` (edges,) [m], and beyond what they were, go half
+    as far, and so on; in the end they stay where they were, and so do those that this would tear, until none is.
+    """
+    x, torn = np.empty(before.shape), np.empty(len(before), dtype=np.bool_)
+    # Each round after the halvings stops a vertex at least.
+    for halving in range(_HALVINGS + len(before)):
+        for row in range(len(x)):
+            torn[row] = False
+            for axis in range(3):
+                x[row, axis] = before[row, axis] + shares[row] * (lifted[row, axis] - before[row, axis])
+        for edge in range(len(edges)):
+            a, b = edges[edge]
+            if shares[a] == 0.0 and shares[b] == 0.0:
+                continue
+            was, now = 0.0, 0.0
+            for axis in range(3):
+                was += (before[a, axis] - before[b, axis]) ** 2
+                now += (x[a, axis] - x[b, axis]) ** 2
+            if now > max(longest[edge] ** 2, was * _ROUNDING):
+                torn[a] = torn[b] = True
+        if not torn.any():
+            break
+        for row in range(len(x)):
+            if torn[row]:
+                shares[row] = 0.5 * shares[row] if halving < _HALVINGS - 1 else 0.0
+    return x
+
+
+@compiled
+def _move(x: np.ndarray, direction: np.ndarray, size: np.ndarray, pinned: np.ndarray, largest: float) -> bool:
+    """Move vertices `x` (vertices, 3) [m] that are not `pinned` (vertices,) by a `_Lift`, at most by `largest` [m].
+
+    Returns whether any moved.
+    """
+    moved = False
+    for row in range(len(x)):
+        length = np.sqrt(direction[row, 0] ** 2 + direction[row, 1] ** 2 + direction[row, 2] ** 2)
+        if pinned[row] or length == 0.0:
+            continue
+        for axis in range(3):
+            x[row, axis] += min(size[row], largest) * direction[row, axis] / length
+        moved = moved or size[row] > 0.0
+    return moved

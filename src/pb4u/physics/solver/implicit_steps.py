@@ -1,0 +1,68 @@
+"""Time steps taken by the solver alone: one implicit step, or several where the body moves far."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from torch import Tensor
+
+from pb4u.physics.contact.contact_set import MOTION_REACH
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.solver.newton_solver import Solution, Solver
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.state import State
+
+LARGEST_MOTION = 0.15
+"""How far the body under the cloth may move in one implicit step [m]: less than a limb is thick."""
+
+
+def substep_count(step: TimeStep) -> int:
+    """Number of implicit steps that `step` is divided into so that no part of the body near the cloth passes it."""
+    planes, bodies = step.contacts.now, step.bodies
+    if planes is None or bodies is None:
+        return 1
+    near = planes.touchable & (planes.distance < MOTION_REACH)
+    if not bool(near.any()):
+        return 1
+    motion = planes.interpolated(bodies.motion, bodies.colliders.contact_faces)[near]
+    return max(1, math.ceil(float(motion.norm(dim=1).max()) / LARGEST_MOTION))
+
+
+def free_flight(step: TimeStep) -> Tensor:
+    """Positions (vertices, 3) [m] where every vertex keeps its velocity, pinned ones in their places."""
+    return step.with_pins(step.state.positions + step.dt * step.state.velocities)
+
+
+def implicit_steps(
+    potential: IncrementalPotential,
+    solver: Solver,
+    step: TimeStep,
+    iterations: int | None = None,
+    start: Callable[[TimeStep], Tensor] = free_flight,
+) -> tuple[State, Solution]:
+    """The state at the end of `step`, and the solution of its last implicit step.
+
+    With the iterations of all of them, and converged where all are.
+
+    A body that moves far in the step is moved along straight lines in several implicit steps.
+
+    Args:
+        potential: the energies.
+        solver: minimises them.
+        step: garments in float64 on the CPU.
+        iterations: at most this many in each implicit step; None goes to the solver's tolerance.
+        start: gives the positions (vertices, 3) [m] that an implicit step starts from.
+
+    Raises:
+        DivergedError: the state is not finite.
+    """
+    count, state, made, converged = substep_count(step), step.state, 0, True
+    for k in range(count):
+        part = step if count == 1 else step.part(k, count, state)
+        solution = solver.minimise(potential.of(part), start(part), iterations)
+        state = part.reached(solution.positions)
+        made, converged = made + solution.iterations, converged and solution.converged
+    solution = replace(solution, iterations=made, converged=converged)
+    return State(state.positions, state.velocities, step.state.frame + 1), solution

@@ -1,0 +1,376 @@
+"""The implicit solver: minimises the incremental potential of a step by truncated Newton iterations.
+
+Each iteration solves with the second derivative of the potential by preconditioned conjugate gradients and searches
+along the direction. Contact and friction change their force more on the way than that derivative tells: their tangents
+are laid anew where the direction leads, and it is solved for again, else a step that brings cloth onto the body would
+be cut to an eighth. Where cloth is about to buckle the second derivative is not positive: the iteration then uses its
+positive part, and follows the buckling direction for as long as the energy falls. The number of iterations does not
+depend on the resolution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.physics.contact.self_contact import ClothPairs
+from pb4u.physics.incremental_potential import Energies, StepPotential
+from pb4u.physics.solver.contact_tracking import TrackedContact, lifted_off_the_body
+from pb4u.physics.solver.linear_solver import LinearSolution, conjugate_gradient
+from pb4u.physics.solver.preconditioner import PRECISION, AgeingPreconditioner, PatchBasis
+from pb4u.physics.terms.pair_stiffness import PairStiffness
+from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
+from pb4u.physics.time_step import DivergedError
+from pb4u.scene.packed import PackedGarments
+from pb4u.scene.scene import STANDARD_GRAVITY
+from pb4u.threads import one_torch_thread
+
+_SUFFICIENT_DECREASE = 1e-4
+"""Share of the decrease that the slope promises with which a line search is content (Nocedal and Wright, 3.1)."""
+
+_HALVINGS = 20
+"""Most halvings of the step length in a line search: where not even a millionth of a Newton step lowers the energy, the
+difference is rounding."""
+
+_LARGEST_MOVE = 0.2
+"""How far [m] one Newton step may move a vertex: further, the tangent planes of the body mean nothing."""
+
+_BUCKLING_MOVE = 1e-4
+"""Length [m] of the first move along a direction of negative curvature; doubled while the energy falls."""
+
+_BUCKLING_DOUBLINGS = 9
+"""Most doublings of that move: 2.6 cm, the depth of a fold."""
+
+_LOOKS_AHEAD = 2
+"""Most times that the tangents of a Newton step are laid anew where it leads; four times gain no iteration over two."""
+
+_MISSED = 0.1
+"""Share of the unbalanced force by which the tangents may be wrong there; with 0.3 a step takes more iterations."""
+
+_ROUGHLY = 0.1
+"""Relative tolerance of the linear solves that tell where a step leads; with 0.2 a step can take an iteration more."""
+
+# Share of the compressive curvature and extra mass, from most damped to exact: an iteration starts one damping level
+# above the last and falls back while the curvature is negative. The extra mass holds back vertices about to buckle.
+_DAMPING_LEVELS = ((0.0, 0.0), (0.8, 1.0), (1.0, 1.0), (1.0, 0.3), (1.0, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Result of a minimisation.
+
+    Args:
+        positions: (vertices, 3) [m] at which the solver stopped.
+        energies: at `positions` [J].
+        residual: rms over the free vertices of a world of the unbalanced acceleration, in units of standard gravity;
+            of the world where it is largest.
+        iterations: Newton iterations made.
+        converged: whether the residual is below the tolerance.
+        freed: height [m] to which the energy that the last iteration promised or freed would lift the garments, of the
+            world where it is largest; infinite where no iteration was made.
+    """
+
+    positions: Tensor
+    energies: Energies
+    residual: float
+    iterations: int
+    converged: bool
+    freed: float
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """Progress of a minimisation before one of its iterations.
+
+    Args:
+        number: counted from 0.
+        total: energy before it [J].
+        residual: before it, as in `Solution`.
+    """
+
+    number: int
+    total: float
+    residual: float
+
+
+class Solver:
+    """Minimises step potentials; keeps data that depend on the garments alone from one step to the next.
+
+    Computes on the CPU, in float64 but for the linear solves, which are in float32.
+
+    Args:
+        tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
+        max_iterations: Newton iterations after which it stops in any case.
+        forcing: relative tolerance of the linear solves.
+        settled: the iteration of which less is `freed` than this [m], as in `Solution`, is the last; 0 for no such end.
+    """
+
+    def __init__(
+        self, tolerance: float = 1e-3, max_iterations: int = 100, forcing: float = 0.05, settled: float = 0.0
+    ) -> None:
+        self.tolerance, self.max_iterations, self.forcing, self.settled = tolerance, max_iterations, forcing, settled
+        self._garments: PackedGarments | None = None
+        self._pattern: StiffnessPattern
+        self._preconditioner: AgeingPreconditioner
+        self._free: Tensor
+
+    def minimise(
+        self,
+        potential: StepPotential,
+        start: Tensor,
+        iterations: int | None = None,
+        watch: Callable[[Iteration], None] | None = None,
+    ) -> Solution:
+        """Minimise `potential` from `start`; pinned vertices stay where they are.
+
+        Args:
+            potential: potential of the step.
+            start: (vertices, 3) float64 [m] any prediction, pinned vertices where they will be.
+            iterations: Newton iterations after which it stops; `max_iterations` by default.
+            watch: called before every iteration, and at the end.
+
+        Raises:
+            DivergedError: `start` or its energy is not finite.
+        """
+        self._prepare(potential)
+        with one_torch_thread():
+            return self._minimise(potential, start, iterations, watch)
+
+    def _minimise(
+        self,
+        potential: StepPotential,
+        start: Tensor,
+        iterations: int | None,
+        watch: Callable[[Iteration], None] | None,
+    ) -> Solution:
+        potential, garments = potential.compiled(), potential.step.garments
+        limit = self.max_iterations if iterations is None else iterations
+        if not bool(torch.isfinite(start).all()):
+            raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
+        # What was asked for may cross, where contact between cloths has no finite energy to compare.
+        lifted = lifted_off_the_body(potential.without_cloth(), start)
+        potential, start = _reached(potential, lifted)
+        cloth = potential.contacts.cloth
+        contact = TrackedContact(potential, start)
+        x, iteration, damping_level, freed = start, 0, -1, float("inf")
+        while True:
+            frozen = contact.potential_at(x).with_cloth(cloth)
+            energies, gradient = frozen.energies_and_gradient(x)
+            gradient = torch.where(self._free[:, None], gradient, 0.0)
+            residual, total = self._residual(garments, gradient), float(energies.total)
+            if not np.isfinite(residual) or not np.isfinite(total):
+                raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
+            if watch is not None:
+                watch(Iteration(iteration, total, residual))
+            if residual <= self.tolerance or iteration >= limit or freed < self.settled:
+                solved = residual <= self.tolerance
+                return Solution(x, energies, residual, iteration, solved, freed)
+            highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
+            newton, damping_level = self._direction(frozen, x, gradient, highest, self._preconditioner)
+            moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
+            if moved is None:
+                return Solution(x, energies, residual, iteration, False, freed)
+            x, cloth, energy = moved
+            freed = float((energy / garments.world_weights).max())
+            iteration += 1
+
+    def _prepare(self, potential: StepPotential) -> None:
+        garments, elements = potential.step.garments, potential.elements()
+        new = self._garments is not garments
+        if new and (garments.dtype != torch.float64 or garments.device.type != "cpu"):
+            raise ValueError(f"the solver needs garments packed in float64 on the CPU, not {garments.dtype}")
+        if new or not self._pattern.couples(elements):
+            self._pattern = StiffnessPattern(garments, elements)
+        if new:
+            basis = PatchBasis(garments, self._pattern.free)
+            self._preconditioner = AgeingPreconditioner(basis, self._pattern.free)
+            self._free = torch.from_numpy(self._pattern.free)
+            self._garments = garments
+
+    def _residual(self, garments: PackedGarments, gradient: Tensor) -> float:
+        """Residual as in `Solution`, of the world where it is largest."""
+        free = self._free
+        if not bool(free.any()):
+            return 0.0
+        squared = (gradient[free] / garments.vertex_masses[free, None]).square().sum(1)
+        counts = torch.bincount(garments.vertex_world[free], minlength=garments.world_count).tolist()
+        worlds = torch.split(squared, counts)
+        return max(float(world.mean().sqrt()) for world in worlds if len(world)) / STANDARD_GRAVITY
+
+    def _direction(
+        self,
+        frozen: StepPotential,
+        x: Tensor,
+        gradient: Tensor,
+        damping_level: int,
+        preconditioner: AgeingPreconditioner,
+    ) -> tuple[LinearSolution, int]:
+        """Newton direction, a direction of negative curvature where there is one, and the damping level taken."""
+        garments, stiffness = frozen.step.garments, frozen.stiffness(x, self._pattern)
+        pairs = PairStiffness.summed(frozen.pair_stiffness(x), self._pattern.free)
+        preconditioner.update(stiffness.matrix(), pairs)
+        mass = (garments.vertex_masses / frozen.step.dt**2).numpy()
+        slope, spent, negative = gradient.numpy().copy(), 0, None
+
+        def solve(forcing: float, start: np.ndarray | None = None) -> np.ndarray:
+            nonlocal damping_level, negative, spent
+            while True:
+                compression, extra_mass = _DAMPING_LEVELS[damping_level]
+                matrix = stiffness.matrix(compression, extra_mass * mass, PRECISION)
+                solved = conjugate_gradient(matrix, pairs, -slope, preconditioner.current, forcing, 300, start)
+                spent += solved.iterations
+                if solved.negative is None or damping_level == 0:
+                    return solved.solution
+                negative = solved.negative
+                damping_level -= 1
+
+        tangents = frozen.tangents(x, self._pattern)
+        first = solution = solve(_ROUGHLY)
+        for _ in range(_LOOKS_AHEAD):
+            missed = np.zeros_like(slope)
+            for tangent in tangents:
+                tangent.follow(solution, stiffness, slope, missed)
+            if _norm(missed, mass) <= _MISSED * _norm(gradient.numpy(), mass):
+                break
+            solution = solve(_ROUGHLY, solution)
+        solution = solve(self.forcing, solution)
+        preconditioner.served(spent)
+        # The model looks where the step leads; the line search needs what falls from where it begins.
+        falls = (_sums(gradient * torch.from_numpy(solution), garments) < 0)[garments.vertex_world]
+        solution = np.where(falls.numpy()[:, None], solution, first)
+        return LinearSolution(solution, spent, negative), damping_level
+
+    def _line_search(
+        self, frozen: StepPotential, x: Tensor, gradient: Tensor, energies: Tensor, solved: LinearSolution
+    ) -> tuple[Tensor, ClothPairs | None, Tensor] | None:
+        """Positions at which the energy is low enough along the direction, then along the buckling one; or None.
+
+        With the pairs of cloth elements that feel each other there, and the energy (worlds,) [J] that was promised or
+        freed, whichever is more. Each world decides by its own energy: the `energies` (worlds,) [J] are those at `x`
+        (vertices, 3) [m]. None where no world accepts a step.
+        """
+        garments, direction = frozen.step.garments, torch.from_numpy(solved.solution)
+        direction = direction * _each_vertex(_factors(direction, _LARGEST_MOVE, garments).clamp_max(1.0), garments)
+        # A Newton step halves the slope by the time that it ends.
+        promised = -0.5 * _sums(gradient * direction, garments)
+        place = _along_newton(_Place(frozen, x, energies), direction, gradient)
+        if place is None:
+            return None
+        if solved.negative is not None:
+            place = _along_buckling(place, torch.from_numpy(solved.negative), gradient)
+        return place.positions, place.frozen.contacts.cloth, torch.maximum(energies - place.energies, promised)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Positions (vertices, 3) [m], their energies (worlds,) [J], and the potential with what was met on the way."""
+
+    frozen: StepPotential
+    positions: Tensor
+    energies: Tensor
+
+
+def _along_newton(place: _Place, direction: Tensor, gradient: Tensor) -> _Place | None:
+    """Where the energy is low enough on the way along `direction` (vertices, 3) [m]; None where no world moves.
+
+    Takes the `gradient` (vertices, 3) [N] at the place.
+    """
+    frozen, x, energies = place.frozen, place.positions, place.energies
+    garments = frozen.step.garments
+    wanted = x + direction
+    frozen, free = frozen.reached(x, wanted)
+    slope, length = _sums(gradient * direction, garments), torch.ones(garments.world_count, dtype=x.dtype)
+    if free is not wanted:
+        aside = _sums(gradient * (free - x), garments)
+        falls = aside < 0
+        direction = torch.where(_each_vertex(falls, garments), free - x, direction)
+        slope = torch.where(falls, aside, slope)
+        if not bool(falls.all()):
+            # Turned aside it no longer lowers the energy of a world: all of that goes as far as it can.
+            frozen, length = frozen.as_far_as_free(x, direction)
+    for _ in range(_HALVINGS):
+        candidate = x + _each_vertex(length, garments) * direction
+        reached = frozen.energies(candidate).per_world(garments)
+        accepted = reached <= energies + _SUFFICIENT_DECREASE * length * slope
+        if bool(accepted.all()):
+            return _Place(frozen, candidate, reached)
+        length = torch.where(accepted, length, 0.5 * length)
+    if not bool(accepted.any()):
+        return None
+    candidate = torch.where(_each_vertex(accepted, garments), candidate, x)
+    return _Place(frozen, candidate, frozen.energies(candidate).per_world(garments))
+
+
+def _along_buckling(place: _Place, buckling: Tensor, gradient: Tensor) -> _Place:
+    """The farthest of doubled moves along `buckling` (vertices, 3), of any length, to which the energy falls.
+
+    There is no slope to compare with; the `gradient` (vertices, 3) [N] tells which way to begin.
+    """
+    garments, start = place.frozen.step.garments, place.positions
+    buckling = buckling * _each_vertex(_factors(buckling, _BUCKLING_MOVE, garments), garments)
+    rises = _sums(gradient * buckling, garments) > 0
+    buckling = buckling * _each_vertex(torch.where(rises, -1.0, 1.0), garments)
+    longest = 2.0 ** (_BUCKLING_DOUBLINGS - 1)
+    frozen, share = place.frozen.as_far_as_free(start, longest * buckling)
+    result, reached, size, falling = start, place.energies, 1.0, torch.ones_like(rises)
+    for _ in range(_BUCKLING_DOUBLINGS):
+        falling = falling & (size <= longest * share)
+        further = torch.where(_each_vertex(falling, garments), start + size * buckling, result)
+        lower = frozen.energies(further).per_world(garments)
+        falling = falling & (lower < reached)
+        if not bool(falling.any()):
+            break
+        result = torch.where(_each_vertex(falling, garments), further, result)
+        reached, size = torch.where(falling, lower, reached), 2.0 * size
+    return _Place(frozen, result, reached)
+
+
+def _reached(potential: StepPotential, wanted: Tensor) -> tuple[StepPotential, Tensor]:
+    """The potential for the move to a start, and the positions (vertices, 3) [m] reached of `wanted`.
+
+    Layers that fall on one another in one step are stopped each at another place, crumpled beyond what a fold would
+    ever be. A world starts from where it stands, its pins in place, where that has less energy.
+    """
+    step, garments = potential.step, potential.step.garments
+    before, pinned = step.state.positions, garments.pinned
+    moved, start = potential.reached(before, wanted)
+    if start is wanted:
+        return moved, start
+    # Cloth that is near where the step begins was met on the way from there, and need not be searched for.
+    standing, held = moved, before
+    if bool(pinned.any()):
+        standing, held = potential.reached(before, torch.where(pinned[:, None], wanted, before))
+    better = standing.energies(held).per_world(garments) < moved.energies(start).per_world(garments)
+    if not bool(better.any()):
+        return moved, start
+    return potential.reached(before, torch.where(_each_vertex(better, garments), held, start))
+
+
+def _norm(forces: np.ndarray, masses: np.ndarray) -> float:
+    """Norm of `forces` (vertices, 3) weighed by the inverse `masses` (vertices,), those without mass left out."""
+    return float(np.sqrt(((forces**2).sum(axis=1) / np.where(masses > 0, masses, np.inf)).sum()))
+
+
+def _factors(moves: Tensor, size: float, garments: PackedGarments) -> Tensor:
+    """Factors (worlds,) that scale the `moves` (vertices, 3) [m] of each world so that the longest is `size` [m].
+
+    0 for a world whose longest move is below 1e-12 of the longest of all worlds: that is rounding.
+    """
+    counts = torch.tensor(garments.world_offsets).diff()
+    largest = torch.segment_reduce(moves.norm(dim=1), "max", lengths=counts)
+    return torch.where(largest > 1e-12 * largest.max(), torch.full_like(largest, size) / largest, 0.0)
+
+
+def _each_vertex(values: Tensor, garments: PackedGarments) -> Tensor:
+    """(vertices, 1) of each vertex, the one of `values` (worlds,) that is its world's."""
+    return values[garments.vertex_world, None]
+
+
+def _sums(values: Tensor, garments: PackedGarments) -> Tensor:
+    """(worlds,) sums of `values` (vertices, 3) over the vertices of each world."""
+    starts, stops = garments.world_offsets[:-1], garments.world_offsets[1:]
+    return torch.stack([values[start:stop].sum() for start, stop in zip(starts, stops, strict=True)])

@@ -1,0 +1,198 @@
+"""Energy terms of the incremental potential: functions of the next positions with gradient and curvature."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.physics.contact.contact_set import ContactSet
+from pb4u.physics.terms.pair_stiffness import PairStiffness
+from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import PackedGarments
+
+
+class Tangent(ABC):
+    """A term's part of the quadratic model of a Newton step, which can be laid anew where the step leads.
+
+    Contact that begins, and friction that holds, change their force within a step far more than their second derivative
+    where it begins can tell.
+    """
+
+    @abstractmethod
+    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
+        """Lay the tangent where `moves` lead.
+
+        Args:
+            moves: (vertices, 3) [m] of the step.
+            stiffness: of the model; changed.
+            gradient: (vertices, 3) [N] of the model where the step begins; changed.
+            missed: (vertices, 3) [N] to which is added by how much the model was wrong where `moves` lead.
+        """
+
+
+class EnergyTerm(ABC):
+    """One term of the potential. Implementations are stateless and follow the dtype and device of `x`.
+
+    Attributes:
+        name: by which results and tables refer to it.
+    """
+
+    name: str
+
+    @abstractmethod
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+        """Energies (garments,) [J] at `x`; differentiable by autograd.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+        """
+
+    @abstractmethod
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Energies (garments,) [J] and the gradient (vertices, 3) [N] of their sum, by hand, without autograd.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+        """
+
+    def elements(self, step: TimeStep, contacts: ContactSet) -> Tensor | None:
+        """Vertex indices (elements, corners) int64 that the term couples; None where its second derivative is zero.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+        """
+        return None
+
+    def compiled(self, step: TimeStep, contacts: ContactSet) -> EnergyTerm:
+        """What the solver evaluates in the place of this term: faster, for one step, and without autograd.
+
+        Args:
+            step: the time step, its garments in float64 on the CPU.
+            contacts: contacts at its start.
+        """
+        return self
+
+    def add_stiffness(
+        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
+    ) -> None:
+        """Add the second derivative, or one near it, to the `stiffness`; asked of a compiled term that has `elements`.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+            slots: (elements, corner pairs) int32 where the `corner_pairs` of the `elements` are in it.
+            stiffness: added to.
+        """
+        raise NotImplementedError(f"{self.name} couples no vertices")
+
+    def tangents(self, step: TimeStep, contacts: ContactSet, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
+        """Its parts of the model of a Newton step that can be laid anew; asked of a compiled term that has `elements`.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] where the step begins.
+            pattern: of the stiffness.
+        """
+        return []
+
+    def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
+        """Positive semi-definite second derivative over pairs of cloth elements that change with `x`; None where zero.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+        """
+        return None
+
+
+class NullTerm(EnergyTerm):
+    """A term switched off: zero everywhere, under the name of the one that it stands for.
+
+    Args:
+        name: name of the term that it stands for.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+        return x.new_zeros(step.garments.garment_count)
+
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
+        return self.energies(step, contacts, x), torch.zeros_like(x)
+
+
+class MeasuredTerm(EnergyTerm):
+    """A term that is measured rather than minimised: its gradient comes from autograd, and it has no curvature."""
+
+    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
+        with torch.enable_grad():
+            variable = x.detach().requires_grad_(True)
+            energies = self.energies(step, contacts, variable)
+            if not energies.requires_grad:
+                return energies, torch.zeros_like(x)
+            (gradient,) = torch.autograd.grad(energies.sum(), variable)
+        return energies.detach(), gradient
+
+
+def sum_by_garment(values: Tensor, garment: Tensor, garment_count: int) -> Tensor:
+    """Sums (garments,) of `values` over the rows that belong to each garment, in their unit.
+
+    Args:
+        values: (rows,) of any unit.
+        garment: (rows,) int64 to which each belongs.
+        garment_count: number of garments.
+    """
+    if garment_count == 1:
+        return values.sum().reshape(1)
+    return values.new_zeros(garment_count).index_add(0, garment, values)
+
+
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Inner products (...,) of vectors row by row, in the product of their units.
+
+    Args:
+        a: (..., 3) vectors of any unit.
+        b: (..., 3) vectors of any unit.
+    """
+    # Four times faster than a sum over so short an axis.
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
+def columns(x: Tensor, index: Tensor) -> Tensor:
+    """Rows of `x` at `index`, laid out axis by axis: (3, n) [m].
+
+    Args:
+        x: (vertices, 3) [m].
+        index: (n,) int64 vertices.
+    """
+    return x.T.contiguous().gather(1, index.expand(3, -1))
+
+
+def vertex_elements(garments: PackedGarments) -> Tensor:
+    """Indices (vertices, 1) int64 of every vertex as an element of its own, for terms that couple no two vertices."""
+    return torch.arange(garments.vertex_count, device=garments.device)[:, None]
+
+
+def sum_by_vertex(values: Tensor, index: Tensor, vertex_count: int) -> Tensor:
+    """Sums (vertices, 3) of `values` over the columns that belong to each vertex, in their unit.
+
+    Args:
+        values: (3, columns) of any unit.
+        index: (columns,) int64 vertex of each.
+        vertex_count: number of vertices.
+    """
+    total = values.new_zeros((3, vertex_count))
+    return total.scatter_add_(1, index.expand(3, -1), values).T.contiguous()

@@ -1,0 +1,131 @@
+"""Bones that cross cloth: found, counted and said, and none of a garment that is worn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from pb4u.body.body_model import PosedBody
+from pb4u.collision.crossings import segments_through_faces
+from pb4u.measures.limbs import Bones, limbs_sentence, limbs_through_cloth
+from pb4u.measures.metrics import measure
+from pb4u.measures.run_report import run_report
+from pb4u.scene.assembly import make_scene
+from pb4u.scene.scene import Scene
+from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation.simulator import RunRecord, SkinningSimulator
+
+TRIANGLE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "through"),
+    [
+        ((0.2, 0.2, -1.0), (0.2, 0.2, 1.0), True),
+        ((0.2, 0.2, 1.0), (0.4, 0.3, -0.1), True),
+        ((0.6, 0.6, -1.0), (0.6, 0.6, 1.0), False),
+        ((0.2, 0.2, 0.1), (0.2, 0.2, 1.0), False),
+        ((0.2, 0.2, 0.3), (0.9, 0.2, 0.3), False),
+    ],
+)
+def test_a_segment_passes_through_a_face_or_beside_it(start: tuple, end: tuple, through: bool) -> None:
+    pairs, places = segments_through_faces(np.array([start]), np.array([end]), TRIANGLE, np.array([[0, 1, 2]]))
+    assert len(pairs) == through
+    assert places[:, 2] == pytest.approx(0.0)
+    turned, again = segments_through_faces(np.array([end]), np.array([start]), TRIANGLE, np.array([[2, 1, 0]]))
+    assert len(turned) == through
+    np.testing.assert_allclose(again, places)
+
+
+def test_every_segment_and_face_is_compared() -> None:
+    vertices = np.concatenate([TRIANGLE + [0.0, 0.0, height] for height in (0.0, 1.0, 2.0)])
+    faces = np.arange(9).reshape(3, 3)
+    starts = np.array([[0.1, 0.1, -0.5], [0.1, 0.1, 0.5], [5.0, 0.1, 0.5]])
+    pairs, _ = segments_through_faces(starts, starts + [0.0, 0.0, 2.0], vertices, faces)
+    assert pairs.tolist() == [[0, 0], [0, 1], [1, 1], [1, 2]]
+
+
+@cache
+def worn() -> tuple[Scene, Trajectory]:
+    scene = make_scene("tshirt", "woman", "arms", triangles=300, frames=4, lead_in=2)
+    return scene, SkinningSimulator().simulate(scene)
+
+
+@cache
+def skewered() -> tuple[Scene, Trajectory]:
+    """From frame 2 on, a face of the shirt lies across the left forearm."""
+    scene, trajectory = worn()
+    body = scene.colliders[0]
+    assert isinstance(body, PosedBody)
+    bones = Bones.of(scene, trajectory)
+    ends = bones.ends[:, bones.names.index("lowerarm01.L")]
+    middle, way = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
+    positions = np.array(trajectory.positions)
+    for t in (2, 3):
+        aside = np.cross(way[t], [0.0, 0.0, 1.0])
+        up, aside = np.cross(aside, way[t]), 0.05 * aside / np.linalg.norm(aside)
+        up = 0.05 * up / np.linalg.norm(up)
+        positions[t, trajectory.faces[0]] = middle[t] + np.array([2 * aside, up - aside, -up - aside])
+    return scene, replace(trajectory, positions=positions)
+
+
+def test_a_garment_that_is_worn_is_crossed_by_no_bone() -> None:
+    scene, trajectory = worn()
+    bones = Bones.of(scene, trajectory)
+    assert {"lowerarm01.L", "upperleg02.R"} <= set(bones.names)
+    assert not any(name.startswith("finger") for name in bones.names), "hands are left out of contact"
+    assert not bones.through_cloth(trajectory).any()
+    measured = measure(trajectory, bones=bones)
+    assert measured["limbs_through_cloth"] == []
+    assert measured["metrics"]["limbs_through_cloth"]["per_frame"] == [0.0] * 4
+    assert limbs_sentence([], 4) is None
+
+
+def test_a_limb_through_cloth_is_counted_and_said() -> None:
+    scene, trajectory = skewered()
+    report = run_report(trajectory, SkinningSimulator(), scene, RunRecord())
+    assert report["limbs_through_cloth"] == [{"bone": "lowerarm01.L", "first_frame": 2, "frames": 2}]
+    assert report["metrics"]["limbs_through_cloth"]["per_frame"] == [0.0, 0.0, 1.0, 1.0]
+    assert any("lowerarm01.L (2); --arms-away 8" in note and "from frame 2 on" in note for note in report["notes"])
+    assert "--arms-away" not in str(limbs_sentence([{"bone": "toes.L", "first_frame": 0, "frames": 1}], 4))
+
+
+def test_a_bone_outside_of_its_skin_says_nothing() -> None:
+    scene, trajectory = skewered()
+    bones = Bones.of(scene, trajectory)
+    assert bones.through_cloth(trajectory)[2:].any()
+    aside = np.array(trajectory.body_positions)
+    aside[3] += [0.0, 0.5, 0.0]
+    moved = bones.through_cloth(replace(trajectory, body_positions=aside))
+    assert moved.any(axis=1).tolist() == [False, False, True, False]
+
+
+def test_the_toes_of_a_foot_are_one() -> None:
+    bones = Bones.of(*worn())
+    assert {name for name in bones.names if name.startswith("toe")} == {"toes.L", "toes.R"}
+
+
+def test_a_run_that_stopped_being_finite_is_reported_as_diverged_after_its_last_frame() -> None:
+    scene, trajectory = worn()
+    kept, broken = (run_report(trajectory, SkinningSimulator(), scene, RunRecord(failed_at=at)) for at in (None, 4))
+    assert (kept["diverged"], kept["diverged_at"]) == (False, None)
+    assert (broken["diverged"], broken["diverged_at"]) == (True, trajectory.frame_count)
+
+
+def test_a_body_without_a_skeleton_has_none() -> None:
+    scene, trajectory = worn()
+    assert "limbs_through_cloth" not in measure(trajectory)["metrics"]
+    bare = Bones.of(replace(scene, colliders=()), trajectory)
+    assert bare.names == ()
+    assert "limbs_through_cloth" not in measure(trajectory, bones=bare)["metrics"]
+
+
+def test_many_bones_of_one_name_are_one_and_the_longest_comes_first() -> None:
+    crossed = np.array([[0, 0, 1, 0], [1, 0, 1, 0], [0, 1, 1, 0]], dtype=bool)
+    found = limbs_through_cloth(("foot", "foot", "shin", "thigh"), crossed)
+    assert found == [
+        {"bone": "shin", "first_frame": 0, "frames": 3}, {"bone": "foot", "first_frame": 1, "frames": 2},
+    ]  # fmt: skip

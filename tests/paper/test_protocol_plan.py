@@ -1,0 +1,170 @@
+"""From what was asked for to the rollouts: what is combined, what is left out, what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from pb4u.errors import InputError
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.pb4u_gnet import Pb4uConfiguration
+from pb4u.network.propagation_control import FixedSteps
+from pb4u.paper.protocol_plan import EvaluationRequest, plan
+from pb4u.paper.protocols import PROTOCOLS
+from pb4u.paper.reference_energies import stored_floor
+from pb4u.paper.rollout import RolloutJob
+from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
+
+SMALL = EvaluationRequest(models=("skinning",), garments=("tshirt",), motions=("walk",), levels=("400",), frames=3)
+
+
+def weights(path: Path, dt: float = 1 / 30, seed: int = 0) -> Path:
+    torch.manual_seed(seed)
+    configuration = Pb4uConfiguration(width=8, blocks=1)
+    record = TrainingRecord(dt, (0.012, 0.016), (1, 30), 10, {})
+    path.parent.mkdir(exist_ok=True)
+    save_checkpoint(path, AccelerationModel(configuration.network()), configuration, record)
+    return path
+
+
+def test_every_protocol_plans_without_any_weights(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pb4u.simulation.checkpoint.built_in_models", lambda: ())
+    for name in PROTOCOLS:
+        if name == "robustness":
+            continue
+        if name == "depth":
+            with pytest.raises(InputError, match="None of the models has propagation steps to vary"):
+                plan(EvaluationRequest(name))
+            continue
+        planned = plan(EvaluationRequest(name))
+        protocol = PROTOCOLS[name]
+        scenes = len(protocol.garments) * len(protocol.motions) * len(protocol.levels)
+        assert len(planned.cases) == scenes * len(planned.protocol.models)
+        assert "solver" in planned.protocol.models
+        assert len({job.key for job in planned.jobs}) == len(planned.jobs)
+
+
+def test_models_without_weights_are_one_line_unless_they_were_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pb4u.simulation.checkpoint.built_in_models", lambda: ("comparison-pb4u",))
+    (line,) = plan(EvaluationRequest("ablation")).absent
+    assert "comparison-pb4u-without-scaling" in line
+    with pytest.raises(InputError, match="There is no model 'pb4u-smal'"):
+        plan(replace(SMALL, models=("pb4u-smal",)))
+
+
+def test_levels_go_by_name_or_number() -> None:
+    planned = plan(replace(SMALL, levels=("11k", "2500", "12K", "1.2K", "11000")))
+    assert planned.protocol.levels == ("11K", "base", "12K", "1200")
+    assert [job.scene.triangles for job in planned.jobs if job.model.name == "skinning"] == [1200, 2500, 11000, 12000]
+
+
+def test_jobs_of_a_scene_stand_together_coarse_ones_first() -> None:
+    planned = plan(EvaluationRequest("resolution", garments=("tshirt",), levels=("1200", "400")))
+    scenes = [job.scene for job in planned.jobs]
+    assert [scenes[i] for i in range(len(scenes)) if i == 0 or scenes[i] != scenes[i - 1]] == list(
+        dict.fromkeys(scenes)
+    )
+    assert [scene.triangles for scene in scenes] == sorted(scene.triangles for scene in scenes)
+
+
+def test_floors_are_the_runs_own_solver_then_stored_then_a_job_or_absent() -> None:
+    own = plan(replace(SMALL, models=("skinning", "solver")))
+    assert [job.model.name for job in own.jobs] == ["skinning", "solver"]
+    assert {str(case.floor) for case in own.cases} == {str(own.jobs[1])}
+
+    stored = plan(replace(SMALL, levels=("base", "400"), frames=30))
+    assert stored.cases[0].floor == stored_floor("test/tshirt/walk-2000", "base", 30)
+    assert isinstance(stored.cases[1].floor, RolloutJob)
+    for change in ({"frames": 29}, {"lead_in": 0}, {"bodies": ("man",)}, {"motions": ("walk-7",)}):
+        (case,) = plan(replace(SMALL, **{"levels": ("base",), "frames": 30, **change})).cases
+        assert isinstance(case.floor, RolloutJob), change
+
+    (case,) = plan(replace(SMALL, floors=False)).cases
+    assert case.floor is None
+
+
+def test_with_contact_the_floor_stays_the_bare_solver() -> None:
+    planned = plan(replace(SMALL, models=("solver",), contact=True))
+    assert [job.settings.contact for job in planned.jobs] == [True, False]
+    assert isinstance(planned.cases[0].floor, RolloutJob)
+    assert not planned.cases[0].floor.settings.contact
+
+
+def test_settings_reach_only_what_has_them(tmp_path: Path) -> None:
+    file = weights(tmp_path / "net.safetensors")
+    planned = plan(replace(SMALL, models=(str(file), "skinning", "solver"), steps=(2, 5), refine=3, device="cpu"))
+    asked = [
+        (case.job.model.label, case.job.settings.propagation_steps, case.job.settings.refine) for case in planned.cases
+    ]
+    assert asked == [("net", 2, 3), ("net", 5, 3), ("skinning", None, 0), ("solver", None, 0)]
+
+
+def test_the_quick_solver_refines_where_networks_run_alone() -> None:
+    (case,) = plan(replace(SMALL, models=("quick-solver",), levels=("400",), contact=True)).cases
+    assert (case.job.settings.refine, case.job.settings.contact) == (5, True)
+    (case,) = plan(replace(SMALL, models=("quick-solver",), levels=("400",), refine=2)).cases
+    assert case.job.settings.refine == 2
+
+
+def test_weights_count_by_content_and_equal_names_are_told_apart(tmp_path: Path) -> None:
+    a, b = weights(tmp_path / "a" / "best.safetensors"), weights(tmp_path / "b" / "best.safetensors", seed=1)
+    planned = plan(replace(SMALL, models=(str(a), str(b))))
+    assert planned.protocol.models == (str(a), str(b))
+    first, second = (case.job.key for case in planned.cases)
+    assert first != second
+    b.write_bytes(a.read_bytes())
+    first, second = (case.job.key for case in plan(replace(SMALL, models=(str(a), str(b)))).cases)
+    assert first == second
+
+
+def test_recordings_take_the_place_of_built_in_motions(test_data: Path) -> None:
+    folder = test_data / "motions" / "cmu_asfamc"
+    planned = plan(EvaluationRequest("efficiency", models=("skinning",), levels=("400",), recordings=folder))
+    (case,) = planned.cases
+    assert case.motion == "07_02"
+    assert case.job.scene.digests[0][0] == "motion"
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"protocol": "resolutoin"}, "did you mean resolution"),
+        ({"models": ("absent.safetensors",)}, "no model file absent.safetensors"),
+        ({"models": ("sovler",)}, "did you mean solver"),
+        ({"garments": ("tshrt",)}, "did you mean tshirt"),
+        ({"garments": ("absent.obj",)}, "no garment file absent.obj"),
+        ({"motions": ("wlak",)}, "did you mean walk"),
+        ({"motions": ("07_02",)}, "--recordings"),
+        ({"motions": ("99_99",), "recordings": Path(".")}, "99_99.amc"),
+        ({"motions": ("absent.bvh",)}, "no motion file absent.bvh"),
+        ({"bodies": ("womn",)}, "did you mean woman"),
+        ({"levels": ("11Q",)}, "no level '11Q'"),
+        ({"levels": ("100",)}, "between 200 and 200000"),
+        ({"frames": 0}, "1 or more, not 0"),
+        ({"lead_in": -1}, "0 frames or more"),
+        ({"steps": (0,)}, "1 or more, not 0"),
+        ({"levels": ()}, "--levels names nothing"),
+        ({"recordings": Path("absent")}, "no folder of recordings absent"),
+        ({"device": "tpu"}, "auto, cpu or cuda"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(change: dict, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        plan(replace(SMALL, **change))
+
+
+def test_weights_of_another_rate_are_refused(tmp_path: Path) -> None:
+    file = weights(tmp_path / "fast.safetensors", dt=1 / 60)
+    with pytest.raises(InputError, match="runs at 60 frames per second; the protocols run at 30"):
+        plan(replace(SMALL, models=(str(file),)))
+
+
+def test_networks_with_fixed_steps_too_can_be_told(tmp_path: Path) -> None:
+    configuration = Pb4uConfiguration(width=8, blocks=1, control=FixedSteps(3))
+    record = TrainingRecord(1 / 30, (0.012, 0.016), (1, 30), 10, {})
+    save_checkpoint(tmp_path / "a.safetensors", AccelerationModel(configuration.network()), configuration, record)
+    planned = plan(replace(SMALL, protocol="depth", models=(str(tmp_path / "a.safetensors"),)))
+    assert [case.job.settings.propagation_steps for case in planned.cases] == list(PROTOCOLS["depth"].steps)

@@ -1,0 +1,93 @@
+"""Tables and pages as text."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.paper.test_protocol_plan import SMALL
+
+from pb4u.paper.page import Plot, Remark, Table, as_html, as_markdown
+from pb4u.paper.plots import across_levels
+from pb4u.paper.protocol_plan import plan
+from pb4u.paper.summary import Row, Spread, Summary, spread
+from pb4u.paper.tables import level_table, terms_tables, with_spread
+
+
+def result(total: float | None, ms: float = 5.0, diverged: bool = False) -> dict[str, Any]:
+    return {
+        "triangles": 12_000,
+        "ms_per_step": ms,
+        "frames": 3,
+        "diverged": diverged,
+        "diverged_at": 1 if diverged else None,
+        "failed_at": None,
+        "metrics": {"penetration_percent": {"mean": 2.0}, "penetration_depth_max": {"max": 0.012}},
+        "metrics_paper": {"total": {"mean": total}},
+    }
+
+
+def summary_of(results: dict[tuple[str, str], dict[str, Any] | None], **request: Any) -> Summary:
+    """Rows of (level, motion) with their results."""
+    planned = plan(replace(SMALL, **request))
+    rows = [
+        Row(case, results.get((case.level, case.motion)), None, 3.0 if case.motion == "walk" else None, "stored")
+        for case in planned.cases
+    ]
+    return Summary(planned, tuple(rows), (), lambda job: Path("absent"))
+
+
+def test_a_cell_without_spread_and_one_with() -> None:
+    assert with_spread("total", spread([0.5])) == "5.00e-01"
+    assert with_spread("total", spread([0.5, None, 1.5])) == "1.00e+00 ± 5.00e-01"
+    assert with_spread("ms", Spread(12.34, 1.0, 2)) == "12.3 ± 1.0"
+    assert with_spread("total", spread([None])) == "-"
+
+
+def test_levels_and_the_papers_rows_stand_together() -> None:
+    at = {("12K", "walk"): result(1.0, 5.0), ("12K", "jump"): result(3.0, 7.0, diverged=True)}
+    summary = summary_of(at, protocol="efficiency", levels=("12K",), motions=("walk", "jump", "turn"))
+    (table,) = level_table(summary, ("total", "ms"))
+    assert isinstance(table, Table)
+    assert table.head == [
+        "level", "model", "total loss [J]", "time a step [ms]", "energy / floor", "frames before divergence [%]",
+        "penetration [%]", "diverged", "scenes",
+    ]  # fmt: skip
+    ours, *theirs = table.rows
+    assert ours[:5] == ["12K", "skinning", "2.00e+00 ± 1.00e+00", "6.0 ± 1.0", "3"]
+    assert ours[5:] == ["67 ± 33", "2 ± 0", "1 of 2", "2, 1 missing"]
+    assert theirs[0] == ["12K", "MGN (paper, other data)", "-4.22e-01", "46.4", "", "", "", "", ""]
+    assert table.their_rows == frozenset(range(1, 6))
+
+
+def test_terms_stand_in_rows_and_the_papers_models_in_columns_set_apart() -> None:
+    summary = summary_of({("11K", "walk"): result(None)}, levels=("11K", "400"))
+    known, unknown = terms_tables(summary)
+    assert isinstance(known, Table)
+    assert isinstance(unknown, Table)
+    assert list(known.head[:3]) == ["", "skinning", "MGN (paper, other data)"]
+    assert known.their_columns == frozenset(range(2, 7))
+    assert unknown.head == ["", "skinning"]
+    rows = {row[0]: row[1] for row in known.rows}
+    assert rows["total loss [J]"] == "-"
+    assert rows["deepest penetration [mm]"] == "12.0"
+    assert (rows["diverged"], rows["scenes"]) == ("0 of 1", "1")
+
+
+def test_one_level_has_no_course_over_levels() -> None:
+    assert across_levels(summary_of({("11K", "walk"): result(1.0)}, levels=("11K",))) == []
+
+
+@pytest.mark.parametrize("write", [as_html, as_markdown])
+def test_names_cannot_break_the_page(write: Any) -> None:
+    table = Table("<b>", "a < b", ["", "<script>"], [["x|y", "1"]], their_columns=frozenset({1}))
+    page = write("<title>", [table, Remark("", ["<i>"]), Plot("p", "P", "c", b"png")])
+    if write is as_html:
+        assert "<script>" not in page
+        assert '<th class="theirs">&lt;script&gt;</th>' in page
+        assert "data:image/png;base64,cG5n" in page
+    else:
+        assert "| x\\|y | 1 |" in page
+        assert "![P](plots/p.png)" in page

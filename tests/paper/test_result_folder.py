@@ -1,0 +1,131 @@
+"""The folder of a run: half of anything is not believed, and nothing is written over what is something else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.paper.quick_rollouts import job
+
+from pb4u.errors import InputError, Pb4uError
+from pb4u.jobs import job_folder
+from pb4u.jobs.job import Failure
+from pb4u.paper import result_folder
+from pb4u.paper.result_folder import ResultFolder
+from pb4u.paper.rollout import Rollout
+
+JOB = job("walk")
+
+
+def opened(path: Path, protocol: str = "resolution") -> ResultFolder:
+    return ResultFolder(path, protocol)
+
+
+def kept(path: Path) -> Path:
+    with opened(path) as folder:
+        folder.write_manifest({}, (JOB,))
+        folder.take(JOB, Rollout({"value": 1.5}, b"frame"))
+    return path / "jobs" / f"{JOB.key}.json"
+
+
+def test_results_are_there_again(tmp_path: Path) -> None:
+    kept(tmp_path / "run")
+    with opened(tmp_path / "run") as folder:
+        assert folder.result(JOB) == {"value": 1.5}
+        assert folder.still(JOB).read_bytes() == b"frame"
+        assert folder.result(job("jump")) is None
+
+
+def test_results_of_long_runs_are_there_again_too(tmp_path: Path) -> None:
+    series = [0.1234567890123456] * 500_000
+    with opened(tmp_path / "run") as folder:
+        folder.take(JOB, Rollout({"series": series}, None))
+        assert folder.result(JOB) == {"series": series}
+
+
+@pytest.mark.parametrize("length", [0, 1, 40, -3])
+def test_half_written_results_are_not_believed(tmp_path: Path, length: int) -> None:
+    file = kept(tmp_path / "run")
+    file.write_bytes(file.read_bytes()[:length])
+    with opened(tmp_path / "run") as folder:
+        assert folder.result(JOB) is None
+
+
+def test_altered_or_misplaced_results_are_not_believed(tmp_path: Path) -> None:
+    file = kept(tmp_path / "run")
+    whole = file.read_text()
+    (file.parent / f"{job('jump').key}.json").write_text(whole)
+    file.write_text(whole.replace("1.5", "1.4"))
+    with opened(tmp_path / "run") as folder:
+        assert folder.result(JOB) is None
+        assert folder.result(job("jump")) is None
+
+
+def test_what_a_killed_run_had_begun_to_write_is_swept_away(tmp_path: Path) -> None:
+    file = kept(tmp_path / "run")
+    leftovers = [tmp_path / "run" / ".manifest.json.17", file.with_name(f".{file.name}.17")]
+    for leftover in leftovers:
+        leftover.write_text("half")
+    with opened(tmp_path / "run") as folder:
+        assert folder.result(JOB) is not None
+    assert not any(leftover.exists() for leftover in leftovers)
+
+
+def test_failures_are_kept_until_they_are_forgotten_or_mended(tmp_path: Path) -> None:
+    with opened(tmp_path / "run") as folder:
+        folder.note_failure(JOB, Failure("No garment.", "trace"))
+    with opened(tmp_path / "run") as folder:
+        failure = folder.failure(JOB)
+        assert failure is not None
+        assert failure == Failure("No garment.", "trace")
+        folder.forget_failure(JOB)
+        assert folder.failure(JOB) is None
+        folder.note_failure(JOB, Failure("No garment.", "trace"))
+        folder.take(JOB, Rollout({}, None))
+        assert folder.failure(JOB) is None
+
+
+def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept(tmp_path / "run")
+    present = result_folder.PROTOCOL_VERSION
+    monkeypatch.setattr(result_folder, "PROTOCOL_VERSION", 70)
+    with pytest.raises(InputError, match=rf"with protocols of version {present}, and this is .* with version 70"):
+        opened(tmp_path / "run")
+    monkeypatch.undo()
+    monkeypatch.setattr(result_folder, "__version__", "9.9")
+    with pytest.raises(InputError, match=r"holds a run by pb4u .* and this is pb4u 9\.9"):
+        opened(tmp_path / "run")
+
+
+def test_other_protocols_and_other_folders_are_refused(tmp_path: Path) -> None:
+    kept(tmp_path / "run")
+    with pytest.raises(InputError, match="holds a run of the protocol resolution, not depth"):
+        opened(tmp_path / "run", "depth")
+    (tmp_path / "run" / "manifest.json").write_text(json.dumps({"jobs": []}))
+    with pytest.raises(InputError, match="is not the manifest of an evaluation"):
+        opened(tmp_path / "run")
+    other = tmp_path / "thesis"
+    other.mkdir()
+    (other / "chapter.tex").write_text("...")
+    with pytest.raises(InputError, match="no folder of an evaluation"):
+        opened(other)
+    with pytest.raises(InputError, match="no folder of an evaluation"):
+        opened(other / "chapter.tex")
+    assert [entry.name for entry in other.iterdir()] == ["chapter.tex"]
+
+
+def test_a_folder_is_one_process_at_a_time(tmp_path: Path) -> None:
+    with opened(tmp_path / "run"), pytest.raises(InputError, match="Another process is at work"):
+        opened(tmp_path / "run")
+    opened(tmp_path / "run").__exit__(None, None, None)
+
+
+def test_a_disk_that_refuses_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, content: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
+    with opened(tmp_path / "run") as folder:
+        monkeypatch.setattr(job_folder, "replace_file", full)
+        with pytest.raises(Pb4uError, match="No space left on device; what is done is kept"):
+            folder.take(JOB, Rollout({}, None))
