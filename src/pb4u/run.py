@@ -155,6 +155,8 @@ class Run:
         contact: Push the garment out of the body after each step.
         self_contact: Cloth feels cloth, within a garment and between garments. Default: on for the solver and
             networks; skinning and newton cannot.
+        body_surface: Keep cloth clear of faces and edges of the body too, not at its vertices alone; takes about half
+            as long again.
         propagation_steps: Propagation steps of a network. Default: as many as the mesh calls for.
         passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
             it, or 1 with --refine.
@@ -191,6 +193,7 @@ class Run:
     refine: Annotated[int, _model("N", least=0, most=10_000)] = 5
     contact: Annotated[bool, _model()] = True
     self_contact: Annotated[bool | None, _model()] = None
+    body_surface: Annotated[bool, _model()] = False
     propagation_steps: Annotated[int | None, _model("K", least=1, most=500)] = None
     passes: Annotated[int | None, _model("N", least=1, most=1000)] = None
     device: Annotated[Literal["auto", "cpu", "cuda"], _model()] = "auto"

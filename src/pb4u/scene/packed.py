@@ -266,11 +266,13 @@ class ColliderPose:
 
     Attributes:
         found: what was last looked up here for the vertices of a pack of garments, which may serve again.
+        passed: through what of a pack of garments the bodies were found to be, and at which positions of these.
     """
 
     def __init__(self, colliders: PackedColliders, positions: Tensor) -> None:
         self.colliders, self.positions = colliders, positions
         self.found: dict[PackedGarments, Found] = {}
+        self.passed: dict[PackedGarments, tuple[Tensor, np.ndarray]] = {}
 
     @cached_property
     def surfaces(self) -> tuple[PosedSurface | None, ...]:
@@ -285,7 +287,7 @@ class ColliderPose:
     def apart(self) -> ColliderPose:
         """This pose for another thread: it shares what is built, and keeps to itself what is looked up there."""
         other = copy.copy(self)
-        other.found = dict(self.found)
+        other.found, other.passed = dict(self.found), dict(self.passed)
         return other
 
     def _posed(self, surfaces: tuple[TriangleSurface | None, ...]) -> tuple[PosedSurface | None, ...]:
