@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pb4u.errors import unknown_name
+from pb4u.paper import network_presets as networks
 from pb4u.paper.network_presets import (
     pb4u_paper,
     pb4u_small,
@@ -17,6 +18,18 @@ from pb4u.training.curriculum import Curriculum
 
 paper = TrainingConfiguration(network=pb4u_paper, data=DataSelection(triangles=(11000,)), checkpoint_every=2000)
 """The paper's own protocol: one low level, windows of up to 5 steps, 450,000 optimiser steps."""
+
+literal = TrainingConfiguration(
+    network=networks.literal,
+    data=DataSelection(triangles=(1200,)),
+    # One law of K in training and in use.
+    most_propagation_steps=0,
+    checkpoint_every=2000,
+    validate_every=5000,
+)
+"""The paper's network and protocol on one level that a processor affords; 1,200 triangles times 32 are its finest."""
+
+literal_small = replace(literal, network=networks.literal_small)
 
 small = TrainingConfiguration(
     network=pb4u_small_two_passes,
@@ -125,13 +138,23 @@ smoke = replace(
 
 TRAININGS: dict[str, TrainingConfiguration] = {
     "paper": paper,
+    "literal": literal,
+    "literal_small": literal_small,
     "small": small,
     "wide": wide,
     "comparison": comparison,
     "smoke": smoke,
 }
 
-DEFAULT_STEPS = {"paper": 450_000, "small": 60_000, "wide": 30_000, "comparison": 8_000, "smoke": 40}
+DEFAULT_STEPS = {
+    "paper": 450_000,
+    "literal": 450_000,
+    "literal_small": 450_000,
+    "small": 60_000,
+    "wide": 30_000,
+    "comparison": 8_000,
+    "smoke": 40,
+}
 """Optimiser steps of each where neither steps nor minutes are asked for."""
 
 

@@ -13,6 +13,7 @@ from types import FrameType
 from typing import Any
 
 from pb4u.errors import InputError
+from pb4u.network.propagation_control import FixedSteps
 from pb4u.progress import announced
 from pb4u.simulation.checkpoint import built_in_models, from_pretrained, training_record_from_json
 from pb4u.training.budget import Budget
@@ -110,6 +111,11 @@ def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
         raise InputError(
             "loss_weight=progress goes by what the search of conjugate passes frees: add --set network.conjugate=True "
             "(and --set network.descent_size=0.03, which it was made for), or --set loss_weight=joule."
+        )
+    if configuration.most_propagation_steps and isinstance(getattr(configuration.network, "control", None), FixedSteps):
+        raise InputError(
+            "The network takes a fixed number of propagation steps, but most_propagation_steps draws another at every "
+            "step of training: add --set most_propagation_steps=0, or take a network with propagation control."
         )
     steps = request.steps
     if steps is None and request.minutes is None:

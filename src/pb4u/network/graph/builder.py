@@ -275,10 +275,13 @@ class GraphBuilder:
     def _world_features(
         self, relative_now: Tensor, relative_next: Tensor, approach: Tensor, duration: Columns
     ) -> Tensor:
+        distance_now = relative_now.norm(dim=1, keepdim=True)
         columns = {
             **_repeated(duration, len(relative_now)),
+            "direction": -relative_now / distance_now.clamp_min(torch.finfo(self.dtype).eps),
+            "relative_distance": distance_now / self.world_edges.radius,
             "relative_now": relative_now,
-            "distance_now": relative_now.norm(dim=1, keepdim=True),
+            "distance_now": distance_now,
             "relative_next": relative_next,
             "distance_next": relative_next.norm(dim=1, keepdim=True),
             "relative_velocity": approach,

@@ -70,6 +70,10 @@ MESH_EDGE_FEATURES = _index(
 )
 
 WORLD_EDGE_FEATURES = _index(
+    Feature("direction", 3, "1", True, 0.6, "unit vector from receiver to sender, now (paper, edge feature 1)"),
+    Feature(
+        "relative_distance", 1, "1", True, 0.3, "distance now / radius of the world edges; no length at rest exists"
+    ),
     Feature("relative_now", 3, "m", True, 1e-2, "receiver - sender, both now (reference 1.2)"),
     Feature("distance_now", 1, "m", True, 1e-2, "its norm"),
     Feature("relative_next", 3, "m", True, 1e-2, "receiver - sender, garment now and body next (reference 1.2)"),
