@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import cast
 
 from torch import Tensor, nn
 
-from pb4u.network.graph.graph import Graph
+from pb4u.network.graph.graph import EdgeSet, Graph
+from pb4u.network.kernels.recorded_passes import Ends, passed_edges, records
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP, SplitMLP
 from pb4u.network.segment import gather, segment_sum
 
@@ -58,18 +60,30 @@ class InteractionBlock(nn.Module):
         keep_edges: bool,
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The block; all edges of a set at once."""
-        hidden = {name: self.node_mlp.project(0, nodes[name], bias=True) for name in wanted}
+        hidden = {name: self.node_mlp.project(0, nodes[name]) for name in wanted}
         new_edges = {}
         for name, edge_set in graph.edges.items():
             if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
                 continue
             mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
-            first = mlp.project(EDGE, edges[name])
-            first = first + gather(mlp.project(SENDER, nodes[edge_set.sender_set]), edge_set.senders)
-            at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set], bias=True)
-            new = mlp.after_first(first + gather(at_receiver, edge_set.receivers))
-            sums = segment_sum(new * masks[name] if name in masks else new, edge_set.receivers)
+            new_edges[name], sums = _recorded_edges(mlp, nodes, edges[name], edge_set, masks.get(name))
             share = self.node_mlp.project(1 + self.kinds.index(edge_set.kind), sums)
             hidden[edge_set.receiver_set] = hidden[edge_set.receiver_set] + share
-            new_edges[name] = edges[name] + new if keep_edges else edges[name]
-        return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges
+            if not keep_edges:
+                new_edges[name] = edges[name]
+        return {name: nodes[name] + self.node_mlp.after_product(value) for name, value in hidden.items()}, new_edges
+
+
+def _recorded_edges(
+    mlp: EdgeMLP, nodes: Mapping[str, Tensor], latents: Tensor, edge_set: EdgeSet, mask: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """New latents (edges, width) [1] of a set of edges, and sums (receivers, width) [1] of their changes."""
+    at_sender = mlp.project(SENDER, nodes[edge_set.sender_set])
+    at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set])
+    if mask is None and records(latents):
+        ends, norm = Ends(edge_set.senders, edge_set.receivers), cast(nn.LayerNorm, mlp.norm)
+        layers, own = (mlp.second, mlp.last, norm), mlp.weight_of(EDGE)
+        return passed_edges(latents, at_sender, at_receiver, own, mlp.first.bias, layers, ends)
+    first = mlp.project(EDGE, latents, bias=True) + gather(at_sender, edge_set.senders)
+    new = mlp.after_first(first + gather(at_receiver, edge_set.receivers))
+    return latents + new, segment_sum(new if mask is None else new * mask, edge_set.receivers)

@@ -12,6 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from pb4u.network.kernels.recorded_passes import normed_perceptron, records
+
 
 class MLP(nn.Module):
     """Perceptron inputs -> width -> width -> outputs; all values are dimensionless.
@@ -37,7 +39,15 @@ class MLP(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """Output (rows, outputs) [1] for `values` (rows, inputs) [1]."""
+        if isinstance(self.norm, nn.LayerNorm) and records(values):
+            return normed_perceptron(values, self.first.weight, self.first.bias, (self.second, self.last, self.norm))
         return self.after_first(self.first(values.to(self.precision)))
+
+    def after_product(self, product: Tensor) -> Tensor:
+        """As `after_first`, given the first layer's sum `product` (..., width) [1] without its bias."""
+        if isinstance(self.norm, nn.LayerNorm) and records(product):
+            return normed_perceptron(product, None, self.first.bias, (self.second, self.last, self.norm))
+        return self.after_first(product + self.first.bias)
 
     def after_first(self, hidden: Tensor) -> Tensor:
         """Output (..., outputs) [1], given the first layer's sum `hidden` (..., width) [1], which is overwritten."""

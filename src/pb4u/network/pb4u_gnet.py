@@ -75,8 +75,7 @@ class Pb4uGNet(EncodeProcessDecode):
         return self.decode_after(self.blocks, nodes, edges, graph)
 
     def _updated(self, before: Tensor, propagated: Tensor) -> Tensor:
-        hidden = self.update.project(0, before, bias=True) + self.update.project(1, propagated)
-        return self.update.after_first(hidden)
+        return self.update.after_product(self.update.project(0, before) + self.update.project(1, propagated))
 
     def for_inference(self, precision: torch.dtype) -> GraphNetwork:
         """Network that computes the same without gradients; see `GraphNetwork.for_inference`."""

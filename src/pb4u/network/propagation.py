@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from pb4u.errors import InputError
 from pb4u.network.graph.graph import GARMENT, EdgeSet, Graph
 from pb4u.network.graph.incidence import Span
+from pb4u.network.kernels.recorded_passes import Ends, propagated, records
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP
 from pb4u.network.segment import gather, segment_sum
 
@@ -100,6 +101,15 @@ class Propagation(nn.Module):
 
     def _after(self, steps: int, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
         """State after `steps` steps of the garments that all `inflows` end in."""
+        message, norm = self.message, self.norm
+        if records(state) and self.form.norm == "messages" and not self.form.message_norm:
+            constants = [inflow.features for inflow in inflows]
+            ends = [Ends(i.senders if i.sender_set == GARMENT else None, i.receivers) for i in inflows]
+            weights, layers = (
+                (message.weight_of(SENDER), message.weight_of(RECEIVER)),
+                (message.second, message.last, norm),
+            )
+            return propagated(steps, state, constants, weights, layers, self.form.decay, ends)
         for _ in range(steps):
             state = self._step(state, inflows)
         return state
