@@ -231,7 +231,7 @@ class _Propagation(torch.autograd.Function):
 
 
 def _between(values: Tensor, width: int) -> tuple[Tensor, ...]:
-    """What the derivative reads again: both hidden layers and the norm's output, (rows, width), and its (rows,) factors."""
+    """What the derivative reads again: hidden layers and output of the norm (rows, width), its (rows,) factors."""
     rows = len(values)
     return (*(values.new_empty(rows, width) for _ in range(3)), values.new_empty(rows))
 
