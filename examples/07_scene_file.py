@@ -27,12 +27,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("scene"), help="beginning of the names of the files to write")
     options = parser.parse_args()
 
-    # A description names things and loads nothing. What is left out has its default; what cannot be is refused here.
+    # A run names things and loads nothing. What is left out has its default; what cannot be is refused here.
     worn = [pb4u.WornGarment(name, triangles=options.triangles) for name in options.garments]
-    scene = pb4u.Run(tuple(worn), motion=options.motion, frames=options.frames)
-    run = pb4u.Run(scene, model=options.model)
+    run = pb4u.Run(tuple(worn), motion=options.motion, frames=options.frames, model=options.model)
 
-    # Descriptions are never changed in place: replace() makes another one, and checks it again.
+    # Runs are never changed in place: replace() makes another one, and checks it again.
     for material in options.materials:
         garments = tuple(replace(each, material=material) for each in worn)
         variant = replace(run, garments=garments)

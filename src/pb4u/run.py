@@ -86,8 +86,9 @@ class WornGarment:
     """One garment of a run.
 
     Args:
-        garment: Built-in garment, a mesh file in metres that fits the body at rest, or FILE.pkl:NAME of a garments
-            dictionary of HOOD's family; in Python a Garment too.
+        garment: Built-in garment, a mesh file in metres that fits the body at rest, a sewing pattern (GarmentCode's
+            .json, or .npz of `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's family; in Python a
+            Garment too.
         material: Built-in material, a JSON file in SI units or a Material. Default: the garment's own, or "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (border with the N-th most vertices), a file of indices or a list. Default: the
@@ -154,6 +155,8 @@ class Run:
         contact: Push the garment out of the body after each step.
         self_contact: Cloth feels cloth, within a garment and between garments. Default: on for the solver and
             networks; skinning and newton cannot.
+        body_surface: Keep cloth clear of faces and edges of the body too, not at its vertices alone; takes about half
+            as long again.
         propagation_steps: Propagation steps of a network. Default: as many as the mesh calls for.
         passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
             it, or 1 with --refine.
@@ -190,6 +193,7 @@ class Run:
     refine: Annotated[int, _model("N", least=0, most=10_000)] = 5
     contact: Annotated[bool, _model()] = True
     self_contact: Annotated[bool | None, _model()] = None
+    body_surface: Annotated[bool, _model()] = False
     propagation_steps: Annotated[int | None, _model("K", least=1, most=500)] = None
     passes: Annotated[int | None, _model("N", least=1, most=1000)] = None
     device: Annotated[Literal["auto", "cpu", "cuda"], _model()] = "auto"
@@ -430,7 +434,7 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is no {kind.partition(' ')[2]}, which is TOML: {error}.") from None
+        raise InputError(f"{path} cannot be read as TOML, which {kind} is: {error}.") from None
 
 
 def with_companions(path: Path) -> list[Path]:
@@ -447,11 +451,20 @@ def with_companions(path: Path) -> list[Path]:
     return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem)]
 
 
+_OF_ARRAYS = {
+    "garment": "pb4u.Garment(name, vertices, faces, material)",
+    "body": "pb4u.body_from_arrays(vertices, faces)",
+}
+"""What takes arrays in the place of a value."""
+
+
 def _check(record: Run | WornGarment) -> None:
     """Refuse values of a wrong kind or out of range."""
     kind: type = type(record)
     for entry in described(kind).values():
         value = getattr(record, entry.name)
+        if hasattr(value, "__array__") and (made := _OF_ARRAYS.get(entry.name)):
+            raise InputError(f"The {entry.name} is an array; give a name, a path or {made}.")
         if not (value is None and entry.optional) and not _fits(entry, value):
             raise InputError(f"{entry.name} must be {_wanted(entry)}, not {value!r}.")
 
@@ -511,17 +524,17 @@ def _is_same(garment: object, other: object) -> bool:
     return garment is other
 
 
-def _refuse_unknown(what: str, given: Iterable[str], known: Collection[str]) -> None:
+def _refuse_unknown(what: str, given: Iterable[str], known: Collection[str], where: str = "") -> None:
     for name in given:
         if name not in known:
-            raise unknown_name(what, name, known)
+            raise unknown_name(what, name, known, where)
 
 
 def _section(title: str, table: Any, section: str, folder: Path) -> dict[str, Any]:
     """The entries of a section, its files found from the `folder` of the scene file."""
     if not isinstance(table, dict):
         raise InputError(f"The section {title} must hold entries such as name = value, not {table!r}.")
-    _refuse_unknown(f"entry of {title}", table, entries(section))
+    _refuse_unknown("entry", table, entries(section), title)
     return {name: _located(name, value, folder) for name, value in table.items()}
 
 

@@ -138,7 +138,7 @@ def test_a_flag_is_for_all_garments_or_for_each(saved: Saved, flags: tuple[str, 
         (("--garment", "tshirt", "--self-contact", "on"), "so --self-contact cannot be on"),
         (("--garment", "a/x.obj", "--garment", "b/x.obj", "--pins", "x=hem"), "the scene has 2 garments of that name"),
         (("absent.toml",), "no scene file absent.toml"),
-        (("wrong.toml",), "wrong.toml: There is no entry of [scene] 'frame'; did you mean frames"),
+        (("wrong.toml",), "wrong.toml: [scene] has no entry 'frame'; did you mean frames"),
         (("--save-scene", "absent/s.toml"), "absent for --save-scene does not exist"),
     ],
 )

@@ -95,7 +95,7 @@ def test_every_label_and_metric_is_in_the_index_and_the_clips_open(tmp_path: Pat
         "tanktop+skirt",
         "silk+wool",
         "woman",
-        "own",
+        "walk",
     )
     assert (dict(two["body_shape"]), two["seed"], two["status"], two["failure"]) == ({"height": 0.7}, 0, "done", None)
     assert [each["density"] for each in two["garments"]] == pytest.approx([0.06, 0.28])
@@ -381,3 +381,28 @@ def test_pandas_and_duckdb_read_the_index(tmp_path: Path) -> None:
     query = f"select garment, count(*), sum(bytes) from '{index}' where status = 'done' group by garment"
     assert duckdb.sql(query).fetchall() == [("tshirt", 3, 15)]
     assert io.BytesIO(index.read_bytes()).read(4) == b"PAR1"
+
+
+def test_a_clip_without_a_motion_is_labelled_with_what_the_body_performs(tmp_path: Path) -> None:
+    made, _, said = make([*runs(1), *runs(1, motion="walk")], tmp_path / "set", quick)
+    assert (made["clips"], [row["motion"] for row in rows(tmp_path / "set")]) == (1, ["walk"])
+    assert any("described twice" in sentence for sentence in said)
+
+
+def test_diverged_clips_and_notes_are_summed(tmp_path: Path) -> None:
+    def noted(job: ClipJob) -> Clip:
+        made = quick(job)
+        assert isinstance(made, Clip)
+        seed = job.run.scene.seed
+        notes = [f"{seed} of 4 vertices were moved."] + ["It rained."] * (seed == 1)
+        return Clip({**made.record, "diverged": seed == 1, "notes": notes}, made.trajectory)
+
+    made, _, _ = make(runs(2), tmp_path / "set", noted)
+    assert made["diverged"] == 1
+    assert [each["clips"] for each in made["notes"]] == [2, 1]
+    assert made["notes"][1]["sentence"] == "It rained."
+
+
+def test_a_refusal_names_file_and_clip(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^jobs\.toml: clip 2 \(tshirt in linen on woman.*no material.*'linen'"):
+        make([*runs(1), *runs(1, material="linen")], tmp_path / "set", quick, jobs_file="jobs.toml")

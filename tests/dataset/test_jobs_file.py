@@ -87,9 +87,9 @@ MILLION = "[product]\n" + "".join(
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[fixed]\ngarmet = 'tshirt'\n", r"no entry of \[fixed\] 'garmet'; did you mean garment"),
-        ("[product]\nmotions = ['walk']\n", r"no entry of \[product\] 'motions'; did you mean motion"),
-        ("[[clips]]\ncolour = 'red'\n", r"no entry of \[\[clips\]\] 'colour'"),
+        ("[fixed]\ngarmet = 'tshirt'\n", r"\[fixed\] has no entry 'garmet'; did you mean garment"),
+        ("[product]\nmotions = ['walk']\n", r"\[product\] has no entry 'motions'; did you mean motion"),
+        ("[[clips]]\ncolour = 'red'\n", r"\[\[clips\]\] has no entry 'colour'"),
         ("[products]\nseed = [1]\n", "no section 'products'; did you mean product"),
         ("[product]\nmotion = 'walk'\n", r"motion in \[product\] must be a list"),
         ("[fixed]\nseed = 1\n[product]\nseed = [1, 2]\n", r"seed stands in \[fixed\] and in \[product\]"),
@@ -102,7 +102,7 @@ MILLION = "[product]\n" + "".join(
         ("[product]\ngarment = ['dress']\nseed = [0, 'x']\n", r"clip 2 \(garment = dress, seed = x\): seed must"),
         ("[[clips]]\ngarment = ['dress', 'skirt']\ntriangles = [1, 2, 3]\n", "triangles has 3 values for 2 garments"),
         ("[[clips]]\nscene = 'absent.toml'\n", "There is no scene file .*absent.toml"),
-        ("[[clips]\n", "is no jobs file, which is TOML"),
+        ("[[clips]\n", "cannot be read as TOML, which a jobs file is"),
         ("clips = 3\n", "each clip is a section of its own"),
         ("format_version = 2\n", "of format version 2"),
     ],

@@ -29,6 +29,7 @@ from tests.compat.test_garment_dictionary import garment_fields
 from tests.fuzzing.mutation import damaged
 from tests.garment.cloth_shapes import quad_tube, tube_arrays
 from tests.motion.recordings import write_acclaim, write_bvh
+from tests.pattern.patterns import square
 from tests.scene.test_trajectory import make_trajectory
 from tests.simulation.released_files import made_checkpoint
 from tests.training.ball_data import ball_data
@@ -58,6 +59,11 @@ from pb4u.geometry.obj_file import write_obj
 from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.pattern.dressing import Dressed, sewn_garment
+from pb4u.pattern.files import read_dressed, write_dressed
+from pb4u.pattern.garmentcode import read_pattern, record_of
+from pb4u.pattern.mesh import mesh_pattern
+from pb4u.pattern.pattern import Pattern
 from pb4u.progress import unheard
 from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory
@@ -358,6 +364,10 @@ def _recordings(folder: Path) -> Iterator[Sample]:
     yield Sample("Biovision recording", {"clip.bvh": write_bvh(folder).read_bytes()}, (performed,), (checked,))
 
 
+def meshed_pattern(path: Path) -> None:
+    mesh_pattern(read_pattern(path), 60)
+
+
 def _garments() -> Iterator[Sample]:
     vertices, quads = tube_arrays(around=16, rows=6)
     triangles = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
@@ -377,6 +387,15 @@ def _garments() -> Iterator[Sample]:
     gltf = dict(trimesh.exchange.gltf.export_gltf(mesh))
     whole = {"tube.gltf": gltf.pop("model.gltf"), **gltf}
     yield Sample("garment tube.gltf", whole, (garment,), dressed)
+    pattern = Pattern("square", [square("front")], [])
+    whole_pattern = json.dumps(record_of(pattern)).encode()
+    yield Sample("sewing pattern", {"square.json": whole_pattern}, (meshed_pattern,))
+    mesh = mesh_pattern(pattern, 20)
+    sewn = sewn_garment(mesh, np.zeros((mesh.vertex_count, 3)), MATERIALS["default"])
+    with tempfile.TemporaryDirectory() as folder:
+        write_dressed(Path(folder) / "worn.npz", Dressed(sewn, mesh, 0, 0, 0.0, 0.0), load_body("woman", {}))
+        worn = (Path(folder) / "worn.npz").read_bytes()
+    yield Sample("dressed garment", {"worn.npz": worn}, (read_dressed,))
     many = {"sheet": garment_fields(), "other": garment_fields(3, 3)}
     yield Sample("garments dictionary", {"all.pkl": pickle.dumps(many)}, (of_dictionary,))
 

@@ -97,10 +97,10 @@ def test_a_few_lines_by_hand_are_enough(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[scene]\nframe = 3", "no entry of [scene] 'frame'; did you mean frames"),
-        ("[run]\nmodle = 'solver'", "no entry of [run] 'modle'; did you mean model"),
-        ("[run]\nscene = 'x'", "no entry of [run] 'scene'"),
-        ("[[garments]]\nmateriel = 'silk'", "no entry of [[garments]] 'materiel'; did you mean material"),
+        ("[scene]\nframe = 3", "[scene] has no entry 'frame'; did you mean frames"),
+        ("[run]\nmodle = 'solver'", "[run] has no entry 'modle'; did you mean model"),
+        ("[run]\nscene = 'x'", "[run] has no entry 'scene'"),
+        ("[[garments]]\nmateriel = 'silk'", "[[garments]] has no entry 'materiel'; did you mean material"),
         ("[scen]\nframes = 3", "no section 'scen'; did you mean scene"),
         ("[garments]\ngarment = 'dress'", "written [[garments]]"),
         ("scene = 3", "section [scene] must hold entries"),
@@ -115,8 +115,8 @@ def test_a_few_lines_by_hand_are_enough(tmp_path: Path) -> None:
         ("[run]\nfirst_frame = 'setled'", "did you mean settled"),
         ("[run]\nprecision = 'float16'", "no precision 'float16'"),
         ("[run]\nmodel = 3", "model must be a name"),
-        ("[scene]\nframes = 3\nframes = 4", "no scene file, which is TOML"),
-        ("\x00", "no scene file, which is TOML"),
+        ("[scene]\nframes = 3\nframes = 4", "cannot be read as TOML"),
+        ("\x00", "cannot be read as TOML"),
     ],
 )
 def test_what_a_scene_file_cannot_hold_is_refused(tmp_path: Path, text: str, says: str) -> None:
@@ -133,7 +133,7 @@ def test_a_file_that_is_absent_or_no_text_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no scene file .*absent\.toml"):
         Run.open(tmp_path / "absent.toml")
     (tmp_path / "walk.npz").write_bytes(b"PK\x03\x04\xff\xfe")
-    with pytest.raises(InputError, match="which is TOML"):
+    with pytest.raises(InputError, match="cannot be read as TOML"):
         Run.open(tmp_path / "walk.npz")
 
 

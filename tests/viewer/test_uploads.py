@@ -108,8 +108,8 @@ def test_a_scene_is_packed_with_its_files_and_opens_elsewhere(tmp_path: Path) ->
         WornGarment(files.find("garment", "tube.obj"), "silk"),
         WornGarment("skirt", triangles=900),
     )
-    scene = Run(worn, motion=files.find("motion", "07_02.amc"), frames=7)
-    name, content = pack_scene(Run(scene, model="solver"), files.folder)
+    run = Run(worn, motion=files.find("motion", "07_02.amc"), frames=7, model="solver")
+    name, content = pack_scene(run, files.folder)
     files.close()
     assert name == "scene.zip"
     with zipfile.ZipFile(io.BytesIO(content)) as archive:

@@ -12,11 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.errors import InputError, InputWarning
+from pb4u.geometry.mesh_arrays import as_numbers, checked_faces
 from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
 from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
@@ -202,7 +204,45 @@ def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSe
     return sequence
 
 
-def _refuse_large(path: Path, triangles: int) -> None:
+def body_from_arrays(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    fps: float = DEFAULT_FPS,
+    name: str = "body",
+    contact: ArrayLike | None = None,
+) -> VertexSequence:
+    """A body of your own, moving or standing, from arrays or lists.
+
+    Warns where the body is not closed or seems to be Z up.
+
+    Args:
+        vertices: (frames, vertices, 3), or (vertices, 3) of a body that stands [m], Y up.
+        faces: (faces, 3) vertex indices from 0, counter-clockwise from outside.
+        fps: frames per second.
+        name: what it is called.
+        contact: (vertices,) bool, False where contact is not answered; all True when not given.
+
+    Raises:
+        InputError: an array has another shape or holds what cannot be used.
+    """
+    points = as_numbers(name, "vertices", vertices)
+    points = points[None] if points.ndim == 2 else points
+    if points.ndim != 3 or points.shape[2] != 3 or not points.size:
+        raise InputError(
+            f"{name}: its vertices have the shape {np.shape(vertices)}, where (frames, vertices, 3) or (vertices, 3) "
+            "belongs."
+        )
+    corners = checked_faces(name, faces, points.shape[1])
+    points, corners = require_usable(name, points, corners)
+    touched = None if contact is None else np.asarray(contact)
+    if touched is not None and (touched.shape != (points.shape[1],) or touched.dtype != bool):
+        raise InputError(f"{name}: contact is a bool for each of its {points.shape[1]} vertices.")
+    sequence = VertexSequence(name, points, corners, fps, touched)
+    _warn_of_oddities(name, sequence)
+    return sequence
+
+
+def _refuse_large(path: Path | str, triangles: int) -> None:
     if triangles > MOST_TRIANGLES:
         raise InputError(
             f"{path} has {triangles:,} triangles or more, and {MOST_TRIANGLES:,} are the most that a body may have; "
@@ -360,7 +400,7 @@ _CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
 SUFFIXES = (*_MESH_SUFFIXES, *_CACHES)
 
 
-def require_usable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def require_usable(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices in metres and faces turned outward, of a body that can be used.
 
     Args:
@@ -400,7 +440,7 @@ def require_usable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> tuple
     return vertices, _outward(path, vertices[0], faces)
 
 
-def _outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _outward(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """`faces`, turned round when the closed surface they make is inside out."""
     corners = np.asarray(vertices, dtype=np.float64)[faces]
     volume = np.einsum("fc,fc->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
@@ -410,7 +450,7 @@ def _outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(faces[:, ::-1])
 
 
-def _warn_of_oddities(path: Path, sequence: VertexSequence) -> None:
+def _warn_of_oddities(path: Path | str, sequence: VertexSequence) -> None:
     if not sequence.is_closed:
         message = f"{path}: the body is not closed, so penetration is not reported; fill its holes to have it."
         warnings.warn(message, InputWarning, stacklevel=3)

@@ -126,7 +126,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
             raise unknown_name("garment in this scene", name, worn)
     if tuck:
         given["tucked"] = [True if name in tuck else None for name in worn]
-    for name in ("contact", "self_contact"):
+    for name in ("contact", "self_contact", "body_surface"):
         if name in given:
             given[name] = given[name] == "on"
     if "body_shape" in given:

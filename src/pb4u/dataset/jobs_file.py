@@ -11,7 +11,7 @@ import csv
 import io
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -46,13 +46,18 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[Run, ...]:
         InputError: it is missing or not of its format, describes none or too many, or an entry is unknown or has a
             value that cannot be used.
     """
-    readers = {".toml": _read_toml, ".csv": _read_csv}
+    readers: dict[str, tuple[Callable[[Path], Any], Callable[[Any], tuple[int, Iterator[dict[str, Any]]]]]] = {
+        ".toml": (_tables, _toml_clips),
+        ".csv": (_table_text, _csv_clips),
+    }
     if path.suffix.lower() not in readers:
         raise InputError(f"{path} is no jobs file, whose name ends in {' or '.join(readers)}.")
     if not path.is_file():
         raise InputError(f"There is no jobs file {path}.")
+    read, parse = readers[path.suffix.lower()]
+    content = read(path)
     try:
-        count, clips = readers[path.suffix.lower()](path)
+        count, clips = parse(content)
         if not count:
             raise InputError("it describes no clip; give lists in [product], or [[clips]].")
         if count > most:
@@ -86,9 +91,12 @@ def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Pat
         raise InputError(f"clip {number} ({told}): {error}") from None
 
 
-def _read_toml(path: Path) -> tuple[int, Iterator[dict[str, Any]]]:
-    """How many clips the file describes, and their entries."""
-    tables = read_tables(path, "a jobs file")
+def _tables(path: Path) -> dict[str, Any]:
+    return read_tables(path, "a jobs file")
+
+
+def _toml_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, Any]]]:
+    """How many clips the tables describe, and their entries."""
     for name in tables:
         if name not in _SECTIONS:
             raise unknown_name("section", name, _SECTIONS)
@@ -122,7 +130,7 @@ def _table(section: str, table: Any) -> dict[str, Any]:
         raise InputError(f"the section {section} must hold entries such as name = value, not {table!r}.")
     for name in table:
         if name not in _KNOWN:
-            raise unknown_name(f"entry of {section}", name, _KNOWN)
+            raise unknown_name("entry", name, _KNOWN, section)
     return table
 
 
@@ -141,20 +149,24 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _read_csv(path: Path) -> tuple[int, Iterator[dict[str, Any]]]:
-    """How many clips the file describes, and their entries; an empty cell leaves an entry at its default."""
+def _table_text(path: Path) -> str:
     try:
         # Spreadsheets write a mark of the encoding first.
-        text = read_text(path, "a jobs file", encoding="utf-8-sig")
+        return read_text(path, "a jobs file", encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: it is no table with a header in UTF-8: {error}.") from None
+
+
+def _csv_clips(text: str) -> tuple[int, Iterator[dict[str, Any]]]:
+    """How many clips a table describes, and their entries; an empty cell leaves an entry at its default."""
+    try:
         header, *rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if any(row)]
-    except InputError:
-        raise
     except (csv.Error, ValueError) as error:
         raise InputError(f"it is no table with a header in UTF-8: {error}.") from None
     names = [name.strip() for name in header]
     for name in names:
         if name not in _KNOWN:
-            raise unknown_name("entry, as columns are called,", name, _KNOWN)
+            raise unknown_name("column", name, _KNOWN)
         if names.count(name) > 1:
             raise InputError(f"two columns are called {name}.")
     for number, row in enumerate(rows, start=2):

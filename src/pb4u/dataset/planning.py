@@ -20,7 +20,7 @@ from pb4u.garment.material import MATERIALS, load_material
 from pb4u.jobs.job import digest
 from pb4u.motion.library import load_motion, motion_names
 from pb4u.run import Run, WornGarment, with_companions
-from pb4u.scene.assembly import DEFAULT_FRAMES
+from pb4u.scene.assembly import DEFAULT_FRAMES, DEFAULT_MOTION
 from pb4u.simulation.models import default_model, simulator_of
 
 _SECONDS_A_FRAME = {
@@ -62,14 +62,22 @@ def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> t
     checked: set[tuple[str, str]] = set()
     models: dict[Run, tuple[str, str, str | None]] = {}
     jobs = []
-    for run in runs:
-        _require_names(run, checked)
-        options = run.options
-        if options not in models:
-            models[options] = _resolved(run)
+    has_bones = lru_cache(maxsize=None)(_has_bones)
+    for number, run in enumerate(runs, start=1):
+        try:
+            _require_names(run, checked)
+            options = run.options
+            if options not in models:
+                models[options] = _resolved(run)
+        except InputError as error:
+            raise InputError(f"clip {number} ({ClipJob(run)}): {error}") from None
         model, device, weights = models[options]
-        resolved = run.with_entries({"model": model, "device": device})
-        named = dict.fromkeys(str(value) for value in run.files if isinstance(value, str | Path))
+        given = {"model": model, "device": device}
+        if run.motion is None and has_bones(str(run.body)):
+            # Named, so that its label says what the body performs.
+            given["motion"] = DEFAULT_MOTION
+        resolved = run.with_entries(given)
+        named = dict.fromkeys(str(value) for value in resolved.files if isinstance(value, str | Path))
         for value in named:
             if value not in contents:
                 contents[value] = _content(value)
@@ -98,6 +106,10 @@ def _require_names(scene: Run, checked: set[tuple[str, str]]) -> None:
             load_material(value)
         elif not file.suffix and kind in known and str(value) not in known[kind]:
             raise unknown_name(kind, str(value), known[kind])
+
+
+def _has_bones(body: str) -> bool:
+    return isinstance(load_body(body), ShapedBody)
 
 
 def _resolved(run: Run) -> tuple[str, str, str | None]:

@@ -116,7 +116,7 @@ def load_torch_archive(path: str | Path) -> Any:
             return _Resolution(allowance).of(_ArchiveUnpickler(members, allowance).load())
     except DamagedArchiveError:
         raise InputError(
-            f"{path} is no whole archive of torch.save; fetch it again, or save a file from before torch 1.6 anew."
+            f"{path} is not a torch file (or is damaged); give a .pth or .pt file that torch 1.6 or later saved."
         ) from None
     except InputError:
         raise

@@ -75,8 +75,12 @@ def load_motion(
             raise InputError(f'The built-in motion "{name}" has no end to crop; ask for the frames you want.')
         return ProceduralMotion(name, seed=seed, arms_away_degrees=arms_away_degrees)
     path, person = recording_file(name)
+    if path.suffix.lower() == ".asf":
+        raise InputError(f"{path} holds the skeleton alone; give the .amc file beside it, which holds the motion.")
+    if path.is_file() and path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path} is of no kind of motion file that is read; those end in {', '.join(SUFFIXES)}.")
     if path.suffix.lower() not in SUFFIXES:
-        raise unknown_name(f"motion, nor a file ending in {', '.join(SUFFIXES)}, called", name, CLIPS)
+        raise unknown_name("motion", name, CLIPS)
     recording = read_recording(path, person)
     if recorded_fps is not None:
         recording = replace(recording, poses=replace(recording.poses, fps=recorded_fps))

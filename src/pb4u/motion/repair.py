@@ -50,7 +50,7 @@ def without_flips(recording: Recording) -> Recording:
         return recording
     mended = world_rotations(local, recording.skeleton.parents)
     told = ", ".join(f"{name} {count}" for name, count in counts.items())
-    note = f"{recording.name}: {sum(counts.values())} joint flip(s) led over by slerp ({told})."
+    note = f"{recording.name}: {sum(counts.values())} sudden joint flip(s) replaced by a smooth turn ({told})."
     return replace(recording, poses=replace(recording.poses, rotations=mended), notes=(*recording.notes, note))
 
 

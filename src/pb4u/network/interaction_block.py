@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import torch
 from torch import Tensor, nn
 
-from pb4u.network.graph.graph import EdgePiece, Graph
+from pb4u.network.graph.graph import Graph
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP, SplitMLP
-from pb4u.network.segment import gather, joined, segment_sum, sum_of_rows
-from pb4u.network.tiles import of_tiles
+from pb4u.network.segment import gather, segment_sum
 
 
 class InteractionBlock(nn.Module):
@@ -41,17 +39,16 @@ class InteractionBlock(nn.Module):
 
         Args:
             nodes: latents (nodes, width) [1] by set name.
-            edges: latents (edges, width) [1] by set name; overwritten while gradients are off.
+            edges: latents (edges, width) [1] by set name.
             graph: the ends of the edges.
             receivers: node sets still wanted, all by default; where given, edge latents are left as they are, since
                 nothing reads them again.
             masks: (edges, 1) dimensionless factors on the messages by set name, 1 where a set is not named.
         """
         wanted = list(nodes) if receivers is None else list(receivers)
-        run = self._recorded if torch.is_grad_enabled() else self._in_runs
-        return run(nodes, edges, graph, wanted, masks or {}, receivers is None)
+        return self._passed(nodes, edges, graph, wanted, masks or {}, receivers is None)
 
-    def _recorded(
+    def _passed(
         self,
         nodes: dict[str, Tensor],
         edges: dict[str, Tensor],
@@ -60,7 +57,7 @@ class InteractionBlock(nn.Module):
         masks: Mapping[str, Tensor],
         keep_edges: bool,
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The block while gradients are recorded: all edges of a set at once."""
+        """The block; all edges of a set at once."""
         hidden = {name: self.node_mlp.project(0, nodes[name], bias=True) for name in wanted}
         new_edges = {}
         for name, edge_set in graph.edges.items():
@@ -76,45 +73,3 @@ class InteractionBlock(nn.Module):
             hidden[edge_set.receiver_set] = hidden[edge_set.receiver_set] + share
             new_edges[name] = edges[name] + new if keep_edges else edges[name]
         return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges
-
-    def _in_runs(
-        self,
-        nodes: dict[str, Tensor],
-        edges: dict[str, Tensor],
-        graph: Graph,
-        wanted: Sequence[str],
-        masks: Mapping[str, Tensor],
-        keep_edges: bool,
-    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The block without gradients, on edges a run at a time; edge latents are overwritten."""
-        rounded = {name: values.to(self.node_mlp.precision) for name, values in nodes.items()}
-        hidden = {name: self.node_mlp.project(0, rounded[name], bias=True) for name in wanted}
-        new_edges = {}
-        for name, edge_set in graph.edges.items():
-            if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
-                continue
-            mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
-            table = mlp.shares_of_ends(rounded[edge_set.sender_set], rounded[edge_set.receiver_set])
-            run = _EdgeRun(mlp, table, edges[name], masks.get(name), keep_edges)
-            sums = of_tiles(run, edge_set.pieces)
-            share = self.node_mlp.weight_of(1 + self.kinds.index(edge_set.kind))
-            hidden[edge_set.receiver_set].addmm_(joined(sums).to(self.node_mlp.precision), share.t())
-            new_edges[name] = edges[name]
-        return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges
-
-
-class _EdgeRun:
-    """Sums of the new edges of a piece at its receivers; what that needs of the weights is made once for all pieces."""
-
-    def __init__(self, mlp: EdgeMLP, table: Tensor, latents: Tensor, mask: Tensor | None, keep: bool) -> None:
-        self.mlp, self.table, self.latents, self.mask, self.keep = mlp, table, latents, mask, keep
-        self.of_edges, self.output = mlp.weight_of(EDGE).t(), mlp.output_layer()
-
-    def __call__(self, piece: EdgePiece) -> Tensor:
-        old = self.latents[piece.edges]
-        first = sum_of_rows(self.table, piece.ends).addmm_(old.to(self.mlp.precision), self.of_edges)
-        new = self.output(self.mlp.up_to_last(first))
-        sums = segment_sum(new if self.mask is None else new * self.mask[piece.edges], piece.receivers)
-        if self.keep:
-            old += new
-        return sums

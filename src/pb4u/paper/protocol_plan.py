@@ -22,7 +22,7 @@ from pb4u.paper.protocols import PROTOCOLS, Protocol
 from pb4u.paper.reference_energies import FLOOR_LEAD_IN, stored_floor
 from pb4u.paper.rollout import FPS, ModelRecord, RolloutJob, SceneRecord, Settings
 from pb4u.scene.catalogue import SEEDS, SceneName
-from pb4u.simulation.checkpoint import weights_file
+from pb4u.simulation.checkpoint import weights_file, weights_name
 from pb4u.simulation.models import load_simulator, looks_at, model_descriptions
 from pb4u.simulation.stepwise_simulator import QUICK_SOLVER, NetworkSimulator
 
@@ -376,7 +376,7 @@ def _models(request: EvaluationRequest, protocol: Protocol, device: str) -> tupl
     wanted = tuple(dict.fromkeys(request.models or protocol.models))
     missing = () if request.models else tuple(name for name in wanted if name not in model_descriptions())
     present = [name for name in wanted if name not in missing]
-    labels = [Path(name).stem if Path(name).suffix else name for name in present]
+    labels = [weights_name(Path(name)) if Path(name).suffix else name for name in present]
     # Checkpoints are often all called best: then each goes by its path.
     labels = [name if labels.count(label) > 1 else label for name, label in zip(present, labels, strict=True)]
     records = [_model(name, label, device) for name, label in zip(present, labels, strict=True)]

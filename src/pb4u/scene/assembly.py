@@ -20,14 +20,14 @@ from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.collision.remeshing import remesh
 from pb4u.errors import InputError, InputWarning, unknown_name
 from pb4u.garment.corrected_placement import CorrectedPlacement
-from pb4u.garment.diagnosis import require_fine, require_worn
+from pb4u.garment.diagnosis import require_fine, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
 from pb4u.garment.fit import RestBody, find_holder
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import layered, worn_order
-from pb4u.garment.library import build_garment, garment_names
+from pb4u.garment.library import SEWN, build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
@@ -114,7 +114,7 @@ def build_scene(run: Run) -> Scene:
     else:
         performance = _play(body, run)
     collider, frames, lead_in, notes = performance.body, performance.frames, run.lead_in, performance.notes
-    garments, specified = _load_garments(run.garments, body)
+    garments, specified = _load_garments(run.garments, body, run.as_recorded)
     places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
     dressed = [
         DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
@@ -144,16 +144,23 @@ def build_scene(run: Run) -> Scene:
 
 
 def _load_garments(
-    specified: Sequence[WornGarment], body: ShapedBody | VertexSequence
+    specified: Sequence[WornGarment], body: ShapedBody | VertexSequence, as_recorded: bool
 ) -> tuple[list[Garment], list[WornGarment]]:
     """The garments, pinned, and how each was asked for, in the order they are worn, inner first."""
     garments = []
     for each in specified:
         garment = _load_garment(each, body)
-        require_fine(garment, body)
+        # A recording is replayed as its authors did, on the meshes that they did it with.
+        require_fine(garment, body, accepted=as_recorded or _is_own_count(each, garment))
         garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
     order = worn_order(garments, [each.tucked for each in specified])
     return [garments[k] for k in order], [specified[k] for k in order]
+
+
+def _is_own_count(worn: WornGarment, garment: Garment) -> bool:
+    """Whether the user asked for just as many triangles as the garment was made with."""
+    is_built_in = str(worn.garment) in garment_names()
+    return worn.triangles == garment.triangle_count and garment.is_authors_mesh and not is_built_in
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,6 +330,7 @@ def _load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garme
     """The garment in its material, without the pins of the worn."""
     garment, triangles = worn.garment, worn.triangles
     if isinstance(garment, Garment):
+        require_near(garment, body)
         cloth = garment.material if worn.material is None else _load_material(worn.material)
         return _remeshed(garment, triangles).with_material(cloth)
     if not isinstance(garment, str | Path):
@@ -332,6 +340,9 @@ def _load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garme
     if entry is not None:
         read = resolve_name("pb4u.compat.garment_dictionary:read_dictionary_garment")
         return _worn(_remeshed(read(entry, cloth), triangles), body)
+    if loader := SEWN.get(Path(garment).suffix.lower()):
+        loaded = resolve_name(loader)(Path(garment), body, cloth, triangles)
+        return _held(loaded, body) if worn.pins is None else loaded
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
         if triangles is not None:
@@ -394,6 +405,11 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
     """A loaded garment with about `triangles` triangles; exports and pins follow the mesh it had."""
     if triangles is None or triangles == garment.triangle_count:
         return garment
+    if garment.rest_uv is not None:
+        raise InputError(
+            f"{garment.name} is sewn of flat panels, and is not remeshed as it hangs; dress its pattern with "
+            f"{triangles} triangles."
+        )
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
     uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
     simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)

@@ -28,6 +28,7 @@ _LAYOUT: Layout = {
     "metadata": ("U", ()),
     "uvs": ("f", ("uv points", 2)),
     "uv_faces": ("iu", ("faces", 3)),
+    "rest_uv": ("f", ("faces", 3, 2)),
     "polygon_sizes": ("iu", ("polygons",)),
     "polygon_corners": ("iu", ("corners",)),
     "polygon_uv_corners": ("iu", ("corners",)),

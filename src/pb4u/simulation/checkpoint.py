@@ -180,12 +180,25 @@ def save_tensors(
         raise InputError(f"Cannot write the checkpoint {path}: {error.strerror or error}.") from error
 
 
+_OF_A_TRAINING = ("best", "final", "last")
+"""Stems of the weights in the folder of a training, alike in all of them."""
+
+
+def weights_name(path: Path) -> str:
+    """What the weights of a file are called: its stem, after its folder where a training named the file.
+
+    Args:
+        path: path of the file.
+    """
+    return f"{path.resolve().parent.name}-{path.stem}" if path.stem in _OF_A_TRAINING else path.stem
+
+
 def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtype = torch.float32) -> Checkpoint:
     """Checkpoint in a file that `save_checkpoint` wrote.
 
     Args:
         path: path of the file.
-        name: name of the checkpoint; the file's stem by default.
+        name: name of the checkpoint; `weights_name` by default.
         dtype: precision of the model.
 
     Raises:
@@ -220,7 +233,7 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
         raise InputError(f"{path} has a header that this pb4u cannot read: {told_error(error)}") from error
     licence = metadata.get("licence", "unknown")
-    return built_checkpoint(name or path.stem, configuration, tensors, record, licence, dtype, path)
+    return built_checkpoint(name or weights_name(path), configuration, tensors, record, licence, dtype, path)
 
 
 class _NormalWeightsUndrawn(TorchFunctionMode):

@@ -140,7 +140,7 @@ class QuickSolverSimulator(StepwiseSimulator):
     What `NetworkSimulator` does with the solver in its loop, without the network: what a network has to beat there.
 
     Args:
-        refine: solver iterations a step at most; a step that they leave torn is made anew.
+        refine: solver iterations a step at most; a step that they leave overstretched is solved again.
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; settled by default.
         potential: the energies, and whether cloth feels cloth; the six terms by default.
