@@ -58,6 +58,7 @@ class EvaluationRequest:
         floors: run the solver on scenes whose floor is not stored.
         scenes: number of scenes to draw, of a protocol that draws them.
         seed: of the draws.
+        excess: also measure excess heights and distances from the solver; of the protocol `controls` always.
     """
 
     protocol: str = "resolution"
@@ -76,6 +77,7 @@ class EvaluationRequest:
     floors: bool = True
     scenes: int | None = None
     seed: int = 0
+    excess: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """The fields as JSON."""
@@ -149,6 +151,7 @@ def plan(request: EvaluationRequest) -> Plan:
         levels=tuple(levels),
         frames=request.frames or protocol.frames,
         steps=request.steps or protocol.steps,
+        excess=request.excess or protocol.excess,
     )
     motions = [_motion(name, request.recordings) for name in protocol.motions]
     device = _device(request.device)
@@ -189,9 +192,11 @@ def _combined_cases(
     for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, motions):
         scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
         floor = _solver_on(scene) if solver_runs else _floor(scene, motion, level, request)
+        if isinstance(floor, RolloutJob):
+            floor = replace(floor, excess=protocol.excess)
         for model in models:
             for steps in protocol.steps if model.adapts else (None,):
-                job = RolloutJob(scene, model, _settings(model, steps, request, device))
+                job = RolloutJob(scene, model, _settings(model, steps, request, device), protocol.excess)
                 cases.append(Case(level, motion.label, job, floor))
     return cases
 
@@ -211,7 +216,7 @@ def _drawn_cases(
         for model in models:
             for way, settings in _ways(model, device):
                 floor = RolloutJob(scene, _SOLVER, replace(settings, refine=0, device="cpu"))
-                job = RolloutJob(scene, replace(model, label=f"{model.label}{way}"), settings)
+                job = RolloutJob(scene, replace(model, label=f"{model.label}{way}"), settings, protocol.excess)
                 if model.name == "solver":
                     floor = job
                 cases.append(Case(level, motion.label, job, floor if request.floors else None, number))
@@ -362,7 +367,8 @@ def _settings(model: ModelRecord, steps: int | None, request: EvaluationRequest,
         return Settings(steps, request.refine, request.contact, device=device)
     if model.name == QUICK_SOLVER:
         return Settings(refine=request.refine or REFINE, contact=request.contact)
-    return Settings(contact=request.contact and looks_at(model.name, "contact"))
+    refine = request.refine if looks_at(model.name, "refine") else 0
+    return Settings(refine=refine, contact=request.contact and looks_at(model.name, "contact"))
 
 
 def _device(asked: str) -> str:

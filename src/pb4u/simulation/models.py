@@ -43,11 +43,14 @@ def model_descriptions() -> dict[str, str]:
     from pb4u.simulation.checkpoint import built_in_models
 
     descriptions = {name: _network_line(name) for name in built_in_models()}
+    if descriptions:
+        descriptions |= {
+            "gradient-descent": "control: the default network's start, search and passes with the gradient, no network",
+            "warm-start": "control: where the default network's steps start, and nothing after",
+        }
     descriptions |= {
         "solver": "minimises the physics energies each frame: the reference",
         "quick-solver": "at most --refine iterations of it a step, without a network: the fastest on a processor",
-        "gradient-descent": "control: the default network's start, search and passes with the gradient, no network",
-        "warm-start": "control: where the default network's steps start, and nothing after",
         "skinning": "no physics: the garment follows the body",
         "newton": "the cloth solver of the newton package"
         + ("" if find_spec("newton") else ' (needs the "newton" extra)'),
