@@ -202,3 +202,12 @@ def test_an_ffmpeg_that_fails_is_told(trajectory: Trajectory, tmp_path: Path, mo
     give_ffmpeg(tmp_path, monkeypatch, fails=True)
     with pytest.raises(Pb4uError, match="no space left"):
         write_mp4(trajectory, tmp_path / "t.mp4", view=View(width=64, height=96))
+
+
+def test_the_ffmpeg_extra_writes_h264(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("imageio_ffmpeg", reason='the "ffmpeg" extra is not installed')
+    monkeypatch.setattr("pb4u.export.video_writer.shutil.which", lambda name: None)
+    with open_video(tmp_path / "a.mp4", 25.0, (64, 64)) as video:
+        video.write(np.zeros((64, 64, 3), dtype=np.uint8))
+    assert video.codec.startswith("H.264")
+    assert b"avc1" in (tmp_path / "a.mp4").read_bytes()
