@@ -14,6 +14,7 @@ from PIL import Image
 from pb4u.errors import InputError, Pb4uError
 from pb4u.export.picture import render, write_mp4
 from pb4u.export.registry import export
+from pb4u.export.video_writer import open_video
 from pb4u.export.view import SIDES, View
 from pb4u.scene.trajectory import Trajectory
 
