@@ -70,6 +70,9 @@ FORMATS = (
         "pb4u.export.mesh_sequence:check_companion",
         "pb4u.export.mesh_sequence:cache_files",
     ),
+    Format(
+        (".abc",), "ABC (Alembic) is exact", "pb4u.export.alembic:write_alembic", "pb4u.export.alembic:check_alembic"
+    ),
     Format((".usdc", ".usda", ".usdz"), "USD is exact", "pb4u.export.usd:write_usd", "pb4u.export.usd:check_usd"),
     Format(
         (".pkl",),
