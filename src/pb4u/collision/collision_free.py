@@ -148,8 +148,8 @@ def past_obstacles(
     moves[: tree.first_obstacle] *= free[tree.vertex_world[: tree.first_obstacle], None]
     if closing:
         pairs, gaps = _met(tree, before, moves, passed, pairs)
-        hit = pairs.corners[free_shares(pairs, gaps, before, moves) < 1.0]
-        passed = passed | _met_by_obstacles(hit, tree.first_obstacle, len(moves))
+        met = pairs.corners[free_shares(pairs, gaps, before, moves) < 1.0]
+        passed = passed | _met_by_obstacles(met, tree.first_obstacle, len(moves))
     return before + moves, passed
 
 

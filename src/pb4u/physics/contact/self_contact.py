@@ -86,7 +86,7 @@ class ClothPairs:
             points, began = (np.concatenate([of, obstacle.before]) for of in (points, began))
             areas = np.concatenate([areas, obstacle.areas])
         pairs = tree.pairs(points, reach, way, None if known is None else known.pairs, lasting=True)
-        mixed = (pairs.corners >= tree.first_obstacle).any(axis=1)
+        mixed = np.asarray((pairs.corners >= tree.first_obstacle).any(axis=1))
         if obstacle is not None and obstacle.passed.any():
             kept = ~through_obstacle(pairs.corners, tree.first_obstacle, obstacle.passed)
             pairs, mixed = pairs.chosen(kept), mixed[kept]
