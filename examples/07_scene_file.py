@@ -27,20 +27,19 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("scene"), help="beginning of the names of the files to write")
     options = parser.parse_args()
 
-    # A description names things and loads nothing. What is left out has its default; what cannot be is refused here.
-    worn = [pb4u.GarmentSpecification(name, triangles=options.triangles) for name in options.garments]
-    scene = pb4u.SceneSpecification(tuple(worn), motion=options.motion, frames=options.frames)
-    run = pb4u.RunSpecification(scene, model=options.model)
+    # A run names things and loads nothing. What is left out has its default; what cannot be is refused here.
+    worn = [pb4u.WornGarment(name, triangles=options.triangles) for name in options.garments]
+    run = pb4u.Run(tuple(worn), motion=options.motion, frames=options.frames, model=options.model)
 
-    # Descriptions are never changed in place: replace() makes another one, and checks it again.
+    # Runs are never changed in place: replace() makes another one, and checks it again.
     for material in options.materials:
         garments = tuple(replace(each, material=material) for each in worn)
-        variant = replace(run, scene=replace(scene, garments=garments))
+        variant = replace(run, garments=garments)
         stem = f"{options.out}_{Path(material).stem}"
         file = variant.save(f"{stem}.toml")
 
         # The file holds the whole run: whoever opens it gets the same numbers.
-        again = pb4u.RunSpecification.open(file)
+        again = pb4u.Run.open(file)
         trajectory = again.simulate(f"{stem}.npz")
         hem = trajectory.positions[-1, :, 1].min()
         print(f"{file}: {trajectory.frame_count} frames in {material}, hem at {hem:.3f} m in the last one")

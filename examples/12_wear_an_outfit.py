@@ -30,8 +30,8 @@ def main() -> None:
 
     simulator = pb4u.load_simulator(options.model)
     for way, tucked in (("as_it_comes", ""), ("tucked_in", options.tuck)):
-        worn = [pb4u.GarmentSpecification(name) for name in options.garments]
-        worn = [pb4u.GarmentSpecification(each.garment, tucked=each.name == tucked) for each in worn]
+        worn = [pb4u.WornGarment(name) for name in options.garments]
+        worn = [pb4u.WornGarment(each.garment, tucked=each.name == tucked) for each in worn]
         scene = pb4u.make_scene(worn, motion=options.motion, triangles=options.triangles, frames=options.frames)
         print(f"{way}: {' under '.join(dressed.garment.name for dressed in scene.garments)}")
 

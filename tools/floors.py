@@ -1,9 +1,9 @@
-"""Computes the floor of every catalogue test scene: the energies that the solver reaches at its tolerance.
+"""Computes the reference energies of every catalogue test scene: what the solver reaches at its tolerance.
 
 python tools/floors.py [--levels base,11K] [--only test/tshirt/walk-2000,...] [--recordings FOLDER] [--frames 30]
 
-Results go to src/pb4u/evaluation/floors.json, one entry a scene, level and number of frames; entries already there are
-kept.
+Results go to src/pb4u/paper/reference_energies.json, one entry a scene, level and number of frames; entries already
+there are kept.
 """
 
 from __future__ import annotations

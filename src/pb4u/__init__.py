@@ -17,19 +17,37 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 _HOMES = {
+    "AnimatedBody": "pb4u.body.animated_body:AnimatedBody",
     "Body": "pb4u.body.body_model:ShapedBody",
+    "DressedGarment": "pb4u.scene.scene:DressedGarment",
+    "Frame": "pb4u.scene.trajectory:Frame",
     "Garment": "pb4u.garment.garment:Garment",
-    "GarmentSpecification": "pb4u.scene.specification:GarmentSpecification",
+    "GarmentSkinning": "pb4u.garment.garment:GarmentSkinning",
     "InputError": "pb4u.errors:InputError",
+    "InputWarning": "pb4u.errors:InputWarning",
+    "Interrupted": "pb4u.errors:Interrupted",
     "Material": "pb4u.garment.material:Material",
     "Motion": "pb4u.motion.motion:Motion",
+    "Panel": "pb4u.pattern.pattern:Panel",
+    "Pattern": "pb4u.pattern.pattern:Pattern",
     "Pb4uError": "pb4u.errors:Pb4uError",
-    "RunSpecification": "pb4u.simulation.run_specification:RunSpecification",
+    "PolygonMesh": "pb4u.geometry.mesh_file:PolygonMesh",
+    "Progress": "pb4u.progress:Progress",
+    "Run": "pb4u.run:Run",
+    "RunRecord": "pb4u.simulation.simulator:RunRecord",
     "Scene": "pb4u.scene.scene:Scene",
-    "SceneSpecification": "pb4u.scene.specification:SceneSpecification",
+    "Seam": "pb4u.pattern.pattern:Seam",
     "Simulator": "pb4u.simulation.simulator:Simulator",
+    "SourceMap": "pb4u.garment.garment:SourceMap",
+    "State": "pb4u.scene.state:State",
     "Trajectory": "pb4u.scene.trajectory:Trajectory",
+    "TrajectoryHeader": "pb4u.scene.trajectory:TrajectoryHeader",
+    "VertexSequence": "pb4u.body.vertex_sequence:VertexSequence",
+    "View": "pb4u.export.view:View",
+    "WornGarment": "pb4u.run:WornGarment",
+    "body_from_arrays": "pb4u.body.vertex_sequence:body_from_arrays",
     "build_garment": "pb4u.garment.library:build_garment",
+    "dress": "pb4u.pattern.dressing:dress",
     "export_trajectory": "pb4u.export.registry:export",
     "load_body": "pb4u.body.library:load_body",
     "load_motion": "pb4u.motion.library:load_motion",
@@ -37,22 +55,42 @@ _HOMES = {
     "make_scene": "pb4u.scene.assembly:make_scene",
     "measure": "pb4u.measures.metrics:measure",
     "read_garment": "pb4u.garment.garment_file:read_garment",
+    "read_pattern": "pb4u.pattern.garmentcode:read_pattern",
+    "unheard": "pb4u.progress:unheard",
 }
 
 __all__ = [
+    "AnimatedBody",
     "Body",
+    "DressedGarment",
+    "Frame",
     "Garment",
-    "GarmentSpecification",
+    "GarmentSkinning",
     "InputError",
+    "InputWarning",
+    "Interrupted",
     "Material",
     "Motion",
+    "Panel",
+    "Pattern",
     "Pb4uError",
-    "RunSpecification",
+    "PolygonMesh",
+    "Progress",
+    "Run",
+    "RunRecord",
     "Scene",
-    "SceneSpecification",
+    "Seam",
     "Simulator",
+    "SourceMap",
+    "State",
     "Trajectory",
+    "TrajectoryHeader",
+    "VertexSequence",
+    "View",
+    "WornGarment",
+    "body_from_arrays",
     "build_garment",
+    "dress",
     "export_trajectory",
     "load_body",
     "load_motion",
@@ -60,27 +98,37 @@ __all__ = [
     "make_scene",
     "measure",
     "read_garment",
+    "read_pattern",
+    "unheard",
 ]
 
 if TYPE_CHECKING:
+    from pb4u.body.animated_body import AnimatedBody
     from pb4u.body.body_model import ShapedBody as Body
     from pb4u.body.library import load_body
-    from pb4u.errors import InputError, Pb4uError
+    from pb4u.body.vertex_sequence import VertexSequence, body_from_arrays
+    from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
     from pb4u.export.registry import export as export_trajectory
-    from pb4u.garment.garment import Garment
+    from pb4u.export.view import View
+    from pb4u.garment.garment import Garment, GarmentSkinning, SourceMap
     from pb4u.garment.garment_file import read_garment
     from pb4u.garment.library import build_garment
     from pb4u.garment.material import Material
+    from pb4u.geometry.mesh_file import PolygonMesh
     from pb4u.measures.metrics import measure
     from pb4u.motion.library import load_motion
     from pb4u.motion.motion import Motion
+    from pb4u.pattern.dressing import dress
+    from pb4u.pattern.garmentcode import read_pattern
+    from pb4u.pattern.pattern import Panel, Pattern, Seam
+    from pb4u.progress import Progress, unheard
+    from pb4u.run import Run, WornGarment
     from pb4u.scene.assembly import make_scene
-    from pb4u.scene.scene import Scene
-    from pb4u.scene.specification import GarmentSpecification, SceneSpecification
-    from pb4u.scene.trajectory import Trajectory
+    from pb4u.scene.scene import DressedGarment, Scene
+    from pb4u.scene.state import State
+    from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
     from pb4u.simulation.models import load_simulator
-    from pb4u.simulation.run_specification import RunSpecification
-    from pb4u.simulation.simulator import Simulator
+    from pb4u.simulation.simulator import RunRecord, Simulator
 
 
 def __getattr__(name: str) -> Any:

@@ -58,16 +58,17 @@ class InputWarning(UserWarning):
     """An input is unusual but usable; the message is one plain sentence."""
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
+def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") -> InputError:
     """Error for a name that is none of the `known`, with the names nearest to it.
 
     Args:
         kind: kind of thing that was named, such as "garment".
         name: name that was given.
         known: every name there is.
+        where: section that holds things of the kind, such as "[scene]".
     """
     names = list(known)
     near = get_close_matches(name.lower(), names, n=3, cutoff=0.5)
     rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names[:_LISTED])}{rest}."
-    return InputError(f"There is no {kind} {name!r}; {hint}")
+    return InputError(f"{f'{where} has' if where else 'There is'} no {kind} {name!r}; {hint}")

@@ -281,3 +281,11 @@ def test_a_broken_obj_is_refused(line: str, tmp_path: Path, box: tuple[np.ndarra
     path.write_text(path.read_text() + line + "\n")
     with pytest.raises(InputError, match=r"body\.obj"):
         load_vertex_sequence(path)
+
+
+def test_centimetres_are_told_by_the_size_of_a_person(tmp_path):
+    box = trimesh.creation.box((0.5, 1.7, 0.3))
+    write_vertex_sequence(tmp_path / "mhr.npz", 100.0 * np.stack([box.vertices] * 2), box.faces, 30.0)
+    with pytest.warns(InputWarning, match="it measures 170, so it is taken to be in centimetres"):
+        sequence = load_vertex_sequence(tmp_path / "mhr.npz")
+    assert np.ptp(sequence.positions(0, 1).numpy(), axis=1).max() == pytest.approx(1.7)

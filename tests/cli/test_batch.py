@@ -46,14 +46,14 @@ def test_a_dataset_is_planned_made_and_told(pb4u: Callable, jobs: Callable[[str]
 def test_failed_clips_are_listed_and_end_with_1(pb4u: Callable, jobs: Callable[[str], Path]) -> None:
     ended = pb4u("batch", jobs(SMALL.replace("1000", "10") + "[[clips]]\n"), "--out", "set")
     assert ended.code == 1
-    assert "failed: tshirt in default on woman, own, seed 0: A built-in garment has between" in ended.err
+    assert "failed: tshirt in default on woman, walk, seed 0: A built-in garment has between" in ended.err
     assert ended.err.splitlines()[-1].startswith("pb4u: 1 of 1 clips failed; the index lists them")
 
 
 @pytest.mark.parametrize(
     ("text", "flags", "says"),
     [
-        ("[fixed]\ngarmet = 'dress'\n[[clips]]\n", (), "no entry of [fixed] 'garmet'; did you mean garment"),
+        ("[fixed]\ngarmet = 'dress'\n[[clips]]\n", (), "[fixed] has no entry 'garmet'; did you mean garment"),
         (
             "[product]\nseed = { first = 0, count = 1000000 }\n",
             (),
@@ -73,3 +73,26 @@ def test_bad_input_is_one_sentence(
     (sentence,) = ended.err.splitlines()
     assert says in sentence
     assert not Path("set").exists()
+
+
+def test_help_keeps_brackets_and_whole_names(pb4u: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    told = " ".join(pb4u("batch", "--help").out.split())
+    assert "[fixed] entries of scene files, lists in [product]" in told
+    assert "[[clips]] one by one" in told
+    assert "--propagation-steps" in pb4u("simulate", "--help").out
+
+
+def test_a_broken_jobs_file_is_named_once(pb4u: Callable, jobs: Callable[[str], Path]) -> None:
+    ended = pb4u("batch", jobs("[fixed"), "--out", "set")
+    assert ended.err.count("jobs.toml") == 1
+    assert "cannot be read as TOML" in ended.err
+
+
+def test_diverged_clips_are_told_at_the_end(pb4u: Callable, jobs: Callable[[str], Path], monkeypatch) -> None:
+    from pb4u.measures import run_report
+
+    measured = run_report.measure
+    monkeypatch.setattr(run_report, "measure", lambda *given: {**measured(*given), "diverged": True})
+    ended = pb4u("batch", jobs(SMALL + "[[clips]]\n"), "--out", "set")
+    assert "warning: 1 of 1 clips diverged" in ended.err

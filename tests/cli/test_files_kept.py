@@ -18,11 +18,12 @@ from tests.garment.cloth_shapes import quad_tube, saved
 
 from pb4u.errors import Interrupted
 from pb4u.io.atomic_file import MARK, replace_file, sweep, working_folder
+from pb4u.run import Run
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.simulation.run_simulation import roll_out
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 
 PB4U = [sys.executable, "-c", "from pb4u.cli.main import main; main()"]
@@ -175,8 +176,8 @@ def test_an_interrupt_keeps_the_frames_until_then(tmp_path: Path, to_file: bool)
             raise KeyboardInterrupt
 
     with pytest.raises(Interrupted, match=f"the first 3 frames are in {kept}"):
-        RunSpecification().roll_out(
-            SkinningSimulator(), scene, tmp_path / "a.npz" if to_file else None, progress=stop, interrupted=kept
+        roll_out(
+            Run(), SkinningSimulator(), scene, tmp_path / "a.npz" if to_file else None, progress=stop, interrupted=kept
         )
     np.testing.assert_array_equal(Trajectory.open(kept).positions, whole.positions[:3])
     assert {p.name for p in tmp_path.iterdir()} == {"a.npz", kept.name}
@@ -198,14 +199,14 @@ class InCompiledCode(SkinningSimulator):
 
 def test_an_interrupt_in_compiled_code_is_one(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(RunSpecification, "simulator", lambda _: InCompiledCode())
+    monkeypatch.setattr("pb4u.simulation.models.simulator_of", lambda _: InCompiledCode())
     ended = pb4u("simulate", "--triangles", 1000, "--lead-in", 0, "--frames", 9, "--out", "a.npz")
     assert (ended.code, ended.err) == (143, "pb4u: interrupted; the first 4 frames are in a.interrupted.npz.\n")
 
     def broken(*_: object) -> None:
         raise SystemError("before the first frame") from Interrupted(signal=15)
 
-    monkeypatch.setattr(RunSpecification, "assemble", broken)
+    monkeypatch.setattr("pb4u.simulation.run_simulation.scene_for", broken)
     ended = pb4u("simulate", "--out", "b.npz")
     assert (ended.code, ended.err) == (143, "pb4u: interrupted; nothing was written.\n")
 

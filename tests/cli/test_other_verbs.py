@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +14,10 @@ from tests.garment.cloth_shapes import saved, triangle_tube
 
 import pb4u as package
 from pb4u.body.library import load_body
+from pb4u.body.vertex_sequence import write_vertex_sequence
+from pb4u.garment.library import build_garment
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.obj_file import read_obj
+from pb4u.geometry.obj_file import read_obj, write_obj
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import SkinningSimulator
@@ -67,7 +70,7 @@ def test_convert_warns_of_a_range_beyond_the_end(pb4u: Callable, walk: Path, tmp
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("walk.npz", "b.xyz"), "end it in one of"),
+        (("walk.npz", "b.xyz"), "end the name of the file in one of"),
         (("absent.npz", "b.obj"), "no trajectory file"),
         (("walk.npz", "absent/b.obj"), "does not exist"),
         (("walk.npz", "b.obj", "--range", "9:12"), "frames 0 to 5"),
@@ -237,7 +240,7 @@ def test_check_says_that_it_leaves_the_triangles_of_a_file(pb4u: Callable, tmp_p
 def test_a_built_in_garment_is_not_mended(pb4u: Callable, tmp_path: Path) -> None:
     ended = pb4u("check", "tshirt", "--fix", tmp_path / "m.obj")
     assert ended.code == 1
-    assert "mends a garment from a file" in ended.err
+    assert "mends a garment from a mesh file" in ended.err
 
 
 def test_check_names_faults_and_ends_with_1(pb4u: Callable, tmp_path: Path) -> None:
@@ -297,3 +300,19 @@ def test_the_version_is_told_before_anything_else(pb4u: Callable) -> None:
 def test_help_says_what_has_to_be_known(pb4u: Callable, verb: tuple[str, ...], says: tuple[str, ...]) -> None:
     text = " ".join(pb4u(*verb, "--help").out.replace("│", " ").split())
     assert [phrase for phrase in says if phrase not in text] == []
+
+
+def test_check_reads_a_garment_of_a_dictionary_and_names_the_body_file(pb4u: Callable, tmp_path: Path) -> None:
+    woman = load_body("woman")
+    shirt = build_garment("tshirt", woman, 2500)
+    fields = {"rest_pos": shirt.vertices - [0.0, woman.lift, 0.0], "faces": shirt.faces}
+    (tmp_path / "all.pkl").write_bytes(pickle.dumps({"shirt": fields}))
+    ended = pb4u("check", f"{tmp_path}/all.pkl:shirt")
+    assert ended.code == 0, ended.err
+    body = tmp_path / "my body.npz"
+    write_vertex_sequence(body, woman.vertices[None], woman.faces, 30.0)
+    far = tmp_path / "far.obj"
+    write_obj(far, PolygonMesh(100.0 * shirt.vertices, tuple(shirt.faces)))
+    ended = pb4u("check", far, "--body", body)
+    assert f"--body '{body}'" in ended.out
+    assert "--body BODY" not in ended.out

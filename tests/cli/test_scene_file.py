@@ -10,13 +10,12 @@ import pytest
 from tests.garment.cloth_shapes import saved as cloth_file
 from tests.garment.cloth_shapes import triangle_tube
 
-from pb4u.scene.specification import GarmentSpecification
+from pb4u.run import Run, WornGarment
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.run_specification import RunSpecification
 
 SMALL = ("--triangles", 400, "--lead-in", 0, "--model", "skinning", "--frames", 2)
 
-Saved = Callable[..., RunSpecification]
+Saved = Callable[..., Run]
 
 
 class Stopped(Exception):
@@ -31,14 +30,14 @@ def stop(*_: object) -> None:
 def saved(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Saved:
     """The description that a call would run."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("pb4u.scene.assembly.assemble", lambda scene: scene)
+    monkeypatch.setattr("pb4u.simulation.run_simulation.build_scene", lambda run: run)
     monkeypatch.setattr("pb4u.cli.simulate._trajectory", stop)
 
-    def call(*arguments: object) -> RunSpecification:
+    def call(*arguments: object) -> Run:
         Path("saved.toml").unlink(missing_ok=True)
         with pytest.raises(Stopped):
             pb4u("simulate", "--model", "skinning", *arguments, "--save-scene", "saved.toml")
-        return RunSpecification.open("saved.toml")
+        return Run.open("saved.toml")
 
     return call
 
@@ -55,7 +54,7 @@ def test_a_saved_scene_runs_to_the_same_bytes(pb4u: Callable, tmp_path: Path, mo
 
 
 def test_without_flags_or_file_everything_has_its_default(saved: Saved) -> None:
-    assert saved() == RunSpecification(model="skinning")
+    assert saved() == Run(model="skinning")
 
 
 def test_flags_win_over_the_file(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,11 +76,11 @@ def test_a_flag_also_replaces_what_belonged_to_what_it_replaces(saved: Saved) ->
         '[scene]\nbody = "man"\nbody_shape = { height = 0.7, weight = 0.2 }\nmotion = "a.bvh"\ncrop = [3, 9]\n'
         'keep_lead_in = true\n[[garments]]\ngarment = "skirt"\npins = "hem"\n'
     )
-    assert saved("scene.toml", "--garment", "dress").scene.garments == (GarmentSpecification("dress"),)
-    kept = saved("scene.toml", "--body-shape", "height=0.1").scene
+    assert saved("scene.toml", "--garment", "dress").garments == (WornGarment("dress"),)
+    kept = saved("scene.toml", "--body-shape", "height=0.1")
     assert (kept.body, kept.body_shape) == ("man", {"height": 0.1, "weight": 0.2})
     assert (kept.crop, kept.keep_lead_in, kept.garments[0].pins) == ((3, 9), True, "hem")
-    other = saved("scene.toml", "--body", "woman", "--motion", "dance", "--drop-lead-in").scene
+    other = saved("scene.toml", "--body", "woman", "--motion", "dance", "--drop-lead-in")
     assert (other.body_shape, other.crop, other.keep_lead_in) == ({}, None, False)
 
 
@@ -120,10 +119,10 @@ def test_two_garments_are_simulated_and_told_apart(
 def test_a_flag_is_for_all_garments_or_for_each(saved: Saved, flags: tuple[str, ...], materials: list) -> None:
     given = [part for flag in flags for part in ("--material", flag)]
     run = saved("--garment", "tanktop", "--garment", "cardigan", *given, "--triangles", "tanktop=900", "--pins", "none")
-    assert [each.garment for each in run.scene.garments] == ["tanktop", "cardigan"]
-    assert [each.material for each in run.scene.garments] == materials
-    assert [each.triangles for each in run.scene.garments] == [900, None]
-    assert [each.pins for each in run.scene.garments] == ["none", "none"]
+    assert [each.garment for each in run.garments] == ["tanktop", "cardigan"]
+    assert [each.material for each in run.garments] == materials
+    assert [each.triangles for each in run.garments] == [900, None]
+    assert [each.pins for each in run.garments] == ["none", "none"]
 
 
 @pytest.mark.parametrize(
@@ -131,15 +130,15 @@ def test_a_flag_is_for_all_garments_or_for_each(saved: Saved, flags: tuple[str, 
     [
         (("--material", "silk", "--material", "wool"), "--material is given 2 times, and the garments are 1"),
         (("--garment", "tanktop", "--material", "tshirt=silk"), "no garment in this scene 'tshirt'"),
-        (("--material", "tshirt=silk", "--material", "tshirt=wool"), "given 2 times for it"),
+        (("--material", "tshirt=silk", "--material", "tshirt=wool"), "does not say which: it is given 2 times"),
         (("--garment", "tshirt", "--garment", "tshirt"), "tshirt is worn twice"),
         (tuple(x for k in range(30) for x in ("--garment", f"{k}.obj")), "At most 8 garments are worn over each other"),
         (("--garment", "tshirt", "--tuck", "shirt"), "no garment in this scene 'shirt'; did you mean tshirt"),
         (("--garment", "tshirt", "--tuck", "tshirt"), "tshirt cannot be tucked in: no other garment has"),
         (("--garment", "tshirt", "--self-contact", "on"), "so --self-contact cannot be on"),
-        (("--garment", "a/x.obj", "--garment", "b/x.obj", "--pins", "x=hem"), "the scene has 2 of that name"),
+        (("--garment", "a/x.obj", "--garment", "b/x.obj", "--pins", "x=hem"), "the scene has 2 garments of that name"),
         (("absent.toml",), "no scene file absent.toml"),
-        (("wrong.toml",), "wrong.toml: There is no entry of [scene] 'frame'; did you mean frames"),
+        (("wrong.toml",), "wrong.toml: [scene] has no entry 'frame'; did you mean frames"),
         (("--save-scene", "absent/s.toml"), "absent for --save-scene does not exist"),
     ],
 )
@@ -163,7 +162,7 @@ def test_values_that_are_none_end_with_2(pb4u: Callable, flags: tuple[str, str])
 
 
 def test_shapes_given_apart_add_up_and_the_same_key_twice_is_refused(pb4u: Callable, saved: Saved) -> None:
-    assert saved("--body-shape", "height=0.7", "--body-shape", "weight=0.4").scene.body_shape == {
+    assert saved("--body-shape", "height=0.7", "--body-shape", "weight=0.4").body_shape == {
         "height": 0.7, "weight": 0.4,
     }  # fmt: skip
     for verb in (("simulate",), ("check", "tshirt")):
@@ -181,13 +180,12 @@ def test_every_entry_has_a_flag(saved: Saved) -> None:
     assert run.precision == "bfloat16"
     assert (run.first_frame, run.refine, run.passes, run.propagation_steps) == ("settled", 3, 2, 7)
     assert (run.model, run.contact, run.self_contact, run.device) == ("pb4u-small", False, False, "cpu")
-    scene = run.scene
-    assert (scene.arms_away, scene.seed, scene.lead_in, scene.fps, scene.frames) == (4, 9, 2, 24, 5)
+    assert (run.arms_away, run.seed, run.lead_in, run.fps, run.frames) == (4, 9, 2, 24, 5)
 
 
 def test_a_file_whose_name_holds_an_equals_sign_is_a_file(saved: Saved) -> None:
     Path("a=b.json").write_text("{}")
-    assert str(saved("--material", "a=b.json").scene.garments[0].material) == "a=b.json"
+    assert str(saved("--material", "a=b.json").garments[0].material) == "a=b.json"
 
 
 def test_a_garment_is_tucked_into_the_trousers(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -195,7 +193,7 @@ def test_a_garment_is_tucked_into_the_trousers(pb4u: Callable, tmp_path: Path, m
     flags = ("--garment", "trousers", "--garment", "tanktop", "--tuck", "tanktop", "--save-scene", "s.toml")
     ended = pb4u("simulate", *SMALL, *flags, "--out", "a.npz")
     assert ended.code == 0, ended.err
-    assert [each.tucked for each in RunSpecification.open("s.toml").scene.garments] == [False, True]
+    assert [each.tucked for each in Run.open("s.toml").garments] == [False, True]
     made = Trajectory.open("a.npz").metadata
     assert made["garment"] == "tanktop+trousers"
     assert [each["source"] for each in made["garments"]] == ["tanktop", "trousers"]

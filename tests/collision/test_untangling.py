@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.baselines import readable_contours as readable
 from tests.network_scenes import sheet
+from tests.paper import readable_contours as readable
 
 from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.collision.crossings import piercings, self_crossings

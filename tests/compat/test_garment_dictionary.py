@@ -20,8 +20,8 @@ from pb4u.errors import InputError
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.material import MATERIALS
 from pb4u.io.restricted_pickle import load_pickle
-from pb4u.scene.assembly import assemble
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+from pb4u.run import Run, WornGarment
+from pb4u.scene.assembly import build_scene
 
 
 def garment_fields(rows: int = 5, columns: int = 4, bones: int = 24) -> dict[str, Any]:
@@ -192,11 +192,9 @@ def test_a_garment_of_a_dictionary_is_worn_at_any_triangle_count(compat: Path, g
     files = compat / "files"
 
     def scene(triangles: int | None) -> Any:
-        worn = GarmentSpecification(f"{files}/{garment}", triangles=triangles)
-        return assemble(
-            SceneSpecification(
-                (worn,), body=files / "SMPL_FEMALE.pkl", motion=files / "recording.pkl", as_recorded=True, lead_in=0
-            )
+        worn = WornGarment(f"{files}/{garment}", triangles=triangles)
+        return build_scene(
+            Run((worn,), body=files / "SMPL_FEMALE.pkl", motion=files / "recording.pkl", as_recorded=True, lead_in=0)
         ).garments[0]
 
     given, finer = scene(None), scene(4000)

@@ -15,8 +15,8 @@ from pb4u.body.smpl import read_contact
 from pb4u.compat.recording_as_released import RecordingAsItIs, read_smpl_sequence
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between
-from pb4u.scene.assembly import assemble
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+from pb4u.run import Run, WornGarment
+from pb4u.scene.assembly import build_scene
 
 
 def recording(frames: int = 4) -> dict[str, Any]:
@@ -94,9 +94,9 @@ def test_files_of_other_kinds_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="30 or more"):
         RecordingAsItIs(tmp_path / "slow.npz")
     with pytest.raises(InputError, match="another skeleton"):
-        assemble(SceneSpecification(motion=written(tmp_path / "a.pkl", recording()), as_recorded=True))
+        build_scene(Run(motion=written(tmp_path / "a.pkl", recording()), as_recorded=True))
     with pytest.raises(InputError, match="give its file"):
-        assemble(SceneSpecification(motion="walk", as_recorded=True))
+        build_scene(Run(motion="walk", as_recorded=True))
 
 
 def test_body_vertices_are_left_out_of_contact_by_file(tmp_path: Path) -> None:
@@ -120,9 +120,9 @@ def test_body_and_garment_are_where_the_released_code_puts_them(
     compat: Path, case: str, degrees: float, garment: str
 ) -> None:
     files, golden = compat / "files", np.load(compat / "golden/recording_frames.npz")
-    scene = assemble(
-        SceneSpecification(
-            (GarmentSpecification(f"{files}/{garment}"),),
+    scene = build_scene(
+        Run(
+            (WornGarment(f"{files}/{garment}"),),
             body=files / "SMPL_FEMALE.pkl",
             motion=files / "recording.pkl",
             as_recorded=True,

@@ -25,8 +25,8 @@ from pb4u.errors import InputError, MissingExtraError, Pb4uError
 from pb4u.jobs import job_folder
 from pb4u.jobs.job import Failure
 from pb4u.jobs.worker_pool import LocalPool, RayPool, WorkerPool
+from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.run_specification import RunSpecification
 
 parquet = pytest.importorskip("pyarrow.parquet", reason='needs the "dataset" extra')
 
@@ -35,8 +35,8 @@ NOTED = "PB4U_TEST_CLIPS_BEGUN"
 """Names the file that workers note clips in."""
 
 
-def runs(count: int = 3, **entries: Any) -> list[RunSpecification]:
-    return [RunSpecification().with_entries({**SMALL, "seed": seed, **entries}, Path()) for seed in range(count)]
+def runs(count: int = 3, **entries: Any) -> list[Run]:
+    return [Run().with_entries({**SMALL, "seed": seed, **entries}, Path()) for seed in range(count)]
 
 
 class Here(WorkerPool):
@@ -54,7 +54,7 @@ class Here(WorkerPool):
 
     def next_outcome(self) -> tuple[ClipJob, Clip | Failure | None]:
         job = self._waiting.pop()
-        self.did.append(job.run.scene.seed)
+        self.did.append(job.run.seed)
         return job, self._attempt(job)
 
     def close(self) -> None:
@@ -62,7 +62,7 @@ class Here(WorkerPool):
 
 
 def make(
-    wanted: list[RunSpecification],
+    wanted: list[Run],
     out: Path,
     attempt: Callable = attempt,
     layout: Layout | None = None,
@@ -76,10 +76,10 @@ def make(
 
 def quick(job: ClipJob) -> Clip | Failure:
     """Clips without a simulation: a few bytes, and the record that the index reads; seed 2 is refused."""
-    if job.run.scene.seed == 2:
+    if job.run.seed == 2:
         return Failure("It is refused.", "")
     record = {**job.labels, "metrics": {}, "metrics_paper": {}, "garments": [], "diverged": False, "seconds": 2.0}
-    return Clip({**record, "bytes": 5, "frames": 2}, f"clip{job.run.scene.seed}".encode())
+    return Clip({**record, "bytes": 5, "frames": 2}, f"clip{job.run.seed}".encode())
 
 
 def rows(out: Path) -> list[dict]:
@@ -95,7 +95,7 @@ def test_every_label_and_metric_is_in_the_index_and_the_clips_open(tmp_path: Pat
         "tanktop+skirt",
         "silk+wool",
         "woman",
-        "own",
+        "walk",
     )
     assert (dict(two["body_shape"]), two["seed"], two["status"], two["failure"]) == ({"height": 0.7}, 0, "done", None)
     assert [each["density"] for each in two["garments"]] == pytest.approx([0.06, 0.28])
@@ -234,7 +234,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_made_twice(
 def dies_once(job: ClipJob) -> Clip | Failure:
     """A worker that is killed over seed 1, the first time."""
     begun = Path(os.environ[NOTED])
-    seed = str(job.run.scene.seed)
+    seed = str(job.run.seed)
     first = seed not in (begun.read_text().split() if begun.exists() else ())
     with begun.open("a") as stream:
         stream.write(seed + "\n")
@@ -245,7 +245,7 @@ def dies_once(job: ClipJob) -> Clip | Failure:
 
 def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
     def interrupted(job: ClipJob) -> Clip | Failure:
-        if job.run.scene.seed == 1:
+        if job.run.seed == 1:
             raise KeyboardInterrupt
         return quick(job)
 
@@ -332,7 +332,7 @@ def test_clips_belong_to_the_content_of_their_files(tmp_path: Path) -> None:
         file.parent.mkdir(exist_ok=True)
         cloth = {"density": density, "lame_mu": 3e4, "lame_lambda": 4e4, "bending": 2e-5}
         file.write_text(json.dumps(cloth))
-        return plan_clips([RunSpecification().with_entries({**SMALL, "material": str(file)}, Path())], False, print)[0]
+        return plan_clips([Run().with_entries({**SMALL, "material": str(file)}, Path())], False, print)[0]
 
     here, there = planned("here", 0.2), planned("there", 0.2)
     assert here.key == there.key
@@ -348,7 +348,7 @@ def test_clips_belong_to_the_content_of_their_files(tmp_path: Path) -> None:
 )
 def test_other_work_has_another_address(other: dict) -> None:
     def key(**entries: Any) -> str:
-        return plan_clips([RunSpecification().with_entries({**SMALL, **entries}, Path())], False, print)[0].key
+        return plan_clips([Run().with_entries({**SMALL, **entries}, Path())], False, print)[0].key
 
     assert key() == key()
     assert key(**other) != key()
@@ -381,3 +381,28 @@ def test_pandas_and_duckdb_read_the_index(tmp_path: Path) -> None:
     query = f"select garment, count(*), sum(bytes) from '{index}' where status = 'done' group by garment"
     assert duckdb.sql(query).fetchall() == [("tshirt", 3, 15)]
     assert io.BytesIO(index.read_bytes()).read(4) == b"PAR1"
+
+
+def test_a_clip_without_a_motion_is_labelled_with_what_the_body_performs(tmp_path: Path) -> None:
+    made, _, said = make([*runs(1), *runs(1, motion="walk")], tmp_path / "set", quick)
+    assert (made["clips"], [row["motion"] for row in rows(tmp_path / "set")]) == (1, ["walk"])
+    assert any("described twice" in sentence for sentence in said)
+
+
+def test_diverged_clips_and_notes_are_summed(tmp_path: Path) -> None:
+    def noted(job: ClipJob) -> Clip:
+        made = quick(job)
+        assert isinstance(made, Clip)
+        seed = job.run.scene.seed
+        notes = [f"{seed} of 4 vertices were moved."] + ["It rained."] * (seed == 1)
+        return Clip({**made.record, "diverged": seed == 1, "notes": notes}, made.trajectory)
+
+    made, _, _ = make(runs(2), tmp_path / "set", noted)
+    assert made["diverged"] == 1
+    assert [each["clips"] for each in made["notes"]] == [2, 1]
+    assert made["notes"][1]["sentence"] == "It rained."
+
+
+def test_a_refusal_names_file_and_clip(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^jobs\.toml: clip 2 \(tshirt in linen on woman.*no material.*'linen'"):
+        make([*runs(1), *runs(1, material="linen")], tmp_path / "set", quick, jobs_file="jobs.toml")

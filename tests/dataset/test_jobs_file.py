@@ -8,11 +8,10 @@ import pytest
 
 from pb4u.dataset.jobs_file import read_jobs
 from pb4u.errors import InputError
-from pb4u.scene.specification import GarmentSpecification
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run, WornGarment
 
 
-def jobs(folder: Path, text: str, name: str = "jobs.toml", most: int = 1000) -> tuple[RunSpecification, ...]:
+def jobs(folder: Path, text: str, name: str = "jobs.toml", most: int = 1000) -> tuple[Run, ...]:
     (folder / name).write_text(text)
     return read_jobs(folder / name, most)
 
@@ -35,12 +34,12 @@ def test_a_product_is_every_combination_and_lists_follow(tmp_path: Path) -> None
         """,
     )
     assert len(runs) == 9
-    named = [tuple(each.name for each in run.scene.garments) for run in runs]
+    named = [tuple(each.name for each in run.garments) for run in runs]
     assert named == [("tshirt",)] * 4 + [("tanktop", "cardigan")] * 4 + [("skirt",)]
-    assert [run.scene.seed for run in runs[:3]] == [3, 4, 3]
-    assert [run.scene.motion for run in runs[:3]] == ["walk", "walk", tmp_path / "recordings/07_02.amc"]
+    assert [run.seed for run in runs[:3]] == [3, 4, 3]
+    assert [run.motion for run in runs[:3]] == ["walk", "walk", tmp_path / "recordings/07_02.amc"]
     assert {run.model for run in runs} == {"solver"}
-    assert (runs[-1].scene.frames, runs[-1].scene.body_shape) == (9, {"height": 0.7})
+    assert (runs[-1].frames, runs[-1].body_shape) == (9, {"height": 0.7})
 
 
 def test_lists_within_lists_are_one_for_each_garment(tmp_path: Path) -> None:
@@ -48,22 +47,22 @@ def test_lists_within_lists_are_one_for_each_garment(tmp_path: Path) -> None:
         tmp_path,
         '[[clips]]\ngarment = ["tanktop", "cardigan"]\nmaterial = ["silk", "wool"]\ntriangles = 500\npins = "none"\n',
     )
-    assert run.scene.garments == (
-        GarmentSpecification("tanktop", "silk", "none", 500), GarmentSpecification("cardigan", "wool", "none", 500)
+    assert run.garments == (
+        WornGarment("tanktop", "silk", "none", 500), WornGarment("cardigan", "wool", "none", 500)
     )  # fmt: skip
     (pinned,) = jobs(tmp_path, '[[clips]]\ngarment = ["tanktop", "cardigan"]\npins = [0, 1, 2]\n')
-    assert [each.pins for each in pinned.scene.garments] == [(0, 1, 2)] * 2
+    assert [each.pins for each in pinned.garments] == [(0, 1, 2)] * 2
 
 
 def test_a_scene_file_is_a_beginning_that_entries_change(tmp_path: Path) -> None:
     scene = '[scene]\nframes = 5\nbody = "man"\nbody_shape = { height = 0.2 }\n[[garments]]\ngarment = "skirt"\n'
     (tmp_path / "outfit.toml").write_text(scene)
     same, other = jobs(tmp_path, '[fixed]\nscene = "outfit.toml"\n[product]\nbody = ["man", "woman"]\n')
-    assert same.scene.garments == other.scene.garments == (GarmentSpecification("skirt"),)
-    assert (same.scene.body_shape, other.scene.body_shape) == ({}, {})
+    assert same.garments == other.garments == (WornGarment("skirt"),)
+    assert (same.body_shape, other.body_shape) == ({}, {})
     (kept,) = jobs(tmp_path, '[[clips]]\nscene = "outfit.toml"\nmaterial = "silk"\n')
-    assert (kept.scene.frames, kept.scene.body_shape) == (5, {"height": 0.2})
-    assert kept.scene.garments == (GarmentSpecification("skirt", "silk"),)
+    assert (kept.frames, kept.body_shape) == (5, {"height": 0.2})
+    assert kept.garments == (WornGarment("skirt", "silk"),)
 
 
 def test_a_table_has_a_clip_a_row(tmp_path: Path) -> None:
@@ -74,10 +73,10 @@ def test_a_table_has_a_clip_a_row(tmp_path: Path) -> None:
         "\n"
     )
     first, second = jobs(tmp_path, table, "jobs.csv")
-    assert (first.scene.motion, first.scene.seed, first.contact) == (tmp_path / "07_02.amc", 3, True)
-    assert (first.scene.body_shape, first.scene.fps) == ({"height": 0.7}, 24)
-    assert [each.name for each in second.scene.garments] == ["tanktop", "cardigan"]
-    assert second.scene.seed == 0
+    assert (first.motion, first.seed, first.contact) == (tmp_path / "07_02.amc", 3, True)
+    assert (first.body_shape, first.fps) == ({"height": 0.7}, 24)
+    assert [each.name for each in second.garments] == ["tanktop", "cardigan"]
+    assert second.seed == 0
 
 
 MILLION = "[product]\n" + "".join(
@@ -88,9 +87,9 @@ MILLION = "[product]\n" + "".join(
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("[fixed]\ngarmet = 'tshirt'\n", r"no entry of \[fixed\] 'garmet'; did you mean garment"),
-        ("[product]\nmotions = ['walk']\n", r"no entry of \[product\] 'motions'; did you mean motion"),
-        ("[[clips]]\ncolour = 'red'\n", r"no entry of \[\[clips\]\] 'colour'"),
+        ("[fixed]\ngarmet = 'tshirt'\n", r"\[fixed\] has no entry 'garmet'; did you mean garment"),
+        ("[product]\nmotions = ['walk']\n", r"\[product\] has no entry 'motions'; did you mean motion"),
+        ("[[clips]]\ncolour = 'red'\n", r"\[\[clips\]\] has no entry 'colour'"),
         ("[products]\nseed = [1]\n", "no section 'products'; did you mean product"),
         ("[product]\nmotion = 'walk'\n", r"motion in \[product\] must be a list"),
         ("[fixed]\nseed = 1\n[product]\nseed = [1, 2]\n", r"seed stands in \[fixed\] and in \[product\]"),
@@ -99,11 +98,11 @@ MILLION = "[product]\n" + "".join(
         ("[product]\nseed = { first = 0, count = 1000000000000 }\n", "describes 1,000,000,000,000 clips"),
         ("", "describes no clip"),
         ("[product]\nseed = []\n", "describes no clip"),
-        ("[[clips]]\nframes = 0\n", r"clip 1 \(frames = 0\): The number of frames must be 1 or more"),
-        ("[product]\ngarment = ['dress']\nseed = [0, 'x']\n", r"clip 2 \(garment = dress, seed = x\): The seed must"),
+        ("[[clips]]\nframes = 0\n", r"clip 1 \(frames = 0\): frames must be a whole number, 1 or more"),
+        ("[product]\ngarment = ['dress']\nseed = [0, 'x']\n", r"clip 2 \(garment = dress, seed = x\): seed must"),
         ("[[clips]]\ngarment = ['dress', 'skirt']\ntriangles = [1, 2, 3]\n", "triangles has 3 values for 2 garments"),
         ("[[clips]]\nscene = 'absent.toml'\n", "There is no scene file .*absent.toml"),
-        ("[[clips]\n", "is no jobs file, which is TOML"),
+        ("[[clips]\n", "cannot be read as TOML, which a jobs file is"),
         ("clips = 3\n", "each clip is a section of its own"),
         ("format_version = 2\n", "of format version 2"),
     ],
@@ -121,7 +120,7 @@ def test_what_cannot_be_used_is_one_sentence(tmp_path: Path, text: str, says: st
         ("garmet\ntshirt\n", "did you mean garment"),
         ("garment\n", "describes no clip"),
         ("", "no table with a header"),
-        ("seed\n1\n1.5\n", r"clip 2 \(seed = 1.5\): The seed must be a whole number"),
+        ("seed\n1\n1.5\n", r"clip 2 \(seed = 1.5\): seed must be a whole number"),
     ],
 )
 def test_tables_that_cannot_be_used_are_one_sentence(tmp_path: Path, text: str, says: str) -> None:

@@ -21,7 +21,7 @@ import pb4u
 from pb4u.cli.application import app
 from pb4u.cli.main import main
 from pb4u.dataset.jobs_file import read_jobs
-from pb4u.simulation.run_specification import RunSpecification, tomllib
+from pb4u.run import Run, tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
@@ -216,7 +216,7 @@ def test_every_file_that_is_shown_can_be_read(block: Block, tmp_path: Path) -> N
     file = tmp_path / f"shown.{block.language}"
     file.write_text(block.text)
     if not is_jobs:
-        assert RunSpecification.open(file).scene.garments
+        assert Run.open(file).garments
         return
     (tmp_path / "outfits").mkdir()
     for name in re.findall(r"outfits/\w+\.toml", block.text):

@@ -18,21 +18,25 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 import torch
 import trimesh
 from safetensors.numpy import save as save_safetensors
+from tests.body.characters import write_doll
 from tests.body.test_smpl import synthetic
 from tests.compat.test_garment_dictionary import garment_fields
 from tests.fuzzing.mutation import damaged
 from tests.garment.cloth_shapes import quad_tube, tube_arrays
 from tests.motion.recordings import write_acclaim, write_bvh
+from tests.pattern.patterns import square
 from tests.scene.test_trajectory import make_trajectory
 from tests.simulation.released_files import made_checkpoint
 from tests.training.ball_data import ball_data
 
 from pb4u import __version__
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence, write_vertex_sequence
@@ -52,13 +56,19 @@ from pb4u.garment.garment_file import read_garment
 from pb4u.garment.material import MATERIALS, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.obj_file import write_obj
+from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.pattern.dressing import Dressed, sewn_garment
+from pb4u.pattern.files import read_dressed, write_dressed
+from pb4u.pattern.garmentcode import read_pattern, record_of
+from pb4u.pattern.mesh import mesh_pattern
+from pb4u.pattern.pattern import Pattern
 from pb4u.progress import unheard
+from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import load_checkpoint, save_checkpoint, weights_file
 from pb4u.simulation.models import load_checkpoint_of
-from pb4u.simulation.run_specification import RunSpecification
 from pb4u.training.packed_data import load_training_data, save_training_data
 from pb4u.training.run_folder import RunFolder
 
@@ -141,6 +151,13 @@ def body(path: Path) -> None:
         return
     _require_finite(loaded.vertices, loaded.skeleton.joints, loaded.weights.weights)
     _perform("walk", loaded)
+
+
+def clip_of_character(path: Path) -> None:
+    loaded = load_body(path)
+    assert isinstance(loaded, Character)
+    poses = character_lead_in(loaded, loaded.clip_poses(30.0, 3), 30.0, 2)
+    _require_finite(PosedCharacter(loaded, poses, 30.0).positions(0, 5))
 
 
 def body_of_folder(path: Path) -> None:
@@ -291,6 +308,11 @@ def _bodies(folder: Path) -> Iterator[Sample]:
     )
     yield Sample("body in an mdd", {"post.mdd": mdd, "post.obj": surface} | tube, *simulated)
     ply = trimesh.exchange.ply.export_ply(post)
+    doll = write_doll(folder / "doll.glb").read_bytes()
+    yield Sample("rigged character", {"doll.glb": doll}, (body, clip_of_character))
+    seen = {"pred_vertices": (moving[0] * [1, -1, -1]).astype(np.float32), "pred_cam_t": np.zeros(3, dtype=np.float32)}
+    frame = _npz(**seen, faces=faces)
+    yield Sample("body of SAM 3D Body", {"f/0.npz": frame, "f/1.npz": frame}, (body_of_folder,))
     yield Sample("body in a folder of obj", {"f/0.obj": surface, "f/1.obj": surface}, (body_of_folder,))
     yield Sample("body in a folder of ply", {"f/0.ply": ply, "f/1.ply": ply}, (body_of_folder,))
     yield Sample(
@@ -322,10 +344,28 @@ def _recordings(folder: Path) -> Iterator[Sample]:
     yield Sample("VTO recording as released", {"clip.pkl": pickle.dumps(vto)}, (performed, as_recorded))
     hood = {"body_pose": poses[:, 3:72], "global_orient": poses[:, :3], "transl": places, "betas": np.zeros((1, 10))}
     yield Sample("HOOD recording", {"clip.pkl": pickle.dumps({**hood, "trans": places})}, (performed, as_recorded))
+    torch_file, joblib_file, track = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    split = {"global_orient": poses[:, :3], "body_pose": poses[:, 3:66], "transl": places, "betas": np.zeros((6, 10))}
+    torch.save({"smpl_params_global": {k: torch.from_numpy(v).float() for k, v in split.items()}}, torch_file)
+    yield Sample("GVHMR recording", {"clip.pt": torch_file.getvalue()}, (performed,), (checked,))
+    person = {"pose_world": poses[:, :72].astype(np.float32), "trans_world": places, "frame_ids": np.arange(6) * 2}
+    joblib.dump({np.int64(1): person}, joblib_file)
+    yield Sample("WHAM recording", {"clip.pkl": joblib_file.getvalue()}, (performed,), (checked,))
+    turns = torch.eye(3).repeat(6, 24, 1, 1)
+    found = {"pred_rotmat": turns, "pred_trans": torch.zeros(6, 1, 3), "frame": torch.arange(6)}
+    np.save(track, found)  # type: ignore[arg-type]
+    camera = io.BytesIO()
+    np.save(camera, {"pred_cam_R": np.tile(np.eye(3), (6, 1, 1)), "pred_cam_T": np.zeros((6, 3))})  # type: ignore[arg-type]
+    tram = {"clip.npy": track.getvalue(), "camera.npy": camera.getvalue()}
+    yield Sample("TRAM recording", tram, (performed,), (checked,))
     amc = write_acclaim(folder, 4, {"lfemur": [10.0, 0.0, 5.0]})
     pair = {"07_01.amc": amc.read_bytes(), "07.asf": (folder / "07.asf").read_bytes()}
     yield Sample("Acclaim recording", pair, (performed,), (checked,))
     yield Sample("Biovision recording", {"clip.bvh": write_bvh(folder).read_bytes()}, (performed,), (checked,))
+
+
+def meshed_pattern(path: Path) -> None:
+    mesh_pattern(read_pattern(path), 60)
 
 
 def _garments() -> Iterator[Sample]:
@@ -347,6 +387,15 @@ def _garments() -> Iterator[Sample]:
     gltf = dict(trimesh.exchange.gltf.export_gltf(mesh))
     whole = {"tube.gltf": gltf.pop("model.gltf"), **gltf}
     yield Sample("garment tube.gltf", whole, (garment,), dressed)
+    pattern = Pattern("square", [square("front")], [])
+    whole_pattern = json.dumps(record_of(pattern)).encode()
+    yield Sample("sewing pattern", {"square.json": whole_pattern}, (meshed_pattern,))
+    mesh = mesh_pattern(pattern, 20)
+    sewn = sewn_garment(mesh, np.zeros((mesh.vertex_count, 3)), MATERIALS["default"])
+    with tempfile.TemporaryDirectory() as folder:
+        write_dressed(Path(folder) / "worn.npz", Dressed(sewn, mesh, 0, 0, 0.0, 0.0), load_body("woman", {}))
+        worn = (Path(folder) / "worn.npz").read_bytes()
+    yield Sample("dressed garment", {"worn.npz": worn}, (read_dressed,))
     many = {"sheet": garment_fields(), "other": garment_fields(3, 3)}
     yield Sample("garments dictionary", {"all.pkl": pickle.dumps(many)}, (of_dictionary,))
 
@@ -403,9 +452,9 @@ def _texts() -> Iterator[Sample]:
     yield Sample("pins", {"pins.txt": b"0 1 2\n3,4\n"}, (pins,))
     yield Sample("pins in JSON", {"pins.json": b"[0, 1, 2, 5]"}, (pins,))
     with tempfile.TemporaryDirectory() as folder:
-        described = RunSpecification().save(Path(folder) / "scene.toml").read_bytes()
+        described = Run().save(Path(folder) / "scene.toml").read_bytes()
     scene = described + b'\n[[garments]]\ngarment = "skirt"\ntriangles = 500\npins = [1, 2]\nmaterial = "silk"\n'
-    yield Sample("scene file", {"scene.toml": scene}, (RunSpecification.open,))
+    yield Sample("scene file", {"scene.toml": scene}, (Run.open,))
     jobs = b'[fixed]\nframes = 8\n[product]\nmotion = ["walk", "run"]\nseed = {first = 0, count = 3}\n'
     jobs += b'[[clips]]\ngarment = ["tanktop", "skirt"]\nbody_shape = {height = 0.6}\nscene = "scene.toml"\n'
     yield Sample("jobs file", {"jobs.toml": jobs, "scene.toml": scene}, (read_jobs,))

@@ -61,3 +61,13 @@ def test_a_coarse_garment_of_somebodys_own_is_refused_by_check_and_by_simulate_a
     file = saved(tmp_path, own)
     with pytest.raises(InputError, match=re.escape(found.fix)):
         make_scene(file, woman, frames=1)
+
+
+def test_a_coarse_garment_is_simulated_where_its_own_number_of_triangles_is_asked_for(tmp_path, woman):
+    garment = build_garment("longsleeve", woman, 300)
+    file = saved(tmp_path, PolygonMesh(garment.vertices, tuple(garment.faces)))
+    with pytest.raises(InputError, match=f"or take its own with `--triangles {garment.triangle_count}`"):
+        make_scene(file, woman, frames=1)
+    with pytest.warns(InputWarning, match="too few to stay around the body"):
+        scene = make_scene(file, woman, frames=1, triangles=garment.triangle_count)
+    np.testing.assert_allclose(scene.garments[0].garment.vertices, garment.vertices, atol=1e-6)

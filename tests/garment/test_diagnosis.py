@@ -223,7 +223,7 @@ def test_a_wide_garment_that_fits_closer_elsewhere_is_left_and_told():
     source = PolygonMesh(skirt.vertices, tuple(skirt.faces))
     (finding,) = [each for each in diagnose(source, man).findings if each.code == "closer"]
     assert finding.severity is Severity.NOTE
-    assert "Left where it is, though it fits a little closer moved by -" in finding.sentence
+    assert "It was not moved, though it would fit a little closer -" in finding.sentence
     mended, said = repair(source, man)
     assert said == (finding.sentence,)
     np.testing.assert_array_equal(mended.vertices, source.vertices)

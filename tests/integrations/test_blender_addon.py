@@ -23,7 +23,7 @@ from tools.pack_blender_addon import pack
 
 import pb4u
 from pb4u.body.library import load_body
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run
 
 PYTHON = os.environ.get("PB4U_BLENDER_PYTHON", sys.executable)
 ROOT = Path(__file__).resolve().parents[2]
@@ -202,7 +202,7 @@ np.savez(FOLDER / "shown.npz", **{each.name: [world(each, t) for t in range(1, 5
     assert seen["order"] == ["In ner", "Skirt"]
     assert seen["stack"] == ["Mirror", "pb4u"]
     files = tmp_path / "pb4u_cache" / "run_0001"
-    worn = RunSpecification.open(files / "scene.toml").scene.garments
+    worn = Run.open(files / "scene.toml").garments
     assert [(each.name, each.material, each.triangles) for each in worn] == [
         ("In_ner", "denim", 600),
         ("Skirt", "silk", None),

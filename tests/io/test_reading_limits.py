@@ -25,9 +25,9 @@ from pb4u.geometry.obj_file import read_obj
 from pb4u.io.array_archive import read_arrays
 from pb4u.io.reading_limits import HEADROOM, MOST_DEPTH, MOST_MEMBERS, MOST_NUMBERS_TEXT, MOST_TEXT, parse_json
 from pb4u.motion.library import load_motion
+from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import load_checkpoint, weights_file
-from pb4u.simulation.run_specification import RunSpecification
 from pb4u.training.packed_data import load_training_data
 from pb4u.training.run_folder import RunFolder
 
@@ -276,7 +276,7 @@ def test_a_scene_file_nested_deep_or_large_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     for text in ("a = " + "[" * 100_000, "#" + " " * MOST_TEXT):
         path.write_text(text)
-        refused(path, lambda: RunSpecification.open(path))
+        refused(path, lambda: Run.open(path))
 
 
 def with_header(path: Path, header: bytes) -> Path:

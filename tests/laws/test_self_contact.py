@@ -216,7 +216,7 @@ def test_worlds_do_not_feel_each_other() -> None:
         energies = PAIRED.of(time_step(garments, State(x, torch.zeros_like(x), 0))).energies(x)
         assert bool((energies.terms["self_contact"] > 0).all()) is felt
         passed = x + torch.from_numpy((surface.part == 0)[:, None] * np.array([0.0, 0.02, 0.0]))
-        free = PAIRED.self_contact.carried(garments, x, passed)
+        free, _ = PAIRED.self_contact.carried(garments, x, passed)
         assert (free is passed) is not felt
 
 
@@ -225,8 +225,8 @@ def test_what_is_held_gives_way_to_nothing() -> None:
     x, garments = torch.from_numpy(surface.before), garments_of(surface, (0, 0))
     upper = torch.from_numpy(surface.part == 1)
     wanted = x + ~upper[:, None] * torch.tensor([0.0, 0.02, 0.0], dtype=x.dtype)
-    pushed = PAIRED.self_contact.carried(garments, x, wanted)
-    held = PAIRED.self_contact.carried(garments, x, wanted, held=upper)
+    pushed, _ = PAIRED.self_contact.carried(garments, x, wanted)
+    held, _ = PAIRED.self_contact.carried(garments, x, wanted, held=upper)
     assert bool((pushed[upper, 1] > x[upper, 1] + 1e-3).all())
     assert torch.equal(held[upper], x[upper])
     assert surface.crossing(held.numpy()) == 0
@@ -336,23 +336,34 @@ SCENES = {
 }
 
 
-METHODS: dict[str, tuple[StepStart, Network, Refinement, Contact, FirstFrame]] = {
-    "solver": (FreeFlight(), NoNetwork(), ImplicitSteps(potential=PAIRED), ContactResponse(), AsPlaced()),
-    "solver, two iterations": (FreeFlight(), NoNetwork(), ImplicitSteps(2, potential=PAIRED), NoContact(), AsPlaced()),
-    "network alone": (
-        CarriedStart((0.5, 1.0)), Careless(), NoRefinement(PAIRED.self_contact), ContactResponse(), OneLongStep(),
-    ),
-    "network and one": (
-        CarriedStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=PAIRED), ContactResponse(),
-        Settled(potential=PAIRED),
-    ),
-    "network and five": (
-        CarriedStart((0.5, 1.0)), Careless(), SafeguardedRefinement(5, PAIRED), ContactResponse(), AsPlaced(),
-    ),
-    "quick solver": (
-        CarriedStart((0.5, 1.0)), NoNetwork(), SafeguardedRefinement(5, PAIRED), ContactResponse(), AsPlaced(),
-    ),
-}  # fmt: skip
+Parts = tuple[StepStart, Network, Refinement, Contact, FirstFrame]
+
+
+def methods(potential: IncrementalPotential) -> dict[str, Parts]:
+    """Methods of every kind with the contact of `potential`."""
+    return {
+        "solver": (FreeFlight(), NoNetwork(), ImplicitSteps(potential=potential), ContactResponse(), AsPlaced()),
+        "solver, two iterations": (
+            FreeFlight(), NoNetwork(), ImplicitSteps(2, potential=potential), NoContact(), AsPlaced(),
+        ),
+        "network alone": (
+            CarriedStart((0.5, 1.0)), Careless(), NoRefinement(potential.self_contact), ContactResponse(),
+            OneLongStep(),
+        ),
+        "network and one": (
+            CarriedStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=potential), ContactResponse(),
+            Settled(potential=potential),
+        ),
+        "network and five": (
+            CarriedStart((0.5, 1.0)), Careless(), SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+        ),
+        "quick solver": (
+            CarriedStart((0.5, 1.0)), NoNetwork(), SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+        ),
+    }  # fmt: skip
+
+
+METHODS = methods(PAIRED)
 
 
 @pytest.mark.parametrize("scene", SCENES)

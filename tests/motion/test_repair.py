@@ -37,7 +37,7 @@ def test_flip_there_and_back_is_led_over_and_counted(still):
     mended = without_flips(flipped)
     assert fastest(flipped, "LeftToeBase") > 100.0
     assert fastest(mended, "LeftToeBase") < 1.0
-    assert mended.notes == ("clip: 1 joint flip(s) led over by slerp (LeftToeBase 1).",)
+    assert mended.notes == ("clip: 1 sudden joint flip(s) replaced by a smooth turn (LeftToeBase 1).",)
 
 
 def test_flip_that_stays_becomes_a_turn(still):

@@ -192,7 +192,7 @@ def test_an_extra_feature_arrives_by_name():
 
 
 def test_an_unknown_feature_and_a_senseless_world_edge_rule_are_refused():
-    with pytest.raises(InputError, match="no world_edge feature 'smell'; there are: relative_now"):
+    with pytest.raises(InputError, match="no world_edge feature 'smell'; there are: direction"):
         FeatureLayout(world_edge=("smell",))
     for radius, neighbours in ((0.0, 1), (float("nan"), 1), (0.03, 0), (0.03, 1000)):
         with pytest.raises(InputError, match="World edges need"):

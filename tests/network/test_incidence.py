@@ -7,7 +7,7 @@ from tests.network_scenes import DT, moment, prepared_for, sheet
 
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.graph.graph import Graph
-from pb4u.network.graph.incidence import edge_runs, incidence
+from pb4u.network.graph.incidence import incidence
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 
 
@@ -40,14 +40,3 @@ def test_a_restricted_edge_set_is_that_of_the_kept_garments_alone():
     assert torch.equal(body.senders.index, into.senders.index[inside])
     assert torch.equal(body.features, into.features[inside])
     assert torch.equal(body.degrees()[:, 0].long(), torch.bincount(body.receivers.index, minlength=offsets[1] + 15))
-
-
-def test_runs_cover_all_edges_once_and_never_part_a_receiver():
-    offsets = torch.tensor([0, 3, 3, 10, 11, 30, 31, 31, 40])
-    runs = edge_runs(offsets, 8)
-    assert [span for run in runs for span in run[0]][::2] == [0, *[run[0][1] for run in runs][:-1]]
-    assert runs[0][1][0] == 0
-    assert runs[-1] == ((runs[-1][0][0], 40), (runs[-1][1][0], 8))
-    for (e0, e1), (n0, n1) in runs:
-        assert (int(offsets[n0]), int(offsets[n1])) == (e0, e1)
-    assert edge_runs(offsets, 40) == ()

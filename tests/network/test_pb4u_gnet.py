@@ -77,19 +77,6 @@ def test_gradients_reach_the_state_as_the_twin_says():
     assert (gradients[0] - gradients[1]).abs().max() < 1e-10 * gradients[1].abs().max()
 
 
-def test_runs_of_edges_without_gradients_give_what_whole_edges_give_with_them(monkeypatch):
-    monkeypatch.setattr("pb4u.network.graph.incidence.edge_runs.__defaults__", (100,))
-    model = model_of(TINY)
-    at = moment([sheet(9, 12), sheet(15, 6, edge=0.02, seed=3)])
-    prepared = prepared_for(model, at, steps=(4, 2))
-    graph = prepared.graph(at.state, at.collider, DT)
-    assert len(graph.edges["mesh"].pieces) > 5
-    whole = model(graph, prepared)
-    with torch.inference_mode():
-        in_runs = model(graph, prepared)
-    assert (whole - in_runs).abs().max() < 1e-12 * whole.abs().max()
-
-
 def test_result_and_gradients_are_the_same_to_the_last_bit_every_time():
     model = model_of(TINY, dtype=torch.float32)
     at = moment([sheet(9, 12)])

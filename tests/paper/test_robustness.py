@@ -123,7 +123,15 @@ def test_failures_are_counted_and_named_with_what_makes_them_again() -> None:
     summary = Summary(planned, rows, (), lambda job: Path("absent"))
     (whole,) = robustness_table(summary)
     assert isinstance(whole, Table)
-    assert list(whole.rows[0][1:8]) == ["4", "1 (25.0 %)", "1 (25.0 %)", "3 (75.0 %)", "1.30", "3.73", "4.00"]
+    assert list(whole.rows[0][1:8]) == [
+        "4",
+        "1 of 4 (5 to 70 %)",
+        "1 of 4 (5 to 70 %)",
+        "3 of 4 (30 to 95 %)",
+        "1.30",
+        "3.73",
+        "4.00",
+    ]
     # Of the solver nothing is done yet.
     assert set(whole.rows[2][5:]) == {"-"}
     (failures,) = failure_table(summary)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from tests.baselines import readable_contours as readable
 from tests.network_scenes import sheet
+from tests.paper import readable_contours as readable
 from tests.paper.scenes import dented, tree_of, two_sheets
 
 from pb4u.collision.enclosures import by_contour

@@ -25,9 +25,9 @@ from pb4u.garment.material import MATERIALS
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.motion.library import load_motion
-from pb4u.scene.assembly import assemble, make_scene
+from pb4u.run import Run, WornGarment
+from pb4u.scene.assembly import build_scene, make_scene
 from pb4u.scene.scene import Scene
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 
 
 @pytest.fixture(scope="module")
@@ -94,9 +94,9 @@ def test_names_loaded_objects_and_a_specification_make_the_same_scene() -> None:
     named = make_scene(
         "skirt", "man", "dance", triangles=500, material="silk", pins="hem", body_shape={"height": 0.7}, **rest
     )
-    worn = GarmentSpecification("skirt", "silk", "hem", 500)
-    scene = SceneSpecification((worn,), body="man", body_shape={"height": 0.7}, motion="dance", **rest)
-    assert_same(named, assemble(scene))
+    worn = WornGarment("skirt", "silk", "hem", 500)
+    scene = Run((worn,), body="man", body_shape={"height": 0.7}, motion="dance", **rest)
+    assert_same(named, build_scene(scene))
     assert named.labels["body_shape"]["height"] == 0.7
     body = load_body("man", {"height": 0.7})
     garment = build_garment("skirt", body, 500).with_material(MATERIALS["silk"])
@@ -128,12 +128,12 @@ def test_several_garments_are_worn_inner_first(woman: ShapedBody, tmp_path: Path
 
 
 def test_what_is_given_once_holds_for_all_garments_that_leave_it_open(woman: ShapedBody) -> None:
-    inner = GarmentSpecification("tanktop", material="silk")
+    inner = WornGarment("tanktop", material="silk")
     scene = make_scene([inner, "skirt"], woman, triangles=400, material="wool", pins=[0, 1], frames=1, lead_in=0)
     garments = [dressed.garment for dressed in scene.garments]
     assert [garment.material for garment in garments] == [MATERIALS["silk"], MATERIALS["wool"]]
     assert [np.flatnonzero(garment.pinned).tolist() for garment in garments] == [[0, 1], [0, 1]]
-    with pytest.raises(InputError, match="list for material has 3 entries for 2 garments"):
+    with pytest.raises(InputError, match="material has 3 values for 2 garments"):
         make_scene(["tanktop", "skirt"], woman, material=["silk", "wool", "wool"])
 
 

@@ -14,12 +14,12 @@ from pb4u.errors import InputError
 from pb4u.measures.metrics import measure
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.specification import SceneSpecification
+from pb4u.run import Run
 from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import Network
 from pb4u.simulation.penetration_response import ContactResponse, NoContact
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.simulation.run_simulation import roll_out
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.stepwise_simulator import SolverSimulator, StepwiseSimulator
@@ -94,8 +94,8 @@ def test_run_record_says_what_the_solver_did() -> None:
 
 def test_a_failure_is_told_in_frames_of_the_scenes_own_rate() -> None:
     simulator, record = FreeFall(fails_at=5), RunRecord()
-    run = RunSpecification(SceneSpecification(frames=16, fps=60.0))
-    trajectory = run.roll_out(simulator, ball_scene(frames=8, lead_in=0), record=record)
+    run = Run(frames=16, fps=60.0)
+    trajectory = roll_out(run, simulator, ball_scene(frames=8, lead_in=0), record=record)
     assert record.failed_at == trajectory.frame_count == 9
 
 
@@ -150,5 +150,5 @@ def test_unknown_model_lists_near_names() -> None:
         load_simulator("sovler")
     with pytest.raises(InputError, match="no model file"):
         load_simulator("absent.safetensors")
-    with pytest.raises(InputError, match="0 or more"):
+    with pytest.raises(InputError, match="from 0 to 10,000"):
         load_simulator("solver", refine=-1)

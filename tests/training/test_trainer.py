@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -162,7 +163,7 @@ def test_slowed_garments_set_off_with_half_to_all_of_the_bodys_speed() -> None:
 
 def test_flat_validation_ends_a_training(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = made(replace(TINY, validate_every=2, patience=2), 200)
-    monkeypatch.setattr(trainer.validation, "score", lambda model: Score(1.0, 1.0, 0.1))
+    monkeypatch.setattr(trainer.validation, "score", lambda model: Score(1.0, 1.0, 0.1, 1.0))
     assert trainer.run() == "flat"
     assert trainer.counters.step < 20
 
@@ -190,11 +191,27 @@ def test_the_end_of_the_minutes_does_not_wait_for_a_round(monkeypatch: pytest.Mo
     assert taken[0] == 6
 
 
-def test_better_means_more_frames_survived_then_less_energy() -> None:
-    assert Score(1.0, 9.0, 0.1).beats(Score(0.9, 1.0, 0.1))
-    assert Score(1.0, 0.9, 0.1).beats(Score(1.0, 1.0, 0.1), 0.005)
-    assert not Score(1.0, 0.999, 0.1).beats(Score(1.0, 1.0, 0.1), 0.005)
-    assert not Score(0.5, 0.0, 0.1).beats(Score(1.0, 5.0, 0.1))
+def test_better_means_more_frames_survived_then_less_excess() -> None:
+    def score(survived: float, excess: float, energy: float = 1.0) -> Score:
+        return Score(survived, excess, 0.1, energy)
+
+    assert score(1.0, 9.0).beats(score(0.9, 1.0))
+    assert score(1.0, 0.9, energy=9.0).beats(score(1.0, 1.0), 0.005)
+    assert not score(1.0, 0.999).beats(score(1.0, 1.0), 0.005)
+    assert not score(1.0, 1.0, energy=0.0).beats(score(1.0, 1.0))
+    assert not score(0.5, 0.0).beats(score(1.0, 5.0))
+    assert score(1.0, 1.0).beats(score(1.0, math.inf))
+
+
+def test_a_score_has_what_steps_leave_above_their_minima() -> None:
+    trainer = made(TINY, 2)
+    model = trainer.model.eval()
+    usual = trainer.validation.score(model)
+    with torch.no_grad():
+        model.network.decoder.last.weight.mul_(30.0)
+    worse = trainer.validation.score(model)
+    assert 0.0 < usual.excess_height < worse.excess_height
+    assert [len(reference.shared) for reference in trainer.validation.references] == [2, 2]
 
 
 def test_a_score_is_of_what_resists_and_not_of_how_low_cloth_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,10 +229,11 @@ def test_a_score_is_of_what_resists_and_not_of_how_low_cloth_hangs(monkeypatch: 
 
 
 def test_a_best_score_of_earlier_versions_is_not_compared_with() -> None:
-    counters = Counters(step=5, best=Score(1.0, 0.2, 0.1))
+    counters = Counters(step=5, best=Score(1.0, 0.2, 0.1, 0.3))
     assert Counters.from_json(counters.to_json()) == counters
-    earlier = counters.to_json() | {"best": {"survived": 1.0, "energy": -0.25, "strain": 0.1}}
-    assert Counters.from_json(earlier) == replace(counters, best=None)
+    for name in ("energy", "energy_without_gravity"):
+        earlier = counters.to_json() | {"best": {"survived": 1.0, name: 0.25, "strain": 0.1}}
+        assert Counters.from_json(earlier) == replace(counters, best=None)
 
 
 def test_the_network_may_be_any_configuration() -> None:

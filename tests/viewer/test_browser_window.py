@@ -17,15 +17,12 @@ from PIL import Image
 from tests.viewer.clips import trajectory
 
 from pb4u.errors import InputError
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run, WornGarment
 from pb4u.viewer.browser_window import BrowserWindow
 from pb4u.viewer.clip import RecordedClip
 from pb4u.viewer.film import Film
 
-TINY = RunSpecification(
-    SceneSpecification((GarmentSpecification(triangles=400),), frames=4, lead_in=2), model="skinning"
-)
+TINY = Run((WornGarment(triangles=400),), frames=4, lead_in=2, model="skinning")
 
 
 @pytest.fixture
@@ -81,7 +78,7 @@ def test_one_simulation_at_a_time_and_a_refusal_leaves_it_alone(client: MagicMoc
     until(lambda: window.measurements[0].done == 4)
     client.add_notification.assert_not_called()
     with pytest.raises(InputError, match="triangles must lie between"):
-        window.simulate(RunSpecification(SceneSpecification((GarmentSpecification(triangles=7),))))
+        window.simulate(Run((WornGarment(triangles=7),)))
 
 
 def test_what_cannot_be_painted_is_said_once_and_shown_shaded(client: MagicMock, window: BrowserWindow) -> None:

@@ -11,14 +11,13 @@ import pytest
 from tests.garment.cloth_shapes import quad_tube, saved
 
 from pb4u.errors import InputError, InputWarning
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run, WornGarment
 from pb4u.viewer.clip import GrowingClip
 from pb4u.viewer.live_simulation import Ending, LiveSimulation, require_offered
 from pb4u.viewer.worker import route_warnings
 
-WORN = (GarmentSpecification(triangles=400),)
-TINY = RunSpecification(SceneSpecification(WORN, frames=5, lead_in=3), model="skinning")
+WORN = (WornGarment(triangles=400),)
+TINY = Run(WORN, frames=5, lead_in=3, model="skinning")
 
 
 class Hearer:
@@ -58,8 +57,8 @@ def test_frames_arrive_one_by_one() -> None:
 
 def test_a_garment_of_ones_own_is_worn_under_another(tmp_path: Path) -> None:
     tube = saved(tmp_path, quad_tube(low=0.6, high=1.0, radius=0.22, around=24, rows=12))
-    worn = (GarmentSpecification(tube, pins="waist"), GarmentSpecification("tshirt", triangles=400))
-    run = replace(TINY, scene=replace(TINY.scene, garments=worn, frames=2, lead_in=0))
+    worn = (WornGarment(tube, pins="waist"), WornGarment("tshirt", triangles=400))
+    run = replace(TINY, garments=worn, frames=2, lead_in=0)
     for files, ending in (((), Ending.failed), ((tube,), Ending.finished)):
         hearer = Hearer()
         simulation = LiveSimulation(run, hearer.advanced, hearer.ended, files)
@@ -75,7 +74,7 @@ def test_a_file_with_too_many_triangles_is_refused(tmp_path: Path, monkeypatch: 
     tube = saved(tmp_path, quad_tube(low=0.6, high=1.0, radius=0.22, around=24, rows=12))
     monkeypatch.setattr("pb4u.viewer.live_simulation.MOST_TRIANGLES", 500)
     hearer = Hearer()
-    run = replace(TINY, scene=replace(TINY.scene, garments=(GarmentSpecification(tube, pins="waist"),)))
+    run = replace(TINY, garments=(WornGarment(tube, pins="waist"),))
     simulation = LiveSimulation(run, hearer.advanced, hearer.ended, (tube,))
     simulation.start()
     assert simulation.join(60.0)
@@ -105,7 +104,7 @@ def test_what_fails_becomes_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys
     def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("hidden detail")
 
-    monkeypatch.setattr("pb4u.viewer.live_simulation.assemble", fail)
+    monkeypatch.setattr("pb4u.viewer.live_simulation.build_scene", fail)
     hearer = Hearer()
     simulation = LiveSimulation(TINY, hearer.advanced, hearer.ended)
     simulation.start()
@@ -134,9 +133,9 @@ def test_what_fails_becomes_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys
 )
 def test_a_page_cannot_ask_for_anything_else(scene: dict, worn: dict, run: dict, says: str) -> None:
     """A page is not trusted: it names what is built in, never a file; and every garment of several is looked at."""
-    garments = (GarmentSpecification("skirt"), GarmentSpecification(**worn))
+    garments = (WornGarment("skirt"), WornGarment(**worn))
     with pytest.raises(InputError, match=says):
-        require_offered(RunSpecification(SceneSpecification(garments, **scene), **run))
+        require_offered(Run(garments, **scene, **run))
 
 
 def test_what_a_simulation_warns_of_is_told_by_the_page_and_not_by_the_terminal(
@@ -144,8 +143,8 @@ def test_what_a_simulation_warns_of_is_told_by_the_page_and_not_by_the_terminal(
 ) -> None:
     tube = saved(tmp_path, quad_tube(low=0.6, high=1.0, radius=0.22, around=24, rows=12))
     hearer = Hearer()
-    worn = (GarmentSpecification(tube),)
-    run = replace(TINY, scene=replace(TINY.scene, garments=worn, frames=1, lead_in=0))
+    worn = (WornGarment(tube),)
+    run = replace(TINY, garments=worn, frames=1, lead_in=0)
     undo = route_warnings()
     try:
         with warnings.catch_warnings():

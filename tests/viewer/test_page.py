@@ -15,9 +15,8 @@ from PIL import Image
 from tests.garment.cloth_shapes import quad_tube, saved
 from tests.viewer.clips import trajectory
 
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+from pb4u.run import Run, WornGarment
 from pb4u.simulation.models import default_model
-from pb4u.simulation.run_specification import RunSpecification
 from pb4u.viewer.clip import RecordedClip
 
 pytest.importorskip("viser", reason='the studio needs the "view" extra')
@@ -254,7 +253,7 @@ def test_files_of_ones_own_are_worn_over_each_other_and_kept_as_a_scene(
     chooser.send_keys(str(tube))
     wait_for(lambda: window.says("my_tube.obj is here and chosen"), "the file has arrived")
     window.button("Add a garment")
-    wait_for(lambda: len(session.simulation_panel.run().scene.garments) == 2, "there are two garments")
+    wait_for(lambda: len(session.simulation_panel.run().garments) == 2, "there are two garments")
     wait_for(lambda: window.says("Garment 2"), "the page shows both")
     window.button("Save scene.toml")
     file = wait_for(lambda: list(downloads.glob("scene.zip")), "the scene is downloaded")[0]
@@ -262,15 +261,15 @@ def test_files_of_ones_own_are_worn_over_each_other_and_kept_as_a_scene(
         assert set(archive.namelist()) == {"scene.toml", "garment/my_tube.obj"}
         assert archive.read("garment/my_tube.obj") == tube.read_bytes()
     window.button("Take off the last")
-    wait_for(lambda: len(session.simulation_panel.run().scene.garments) == 1, "one is taken off")
+    wait_for(lambda: len(session.simulation_panel.run().garments) == 1, "one is taken off")
 
 
 def test_an_impossible_wish_is_answered_on_the_page(window: Window, session: Any) -> None:
     window.tab("Simulate")
     window.choose("Model", "newton")
     before = session.simulation
-    coarse = SceneSpecification((GarmentSpecification(triangles=7),))
-    session.simulation_panel.run = lambda: RunSpecification(coarse)
+    coarse = Run((WornGarment(triangles=7),))
+    session.simulation_panel.run = lambda: Run(coarse)
     window.button("Simulate")
     wait_for(lambda: window.says("triangles must lie between 400 and 40,000"), "it says what is wrong")
     assert session.simulation is before

@@ -12,8 +12,7 @@ import pytest
 from tests.garment.cloth_shapes import quad_tube, saved
 
 from pb4u.errors import InputError
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run, WornGarment
 from pb4u.viewer import uploads as module
 from pb4u.viewer.export_panel import pack_scene
 from pb4u.viewer.live_simulation import require_offered
@@ -89,11 +88,11 @@ def test_a_page_may_name_the_files_it_handed_over_and_no_others(tmp_path: Path) 
     files.keep("garment", "tube.obj", saved(tmp_path, quad_tube()).read_bytes())
     tube = files.find("garment", "tube.obj")
     assert tube is not None
-    run = RunSpecification(SceneSpecification((GarmentSpecification(tube),), frames=2), model="skinning")
+    run = Run((WornGarment(tube),), frames=2, model="skinning")
     require_offered(run, files.files)
     with pytest.raises(InputError, match="There is no garment"):
         require_offered(run)
-    other = RunSpecification(SceneSpecification((GarmentSpecification(tmp_path / "tube.obj"),)), model="skinning")
+    other = Run((WornGarment(tmp_path / "tube.obj"),), model="skinning")
     with pytest.raises(InputError, match="There is no garment"):
         require_offered(other, files.files)
     files.close()
@@ -106,11 +105,11 @@ def test_a_scene_is_packed_with_its_files_and_opens_elsewhere(tmp_path: Path) ->
     files.keep("motion", "07_02.amc", b"b")
     files.keep("motion", "other.bvh", b"c")
     worn = (
-        GarmentSpecification(files.find("garment", "tube.obj"), "silk"),
-        GarmentSpecification("skirt", triangles=900),
+        WornGarment(files.find("garment", "tube.obj"), "silk"),
+        WornGarment("skirt", triangles=900),
     )
-    scene = SceneSpecification(worn, motion=files.find("motion", "07_02.amc"), frames=7)
-    name, content = pack_scene(RunSpecification(scene, model="solver"), files.folder)
+    run = Run(worn, motion=files.find("motion", "07_02.amc"), frames=7, model="solver")
+    name, content = pack_scene(run, files.folder)
     files.close()
     assert name == "scene.zip"
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -121,8 +120,8 @@ def test_a_scene_is_packed_with_its_files_and_opens_elsewhere(tmp_path: Path) ->
         "motion/07_02.amc",
         "scene.toml",
     ]
-    opened = RunSpecification.open(tmp_path / "scene.toml")
-    assert opened.scene.motion == tmp_path / "motion" / "07_02.amc"
-    assert [each.garment for each in opened.scene.garments] == [tmp_path / "garment" / "tube.obj", "skirt"]
-    assert (opened.model, opened.scene.frames) == ("solver", 7)
-    assert pack_scene(RunSpecification(), tmp_path)[0] == "scene.toml"
+    opened = Run.open(tmp_path / "scene.toml")
+    assert opened.motion == tmp_path / "motion" / "07_02.amc"
+    assert [each.garment for each in opened.garments] == [tmp_path / "garment" / "tube.obj", "skirt"]
+    assert (opened.model, opened.frames) == ("solver", 7)
+    assert pack_scene(Run(), tmp_path)[0] == "scene.toml"

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from pb4u.body.animated_body import AnimatedBody
-from pb4u.body.skeleton import PoseSequence, Skeleton
+from pb4u.body.skeleton import PoseSequence, Skeleton, joint_positions
 from pb4u.body.skinning import SkinnedSurface, SkinningWeights, bone_transforms
 from pb4u.errors import InputError
 
@@ -198,6 +198,11 @@ class PosedBody(AnimatedBody):
     def transforms(self) -> Tensor:
         """Transforms (frames, bones, 3, 4) float32 of the bones from rest to world; their last column is in [m]."""
         return bone_transforms(self.body.skeleton, self.poses)
+
+    @cached_property
+    def joints(self) -> np.ndarray:
+        """Positions (frames, bones, 3) of the joints [m]."""
+        return joint_positions(self.body.skeleton, self.poses)
 
     def positions(self, start: int, stop: int) -> Tensor:
         if self.body.pose_offsets is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from pathlib import Path
 from pkgutil import resolve_name
@@ -10,10 +10,13 @@ from typing import NamedTuple
 
 from pb4u.body.baked_body import BUILT_IN, BakedBody
 from pb4u.body.body_model import BodyModel, ShapedBody
+from pb4u.body.character_file import read_character
+from pb4u.body.sam3d_body import VERTICES, is_sam3d_folder
 from pb4u.body.smpl import SmplBody
 from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence, load_vertex_sequence
 from pb4u.errors import InputError, unknown_name
 from pb4u.io.array_archive import member_names
+from pb4u.io.gltf_file import SUFFIXES as GLTF_SUFFIXES
 from pb4u.io.restricted_pickle import load_pickle
 
 
@@ -27,11 +30,14 @@ class _Format(NamedTuple):
 
 
 _FOLDER = "/"
+_CHARACTER = "pb4u.body.character_file:read_character"
 # The first that fits; another format is one more line here.
 _FORMATS = (
     _Format("pb4u.body.baked_body:BakedBody", (".npz",), ("term_basis",)),
     _Format("pb4u.body.smpl:SmplBody", (".npz",), ("v_template", "shapedirs", "kintree_table")),
     _Format("pb4u.body.library:read_pickled_body", (".pkl",)),
+    _Format(_CHARACTER, GLTF_SUFFIXES),
+    _Format("pb4u.body.sam3d_body:read_sam3d_body", (".npz", _FOLDER), (VERTICES,)),
     _Format("pb4u.body.vertex_sequence:load_vertex_sequence", (".npz", *SUFFIXES, _FOLDER)),
 )
 _MODELS = {"anny": "pb4u.body.anny_body:AnnyBody"}
@@ -47,19 +53,34 @@ def file_suffixes() -> tuple[str, ...]:
     return tuple(dict.fromkeys(suffix for form in _FORMATS for suffix in form.suffixes if suffix != _FOLDER))
 
 
-def load_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None) -> ShapedBody | VertexSequence:
+def load_body(
+    name_or_path: str | Path,
+    shape: Mapping[str, float] | None = None,
+    *,
+    clip: str | None = None,
+    parts: Collection[str] | None = None,
+) -> ShapedBody | VertexSequence:
     """A body by name, or from a file or folder.
 
     Args:
-        name_or_path: "woman", "man", "anny" (the full model), an SMPL-family .npz or .pkl, a baked body .npz, or a
-            moving surface as `load_vertex_sequence` reads it.
-        shape: shape parameters by name; a moving surface has none.
+        name_or_path: "woman", "man", "anny" (the full model), an SMPL-family .npz or .pkl, a baked body .npz, a rigged
+            character (.glb, .gltf, .vrm), or a moving surface as `load_vertex_sequence` reads it.
+        shape: shape parameters by name; a character and a moving surface have none.
+        clip: name of the clip that a character performs; its first where left out.
+        parts: names of the meshes or materials that make a character's body; told by their names where left out.
 
     Raises:
         InputError: the name is unknown, the file cannot be used, or a shape parameter does not fit.
     """
     given = dict(shape or {})
     name = str(name_or_path)
+    if Path(name).suffix.lower() in GLTF_SUFFIXES and Path(name).is_file():
+        if given:
+            raise InputError(f"{name} is a character without shape parameters; leave out {', '.join(given)}.")
+        return read_character(Path(name), clip, parts)
+    if clip is not None or parts is not None:
+        option = "clip" if clip is not None else "body-parts"
+        raise InputError(f"{name} is no rigged character ({', '.join(GLTF_SUFFIXES)}); leave out --{option}.")
     if name in BUILT_IN:
         return _built_in(name, tuple(sorted(given.items())))
     body: BodyModel | VertexSequence = resolve_name(_MODELS[name])() if name in _MODELS else _read(Path(name_or_path))
@@ -103,6 +124,8 @@ def _read(path: Path) -> BodyModel | VertexSequence:
     members: set[str] = set()
     if suffix == ".npz":
         members = set(member_names(path))
+    elif suffix == _FOLDER and is_sam3d_folder(path):
+        members = {VERTICES}
     fitting = (f for f in _FORMATS if suffix in f.suffixes and (not f.members or members & set(f.members)))
     # What is of no known kind is refused by the reader of the last one, which lists the kinds.
     return resolve_name(next(fitting, _FORMATS[-1]).reader)(path)

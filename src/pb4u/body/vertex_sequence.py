@@ -12,10 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
+from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.errors import InputError, InputWarning
+from pb4u.geometry.mesh_arrays import as_numbers, checked_faces
 from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
 from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
@@ -30,6 +33,8 @@ MOST_TRIANGLES = 1_000_000
 """Triangles that a body may have; it bounds the search tree that is built each frame, and more are refused."""
 # Extent [m] of the first frame between which coordinates may be metres: a doll's hand, a house.
 _PLAUSIBLE_SIZE = (0.1, 10.0)
+# Extent of a person in centimetres, arms down or out; nothing that is dressed has so many metres.
+_CENTIMETRES = (100.0, 300.0)
 # Frames whose numbers are checked at a time, which bounds the memory of a mapped file.
 _CHECKED_FRAMES = 64
 _MESH_SUFFIXES = (".obj", ".ply")
@@ -77,6 +82,8 @@ class VertexSequence(AnimatedBody):
         self.held_start = held_start
         self.contact = np.ones(vertices.shape[1], dtype=bool) if contact is None else contact
         self.rest_vertices = np.asarray(vertices[0], dtype=np.float64)
+        #: Whether it was estimated from a video, frame by frame, and trembles.
+        self.from_video = False
 
     @property
     def frame_count(self) -> int:
@@ -108,9 +115,23 @@ class VertexSequence(AnimatedBody):
         held = round(self.held_start * fps / self.fps)
         return VertexSequence(self.name, self.vertices, self.faces, self.stored_fps, self.contact, fps, held)
 
+    def smoothed(self, cutoff: float) -> VertexSequence:
+        """The same motion without what is faster than `cutoff` [Hz], by a low-pass that delays nothing."""
+        count = len(self.vertices)
+        if self.stored_fps <= 2.5 * cutoff or count < 10:
+            return self
+        sections = butter(2, cutoff, fs=self.stored_fps, output="sos")
+        reach = min(count - 1, round(3.0 * self.stored_fps / cutoff))
+        calm = sosfiltfilt(sections, self.vertices, axis=0, padlen=reach).astype(np.float32)
+        return VertexSequence(self.name, calm, self.faces, self.stored_fps, self.contact, self.fps, self.held_start)
+
     def with_contact(self, contact: np.ndarray) -> VertexSequence:
         """The same motion with other vertices left out of contact: `contact` (vertices,) bool is False there."""
-        return VertexSequence(self.name, self.vertices, self.faces, self.stored_fps, contact, self.fps, self.held_start)
+        other = VertexSequence(
+            self.name, self.vertices, self.faces, self.stored_fps, contact, self.fps, self.held_start
+        )
+        other.from_video = self.from_video
+        return other
 
     def with_held_start(self, frames: int) -> VertexSequence:
         """The same motion after `frames` more frames of its first one."""
@@ -176,14 +197,52 @@ def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSe
             f"{path}: a moving body is an .npz, a folder of OBJ or PLY files, or an OBJ with a {' or '.join(_CACHES)} "
             "beside it."
         )
-    _refuse_unusable(path, vertices, faces)
+    vertices, faces = require_usable(path, vertices, faces)
     stored_fps = next((rate for rate in (fps, file_fps) if rate is not None), DEFAULT_FPS)
-    sequence = VertexSequence(path.stem, vertices, _outward(path, vertices[0], faces), stored_fps, contact)
+    sequence = VertexSequence(path.stem, vertices, faces, stored_fps, contact)
     _warn_of_oddities(path, sequence)
     return sequence
 
 
-def _refuse_large(path: Path, triangles: int) -> None:
+def body_from_arrays(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    fps: float = DEFAULT_FPS,
+    name: str = "body",
+    contact: ArrayLike | None = None,
+) -> VertexSequence:
+    """A body of your own, moving or standing, from arrays or lists.
+
+    Warns where the body is not closed or seems to be Z up.
+
+    Args:
+        vertices: (frames, vertices, 3), or (vertices, 3) of a body that stands [m], Y up.
+        faces: (faces, 3) vertex indices from 0, counter-clockwise from outside.
+        fps: frames per second.
+        name: what it is called.
+        contact: (vertices,) bool, False where contact is not answered; all True when not given.
+
+    Raises:
+        InputError: an array has another shape or holds what cannot be used.
+    """
+    points = as_numbers(name, "vertices", vertices)
+    points = points[None] if points.ndim == 2 else points
+    if points.ndim != 3 or points.shape[2] != 3 or not points.size:
+        raise InputError(
+            f"{name}: its vertices have the shape {np.shape(vertices)}, where (frames, vertices, 3) or (vertices, 3) "
+            "belongs."
+        )
+    corners = checked_faces(name, faces, points.shape[1])
+    points, corners = require_usable(name, points, corners)
+    touched = None if contact is None else np.asarray(contact)
+    if touched is not None and (touched.shape != (points.shape[1],) or touched.dtype != bool):
+        raise InputError(f"{name}: contact is a bool for each of its {points.shape[1]} vertices.")
+    sequence = VertexSequence(name, points, corners, fps, touched)
+    _warn_of_oddities(name, sequence)
+    return sequence
+
+
+def _refuse_large(path: Path | str, triangles: int) -> None:
     if triangles > MOST_TRIANGLES:
         raise InputError(
             f"{path} has {triangles:,} triangles or more, and {MOST_TRIANGLES:,} are the most that a body may have; "
@@ -191,8 +250,15 @@ def _refuse_large(path: Path, triangles: int) -> None:
         )
 
 
-def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (vertices, 3) float64 and triangles (faces, 3) int64 of a mesh file."""
+def surface_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (vertices, 3) float64, in the file's unit, and triangles (faces, 3) int64 of a mesh file.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: it cannot be read, or has too many triangles.
+    """
     mesh = read_mesh(path, partial(_refuse_large, path))
     return mesh.vertices, np.concatenate(mesh.polygons)[triangulate(mesh.vertices, mesh.polygons)[0]]
 
@@ -220,7 +286,7 @@ def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{folder} holds both .obj and .ply files; keep one kind per folder.")
     # Natural order: frame2 before frame10.
     files.sort(key=lambda p: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", p.stem)])
-    first, faces = _read_surface(files[0])
+    first, faces = surface_of(files[0])
     _, first_faces = _read_frame(files[0])
     frames = np.empty((len(files), *first.shape), dtype=np.float32)
     frames[0] = first
@@ -281,7 +347,7 @@ def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | No
             raise InputError(f"{path}: a point cache has no faces; put the mesh beside it as {path.stem}.obj.")
     else:
         surface, cache = path, next((beside[suffix] for suffix in _CACHES if suffix in beside), path)
-    vertices, faces = _read_surface(surface)
+    vertices, faces = surface_of(surface)
     if cache == surface:
         return vertices[None].astype(np.float32), faces, None
     positions, fps = _CACHES[cache.suffix.lower()](cache)
@@ -334,7 +400,20 @@ _CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
 SUFFIXES = (*_MESH_SUFFIXES, *_CACHES)
 
 
-def _refuse_unusable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+def require_usable(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices in metres and faces turned outward, of a body that can be used.
+
+    Args:
+        path: its file, for the message.
+        vertices: (frames, vertices, 3) [m], or in centimetres, which is told by their extent.
+        faces: (faces, 3) int64.
+
+    Returns:
+        The same, centimetres as metres; warns of what was changed.
+
+    Raises:
+        InputError: it has no faces or too many, a face names no vertex, or a number is not finite or no length.
+    """
     if not len(faces):
         raise InputError(f"{path} has no faces; a body needs a surface.")
     _refuse_large(path, len(faces))
@@ -348,14 +427,20 @@ def _refuse_unusable(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Non
             )
     size = float(np.ptp(vertices[0], axis=0).max())
     low, high = _PLAUSIBLE_SIZE
+    if _CENTIMETRES[0] <= size <= _CENTIMETRES[1]:
+        warnings.warn(
+            f"{path}: it measures {size:.0f}, so it is taken to be in centimetres.", InputWarning, stacklevel=3
+        )
+        vertices, size = np.asarray(vertices, dtype=np.float32) * np.float32(0.01), 0.01 * size
     if not low <= size <= high:
         raise InputError(
             f"{path}: the body measures {size:g} m in its first frame; coordinates are metres, "
             f"scale them by {0.001 if size > 1000 else 0.01 if size > high else 100:g} or so and export again."
         )
+    return vertices, _outward(path, vertices[0], faces)
 
 
-def _outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _outward(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """`faces`, turned round when the closed surface they make is inside out."""
     corners = np.asarray(vertices, dtype=np.float64)[faces]
     volume = np.einsum("fc,fc->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
@@ -365,7 +450,7 @@ def _outward(path: Path, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(faces[:, ::-1])
 
 
-def _warn_of_oddities(path: Path, sequence: VertexSequence) -> None:
+def _warn_of_oddities(path: Path | str, sequence: VertexSequence) -> None:
     if not sequence.is_closed:
         message = f"{path}: the body is not closed, so penetration is not reported; fill its holes to have it."
         warnings.warn(message, InputWarning, stacklevel=3)

@@ -7,7 +7,20 @@ from typing import Annotated
 import typer
 
 from pb4u import __version__
-from pb4u.cli import assets, batch, check, convert_weights, evaluate, info, simulate, train, trajectory_verbs
+from pb4u.cli import (
+    assets,
+    batch,
+    check,
+    convert_weights,
+    dress,
+    evaluate,
+    info,
+    measure_body,
+    simulate,
+    train,
+    trajectory_verbs,
+)
+from pb4u.cli.run_flags import with_run_flags
 
 app = typer.Typer(
     name="pb4u",
@@ -15,12 +28,16 @@ app = typer.Typer(
     epilog="Add --debug to any command to see where an error came from. Lengths are metres, times seconds.",
     no_args_is_help=True,
     add_completion=False,
+    # Its tables cut the names of flags, and its markup takes [fixed] for a style.
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 for verb in (
-    simulate.simulate,
+    with_run_flags(simulate.simulate),
     trajectory_verbs.view,
     check.check,
+    dress.dress,
+    measure_body.measure_body,
     trajectory_verbs.convert,
     convert_weights.convert_weights,
     train.train,

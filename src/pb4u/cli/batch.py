@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 _FAILURES_TOLD = 10
 """Failures that are told one by one; the index has all."""
+_NOTES_TOLD = 5
+"""Sentences of the clips that are told, the most frequent first; the index has all."""
 
 
 def batch(
@@ -85,6 +87,14 @@ def batch(
         return
     if json != "-":
         print(f"{made['done']} of {made['clips']} clips, {told_size(made['bytes'])}: {made['index']}")
+    for count, what in (
+        (made["diverged"], "diverged (the index has them in its column `diverged`)"),
+        (made["limbs_through_cloth"], "have limbs that went through the cloth (column `limbs_through_cloth_max`)"),
+    ):
+        if count:
+            say(f"warning: {count} of {made['done']} clips {what}.")
+    for note in made["notes"][:_NOTES_TOLD]:
+        say(f"in {note['clips']} clips: {note['sentence']}")
     failures = made["failures"]
     for failure in failures[:_FAILURES_TOLD]:
         print(f"pb4u: failed: {failure['job']}: {failure['sentence']}", file=sys.stderr)

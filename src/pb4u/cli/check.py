@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from pb4u.cli.console import (
@@ -25,14 +27,17 @@ def check(
     file: Annotated[
         str | None,
         typer.Argument(
-            metavar="GARMENT", help="Built-in garment or mesh file; the same as --garment.", show_default=False
+            metavar="GARMENT",
+            help="Built-in garment, mesh file or FILE.pkl:NAME of a dictionary; the same as --garment.",
+            show_default=False,
         ),
     ] = None,
     garment: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Built-in garment or mesh file. Repeatable, inner first: then also where they cross each other.",
+            help="Built-in garment, mesh file or FILE.pkl:NAME of a dictionary. Repeatable, inner first: then also "
+            "where they cross each other.",
         ),
     ] = None,
     body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that is to wear it.")] = "woman",
@@ -89,10 +94,10 @@ def check(
     report: dict[str, Any] = {}
     refused = False
     if len(names) > 1:
-        report |= _check_outfit(names, figure, triangles)
+        report |= _check_outfit(names, figure, body, triangles)
         refused = any(each["refused"] for each in report["garments"]) or bool(report["crossings"]["as_worn"])
     elif given is not None:
-        report["garment"] = _check_garment(given, figure, triangles, fix)
+        report["garment"] = _check_garment(given, figure, body, triangles, fix)
         refused = (report["garment"] if fix is None else report["garment"]["remaining"])["refused"]
     if motion is not None:
         report["motion"] = _check_motion(motion, figure, crop)
@@ -106,25 +111,18 @@ def check(
         raise Pb4uError(f"{' with '.join(names)} would be refused; the findings above say how to mend it.")
 
 
-def _check_outfit(names: list[str], figure: Any, triangles: int | None) -> dict[str, Any]:
+def _check_outfit(names: list[str], figure: Any, body: str, triangles: int | None) -> dict[str, Any]:
     """What was found of each garment, and where they cross: as each was made, and as they are worn over each other."""
     from pb4u.garment.fit import RestBody
     from pb4u.garment.garment_file import read_garment
-    from pb4u.garment.library import build_garment, garment_names
     from pb4u.garment.material import MATERIALS
     from pb4u.garment.tangles import OutfitCrossings
 
-    found = [_check_garment(name, figure, triangles, None) for name in names]
+    found = [_check_garment(name, figure, body, triangles, None) for name in names]
     if any(each["refused"] for each in found):
         # What is in other units or far away crosses nothing yet.
         return {"garments": found, "crossings": {"as_made": [], "as_worn": []}}
-    given = {} if triangles is None else {"triangles": triangles}
-    garments = [
-        build_garment(name, figure, **given)
-        if name in garment_names()
-        else read_garment(Path(name), MATERIALS["default"])
-        for name in names
-    ]
+    garments = [_made(name, figure, triangles) or read_garment(Path(name), MATERIALS["default"]) for name in names]
     crossings = OutfitCrossings.of(garments, RestBody.of(figure))
     told = {
         when: [tangle.to_json() | {"sentence": str(tangle)} for tangle in getattr(crossings, when)]
@@ -133,34 +131,51 @@ def _check_outfit(names: list[str], figure: Any, triangles: int | None) -> dict[
     return {"garments": found, "crossings": told}
 
 
+def _made(name: str, figure: Any, triangles: int | None) -> Any:
+    """A built-in garment, or one of a dictionary at the height of the body; None for a mesh file."""
+    from pb4u.compat.garment_dictionary import read_dictionary_garment
+    from pb4u.garment.dictionary_entry import DictionaryEntry
+    from pb4u.garment.library import build_garment, garment_names
+    from pb4u.garment.material import MATERIALS
+
+    if name in garment_names():
+        return build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
+    entry = DictionaryEntry.parse(name)
+    if entry is None:
+        return None
+    garment = read_dictionary_garment(entry, MATERIALS["default"])
+    return replace(garment, vertices=garment.vertices + np.array([0.0, getattr(figure, "lift", 0.0), 0.0]))
+
+
 def _check_fix(fix: Path, given: str | None) -> None:
+    from pb4u.garment.dictionary_entry import DictionaryEntry
     from pb4u.garment.library import garment_names
 
     if fix.suffix.lower() != ".obj":
         raise InputError(f"--fix writes an .obj; {fix} ends otherwise.")
-    if given is None or given in garment_names():
-        raise InputError("--fix mends a garment from a file; give that file.")
+    if given is None or given in garment_names() or DictionaryEntry.parse(given):
+        raise InputError("--fix mends a garment from a mesh file; give that file.")
     check_writable(fix, "--fix")
 
 
-def _check_garment(name: str, figure: Any, triangles: int | None, fix: Path | None) -> dict[str, Any]:
+def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix: Path | None) -> dict[str, Any]:
     """What was found, what was mended and, of a mended garment, what is found still."""
     from pb4u.garment.diagnosis import diagnose
     from pb4u.garment.garment_file import read_source
-    from pb4u.garment.library import build_garment, garment_names
+    from pb4u.garment.library import garment_names
     from pb4u.garment.repair import repair
     from pb4u.geometry.obj_file import write_obj
 
-    if name in garment_names():
-        built = build_garment(name, figure, **({} if triangles is None else {"triangles": triangles}))
-        return {"name": name, **diagnose(built, figure).to_json(), "mended": [], "remaining": None}
+    made = _made(name, figure, triangles)
+    if made is not None:
+        return {"name": name, **diagnose(made, figure, name, body).to_json(), "mended": [], "remaining": None}
     if not Path(name).suffix:
         raise unknown_name("garment", name, garment_names())
     source = read_source(Path(name))
-    found = {"name": name, **diagnose(source, figure, name).to_json(), "mended": [], "remaining": None}
+    found = {"name": name, **diagnose(source, figure, name, body).to_json(), "mended": [], "remaining": None}
     if fix is not None:
         mended, said = repair(source, figure)
-        remaining = diagnose(mended, figure, fix)
+        remaining = diagnose(mended, figure, fix, body)
         # A file of this name is taken for a garment that can be worn.
         if not remaining.is_refused:
             write_obj(fix, mended)

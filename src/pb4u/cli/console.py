@@ -14,7 +14,7 @@ from pb4u.errors import InputError
 from pb4u.export.registry import formats_help, is_same_file, would_overwrite, written_files
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import json_text, replace_file
-from pb4u.scene.specification import with_companions
+from pb4u.run import with_companions
 
 Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"

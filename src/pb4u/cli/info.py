@@ -37,6 +37,7 @@ def info(
     found = gather()
     if model is not None:
         found["model"] = describe_model(model)
+        found |= found["model"]["is"]
     if json:
         write_json(found, json)
         if json == "-":
@@ -46,6 +47,10 @@ def info(
 
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, value in found.items():
+        if key == "model":
+            value = {name: said for name, said in value.items() if name != "is"}
+        if isinstance(value, list):
+            value = "\n".join(value) or "in nothing"
         if isinstance(value, dict):
             value = ", ".join(
                 f"{name} {'yes' if present is True else 'no' if present is False else present}"
@@ -71,7 +76,7 @@ def gather() -> dict[str, Any]:
 
 
 def describe_model(name: str) -> dict[str, Any]:
-    """Network, parameters, training and licence of a model by name or file.
+    """Network, parameters, licence and, as "is", what the network is of a model by name or file.
 
     Args:
         name: a shipped network, a checkpoint file or a .pth of the released code.
@@ -79,6 +84,7 @@ def describe_model(name: str) -> dict[str, Any]:
     Raises:
         InputError: there is none, or its file cannot be used.
     """
+    from pb4u.paper.departures import description
     from pb4u.simulation.models import load_checkpoint_of
 
     checkpoint = load_checkpoint_of(name)
@@ -89,6 +95,7 @@ def describe_model(name: str) -> dict[str, Any]:
         "licence": checkpoint.licence,
         "optimiser steps": checkpoint.record.optimiser_steps,
         "time step [s]": checkpoint.record.dt,
+        "is": description(checkpoint),
     }
 
 

@@ -133,6 +133,15 @@ def boxes_of(
     between lies within what changes linearly from one to the other, so that two need be compared at the ends alone.
     """
     boxes = np.empty((len(corners), 12))
+    fill_boxes(vertices, moves, corners, margin, room, boxes)
+    return boxes
+
+
+@compiled
+def fill_boxes(
+    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margin: float, room: float, boxes: np.ndarray
+) -> None:
+    """Fill `boxes` (elements, 12) as `boxes_of` gives them."""
     for element in range(len(corners)):
         box = boxes[element]
         for axis in range(3):
@@ -144,7 +153,6 @@ def boxes_of(
                 last_low, last_high = min(last_low, last), max(last_high, last)
             box[axis], box[3 + axis] = low - margin, high + margin
             box[6 + axis], box[9 + axis] = last_low - margin - room, last_high + margin + room
-    return boxes
 
 
 def still_boxes(vertices: np.ndarray, faces: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
@@ -168,7 +176,21 @@ def still_boxes(vertices: np.ndarray, faces: np.ndarray, margin: float) -> tuple
 def _fit(face_boxes: np.ndarray, order: np.ndarray, children: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """Boxes (nodes, 12) of the nodes from those of the faces."""
     boxes = np.empty((len(children), 12))
-    for node in range(len(children) - 1, -1, -1):
+    fit_nodes(np.arange(len(children) - 1, -1, -1), face_boxes, order, children, ranges, boxes)
+    return boxes
+
+
+@compiled
+def fit_nodes(
+    nodes: np.ndarray,
+    face_boxes: np.ndarray,
+    order: np.ndarray,
+    children: np.ndarray,
+    ranges: np.ndarray,
+    boxes: np.ndarray,
+) -> None:
+    """Fill the `boxes` (nodes, 12) of some `nodes` (n,), children before their parents."""
+    for node in nodes:
         box = boxes[node]
         if children[node, 0] >= 0:
             copy_row(boxes[children[node, 0]], box)
@@ -177,7 +199,6 @@ def _fit(face_boxes: np.ndarray, order: np.ndarray, children: np.ndarray, ranges
             copy_row(face_boxes[order[ranges[node, 0]]], box)
             for place in range(ranges[node, 0] + 1, ranges[node, 1]):
                 _include(box, face_boxes[order[place]])
-    return boxes
 
 
 @compiled

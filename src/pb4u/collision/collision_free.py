@@ -30,6 +30,9 @@ of the weight is on vertices that do not give way, it would fling the others."""
 _ZONES = 20
 """Rounds in which what touches is moved together: each joins more."""
 
+_ZONES_WITH_OBSTACLES = 8
+"""The same of what touches moving obstacles, before these are let through it."""
+
 
 def smallest_gaps(pairs: ElementPairs, before: np.ndarray) -> np.ndarray:
     """Gaps (pairs,) [m] that the pairs keep; less than `SMALLEST_GAP` where they are that near at rest or `before`.
@@ -66,51 +69,133 @@ def collision_free(
     Gives back `wanted` itself where nothing touches.
 
     Args:
-        tree: of the surface.
+        tree: of the surface, without obstacles.
         before: (vertices, 3) float64 [m] that cross nowhere.
         wanted: (vertices, 3) float64 [m].
         masses: (vertices,) [kg]; infinite for vertices that give way to no impulse.
         known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were looked up already.
     """
+    return past_obstacles(tree, before, wanted, masses, known)[0]
+
+
+def past_obstacles(
+    tree: SurfaceTree,
+    before: np.ndarray,
+    wanted: np.ndarray,
+    masses: np.ndarray,
+    known: tuple[ElementPairs, np.ndarray] | None = None,
+    passed: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `collision_free`, of a surface with obstacles, which go where they want; and what they have passed through.
+
+    Where obstacles leave no room between them, those that meet an element last are let through it.
+
+    Args:
+        tree: of the surface, its obstacles last.
+        before: (vertices, 3) float64 [m] that cross nowhere but where obstacles have `passed`.
+        wanted: (vertices, 3) float64 [m].
+        masses: (vertices,) [kg]; infinite for vertices that give way to no impulse, as those of obstacles are.
+        known: as in `collision_free`.
+        passed: (vertices,) bool of the surface that obstacles are let through; none by default.
+
+    Returns:
+        Positions (vertices, 3) [m], `wanted` itself where nothing touches, and what (vertices,) bool obstacles have
+        passed through by then.
+    """
+    passed = np.zeros(len(before), dtype=bool) if passed is None else passed
     moves = wanted - before
     if not moves.any():
-        return wanted
-    pairs, gaps = known or _met(tree, before, moves)
+        return wanted, passed
+    pairs, gaps = known or _met(tree, before, moves, passed)
     shares = free_shares(pairs, gaps, before, moves)
     if (shares >= 1.0).all():
-        return wanted
+        return wanted, passed
     inverse, joined = 1.0 / masses, np.arange(len(before))
     worlds = tree.vertex_world.max(initial=0) + 1
     fastest = np.zeros(worlds)
     np.maximum.at(fastest, tree.vertex_world, (moves**2).sum(axis=1))
+    firm = slice(tree.first_obstacle, None)
+    closing, looked_up = moves[firm].any(), moves.copy()
     for attempt in range(_IMPULSES + _ZONES):
         if (shares >= 1.0).all():
             # Changed moves may meet others than the first ones did.
-            pairs, gaps = _met(tree, before, moves)
+            pairs, gaps = _met(tree, before, moves, passed, pairs, (moves != looked_up).any(axis=1))
+            looked_up = moves.copy()
             shares = free_shares(pairs, gaps, before, moves)
             if (shares >= 1.0).all():
-                return before + moves
+                return before + moves, passed
         touching, previous = shares < 1.0, moves.copy()
+        if attempt >= _IMPULSES + _ZONES_WITH_OBSTACLES and closing:
+            # Nor does it help to go with them: there is no room. Beside what stands still there always is.
+            passed = passed | _met_by_obstacles(pairs.corners[touching], tree.first_obstacle, len(moves))
+            kept = ~through_obstacle(pairs.corners, tree.first_obstacle, passed)
+            pairs, gaps, shares = pairs.chosen(kept), gaps[kept], shares[kept]
+            touching = shares < 1.0
         hit = pairs.chosen(touching)
         if attempt < _IMPULSES:
             stopped = (gaps[touching], shares[touching])
             _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, fastest)
         else:
             moves = _together(moves, hit.corners, joined, masses)
+            moves[firm] = previous[firm]
         changed = (moves != previous).any(axis=1)[pairs.corners].any(axis=1)
         shares[changed] = free_shares(pairs.chosen(changed), gaps[changed], before, moves)
-    # All of a world together, as far as nothing touches: it always can be.
-    pairs, gaps = _met(tree, before, moves)
-    free = np.ones(worlds)
-    np.minimum.at(free, tree.vertex_world[pairs.corners[:, 0]], free_shares(pairs, gaps, before, moves))
-    return before + free[tree.vertex_world, None] * moves
+    # All of a world together, as far as nothing touches: it always can be, but for obstacles.
+    pairs, gaps = _met(tree, before, moves, passed, pairs)
+    free, shares = np.ones(worlds), free_shares(pairs, gaps, before, moves)
+    own = (pairs.corners < tree.first_obstacle).all(axis=1)
+    np.minimum.at(free, tree.vertex_world[pairs.corners[own, 0]], shares[own])
+    moves[: tree.first_obstacle] *= free[tree.vertex_world[: tree.first_obstacle], None]
+    if closing:
+        pairs, gaps = _met(tree, before, moves, passed, pairs)
+        hit = pairs.corners[free_shares(pairs, gaps, before, moves) < 1.0]
+        passed = passed | _met_by_obstacles(hit, tree.first_obstacle, len(moves))
+    return before + moves, passed
 
 
-def _met(tree: SurfaceTree, before: np.ndarray, moves: np.ndarray) -> tuple[ElementPairs, np.ndarray]:
-    """Pairs that may touch along `moves`, and their gaps (pairs,) [m]."""
+def through_obstacle(corners: np.ndarray, first_obstacle: int, passed: np.ndarray) -> np.ndarray:
+    """Which pairs (pairs,) bool are of an obstacle and an element that obstacles are let through.
+
+    Args:
+        corners: (pairs, 4) int64 of the pairs.
+        first_obstacle: number of the first vertex of obstacles; they are the last ones.
+        passed: (vertices,) bool of the surface that obstacles are let through.
+    """
+    result: np.ndarray = (corners >= first_obstacle).any(axis=1) & passed[corners].any(axis=1)
+    return result
+
+
+def _met_by_obstacles(corners: np.ndarray, first_obstacle: int, count: int) -> np.ndarray:
+    """Vertices (count,) bool of the surface in those pairs `corners` (pairs, 4) that are with an obstacle."""
+    met = np.zeros(count, dtype=bool)
+    own = corners < first_obstacle
+    mixed = ~own.all(axis=1)
+    met[corners[mixed][own[mixed]]] = True
+    return met
+
+
+def _met(
+    tree: SurfaceTree,
+    before: np.ndarray,
+    moves: np.ndarray,
+    passed: np.ndarray,
+    known: ElementPairs | None = None,
+    changed: np.ndarray | None = None,
+) -> tuple[ElementPairs, np.ndarray]:
+    """Pairs that may touch along `moves`, and their gaps (pairs,) [m]; what obstacles have `passed` is left out.
+
+    Pairs of vertices that have not `changed` (vertices,) their moves since they were known free may be left out too.
+    """
     # The push out of the body and the lift move few vertices; what stands still meets nothing that does.
-    moved = np.any(moves, axis=1)
-    pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved)
+    if known is not None and known.neighbourhood is not None:
+        pairs = tree.pairs(before, SMALLEST_GAP, moves, known)
+    else:
+        moved = np.any(moves, axis=1) if changed is None else changed
+        if moved[tree.first_obstacle :].any():
+            moved = np.arange(len(moved)) < tree.first_obstacle
+        pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved)
+    if passed.any():
+        pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, passed))
     return pairs, smallest_gaps(pairs, before)
 
 

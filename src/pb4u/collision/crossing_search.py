@@ -11,7 +11,7 @@ import numpy as np
 from pb4u.collision.box_tree import EVERY, boxes_meet, meeting_leaves, still_boxes, with_room
 from pb4u.collision.crossings import self_crossings
 from pb4u.collision.jit import compiled
-from pb4u.collision.surface_tree import SurfaceTree
+from pb4u.collision.surface_tree import SurfaceTree, asked_for
 
 _TOUCHING = 1e-10
 """Gap [m] up to which two faces are left to the exact predicates; the rounding of a few metres is 1e-15."""
@@ -28,6 +28,24 @@ class CrossingSearch:
     def __init__(self, tree: SurfaceTree, most: int = EVERY) -> None:
         self._tree, self._most = tree, most
 
+    def crossed(self, vertices: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
+        """Vertices (vertices,) bool, none of an obstacle, of the faces that cross one.
+
+        Args:
+            vertices: (vertices, 3) float64 [m], finite.
+            among: (vertices,) bool, of which each of these faces has one; None for all.
+        """
+        tree, faces = self._tree, self._tree.faces
+        first = tree.first_obstacle
+        found, own = np.zeros(len(vertices), dtype=bool), np.arange(len(vertices)) < first
+        node_boxes, face_boxes, *_ = tree.fitted(vertices, np.zeros_like(vertices), 0.5 * _TOUCHING)
+        shape = tree.boxes.arrays
+        asked = asked_for(shape[:3], faces, tree.edges[:0], own if among is None else among & own)
+        pairs = _touching_faces(vertices, faces, node_boxes, face_boxes, shape, False, self._most, asked)
+        mixed = pairs[(faces[pairs][:, :, 0] < first).sum(axis=1) == 1]
+        found[faces[mixed]] = True
+        return found & own
+
     def pairs(self, vertices: np.ndarray, *, sharing: bool = False) -> np.ndarray:
         """Pairs (pairs, 2) int64 of faces that cross: those of `self_crossings`; what is not finite crosses nothing.
 
@@ -35,13 +53,22 @@ class CrossingSearch:
             vertices: (vertices, 3) [m].
             sharing: whether pairs that share a vertex, and pass through each other elsewhere, are found as well.
         """
-        faces = self._tree.faces
-        points, face_boxes = still_boxes(vertices, faces, 0.5 * _TOUCHING)
-        node_boxes, shape = self._tree.boxes.fitted(face_boxes), self._tree.boxes.arrays
-        touching = np.unique(_touching_faces(points, faces, node_boxes, face_boxes, shape, sharing, self._most))
+        points, pairs = self._touching(vertices, sharing, np.ones(len(vertices), dtype=bool))
+        touching = np.unique(pairs)
         if not len(touching):
             return np.zeros((0, 2), dtype=np.int64)
-        return touching[self_crossings(points, faces[touching], sharing=sharing)]
+        return touching[self_crossings(points, self._tree.faces[touching], sharing=sharing)]
+
+    def _touching(self, vertices: np.ndarray, sharing: bool, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Finite positions (vertices, 3) [m], and the pairs (pairs, 2) of faces that are not certainly apart.
+
+        Of which one has a vertex `among` (vertices,) bool.
+        """
+        tree = self._tree
+        points, face_boxes = still_boxes(vertices, tree.faces, 0.5 * _TOUCHING)
+        node_boxes, shape = tree.boxes.fitted(face_boxes), tree.boxes.arrays
+        asked = asked_for(shape[:3], tree.faces, tree.edges[:0], among)
+        return points, _touching_faces(points, tree.faces, node_boxes, face_boxes, shape, sharing, self._most, asked)
 
 
 @compiled
@@ -53,6 +80,7 @@ def _touching_faces(
     tree: tuple,
     sharing: bool,
     most: int,
+    among: tuple,
 ) -> np.ndarray:
     """Faces (pairs, 2) of every pair that shares no vertex, or one where `sharing`, and is not certainly apart."""
     order, children, ranges, roots = tree
@@ -60,7 +88,7 @@ def _touching_faces(
     count = 0
     # Taken once: an array made for every pair would cost more than its numbers.
     work, side, other_side = np.empty((9, 3)), np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    asked = np.ones(len(children), dtype=np.bool_)
+    asked, asked_faces, _ = among
     leaves = meeting_leaves(node_boxes, children, ranges, asked, np.column_stack((roots, roots)), most)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
@@ -68,7 +96,7 @@ def _touching_faces(
             f = order[i]
             for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                 g = order[j]
-                if not boxes_meet(face_boxes, f, face_boxes, g):
+                if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes, f, face_boxes, g):
                     continue
                 shared = _shared(faces[f], faces[g], side, other_side)
                 if shared == 0:

@@ -13,6 +13,9 @@ from pb4u.collision.jit import compiled
 _KEPT = 0.1
 """Share of the gap that is left where a move is cut: that much of the way to the other element is not taken."""
 
+_ENDS = 0.4
+"""Share of what a cut leaves that is enough at the end of a move: an impulse leaves half."""
+
 _MOST_ADVANCES = 200
 """Advances after which a time of impact is taken as found: of a pair that grazes past, each is short."""
 
@@ -210,7 +213,7 @@ def free_share(
     if left <= 0.0:
         return 0.0
     enough = _KEPT * left
-    share, advance = 0.0, (1.0 - _KEPT) * left / fastest
+    share, advance, stopped = 0.0, (1.0 - _KEPT) * left / fastest, -1.0
     for _ in range(_MOST_ADVANCES):
         if share + advance >= 1.0:
             return 1.0
@@ -218,10 +221,13 @@ def free_share(
             for axis in range(3):
                 points[corner, axis] += advance * moves[corner, axis]
         left = nearest(points, vertex_face, weights, between) - gap
-        if left < enough:
-            return share
+        if stopped < 0.0 and left < enough:
+            stopped = share
+        # A move may end nearer than it is cut: where an impulse leaves it.
+        if left < _ENDS * enough:
+            break
         share += advance
         advance = (1.0 - _KEPT) * left / fastest
         if advance < 1e-6:
-            return share
-    return share
+            break
+    return stopped if stopped >= 0.0 else share

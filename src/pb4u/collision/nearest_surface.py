@@ -214,7 +214,7 @@ class PosedSurface:
         asked = torch.as_tensor(points).detach()
         queried = asked.to(self.vertices.device, torch.float64)
         if not bool(torch.isfinite(queried).all()):
-            raise InputError("The nearest surface was asked for a point that is not finite.")
+            raise InputError("A position is not finite (NaN or infinite); look at the file or arrays of the garment.")
         if self.compiled:
             found = Found.nothing(len(queried))
             self.look_up(queried.numpy(), found)

@@ -7,12 +7,24 @@ same measure, so that cloth which is carried along by centimetres gives no more 
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from pb4u.collision.box_tree import EVERY, BoxTree, boxes_meet, boxes_of, copy_row, meeting_leaves, with_room
+from pb4u.collision.box_tree import (
+    EVERY,
+    BoxTree,
+    boxes_meet,
+    boxes_of,
+    copy_row,
+    fill_boxes,
+    fit_nodes,
+    meeting_leaves,
+    with_room,
+)
 from pb4u.collision.element_pairs import (
     ElementPairs,
     Neighbourhood,
@@ -36,6 +48,32 @@ _HALVED = 2
 """How often the surface is halved for the parts that threads search: four pieces, and the three seams between them."""
 
 
+Boxes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+class _Fitted(NamedTuple):
+    """Boxes fitted to where obstacles were, which they mostly are in the next search.
+
+    Args:
+        obstacles: (obstacle vertices, 3) [m].
+        moves: (obstacle vertices, 3) [m].
+        margin: what the boxes are wider by [m].
+        room: the same at the end of the moves [m].
+        boxes: of nodes, faces, edges and vertices.
+    """
+
+    obstacles: np.ndarray
+    moves: np.ndarray
+    margin: float
+    room: float
+    boxes: Boxes
+
+    def serves(self, obstacles: np.ndarray, moves: np.ndarray, margin: float, room: float) -> bool:
+        """Whether what is kept of the obstacles holds for a search; arguments as those of the record."""
+        wide = margin <= self.margin and room <= self.room
+        return wide and np.array_equal(obstacles, self.obstacles) and np.array_equal(moves, self.moves)
+
+
 class SurfaceTree:
     """Search for near pairs of elements of one surface.
 
@@ -45,10 +83,21 @@ class SurfaceTree:
         edges: (edges, 2) int64 of the faces.
         part: (vertices,) int64 part of the surface that each belongs to, such as a garment.
         world: (parts,) int64; parts of different worlds never meet.
+        obstacles: number of vertices, the last ones, with their faces and edges, that come near each other unasked:
+            of each pair one element is of the others.
+
+    Attributes:
+        first_obstacle: number of the first of these vertices.
     """
 
     def __init__(
-        self, rest: np.ndarray, faces: np.ndarray, edges: np.ndarray, part: np.ndarray, world: Sequence[int]
+        self,
+        rest: np.ndarray,
+        faces: np.ndarray,
+        edges: np.ndarray,
+        part: np.ndarray,
+        world: Sequence[int],
+        obstacles: int = 0,
     ) -> None:
         self.rest = np.ascontiguousarray(rest, dtype=np.float64)
         self.faces = np.ascontiguousarray(faces, dtype=np.int64)
@@ -59,10 +108,15 @@ class SurfaceTree:
         self.vertex_world = np.asarray(world, dtype=np.int64)[self.part]
         self.boxes = BoxTree.over(centres, face_part, np.asarray(world))
         self._vertices = np.arange(len(self.rest))[:, None]
-        lengths = np.linalg.norm(self.rest[self.edges[:, 0]] - self.rest[self.edges[:, 1]], axis=1)
+        self.first_obstacle = len(self.rest) - obstacles
+        own_edges, own_faces = (int((e[:, 0] < self.first_obstacle).sum()) for e in (self.edges, self.faces))
+        self._own_counts = own_faces, own_edges, self.first_obstacle
+        lengths = np.linalg.norm(self.rest[self.edges[:own_edges, 0]] - self.rest[self.edges[:own_edges, 1]], axis=1)
         self._room = _ROOM * float(lengths.mean()) if len(lengths) else 0.0
         self._owned_vertices, self._owned_edges = _owners(self.faces, self.edges, len(self.rest))
-        self._around = _pairs_around(self.faces, self.edges, self._owned_vertices, self._owned_edges, len(self.rest))
+        around = (values[:own_faces] for values in (self.faces, self._owned_vertices, self._owned_edges))
+        own, own_vertices, own_sides = around
+        self._around = _pairs_around(own, self.edges, own_vertices, own_sides, len(self.rest))
 
     @cached_property
     def _still(self) -> np.ndarray:
@@ -70,7 +124,7 @@ class SurfaceTree:
 
     @cached_property
     def _everywhere(self) -> np.ndarray:
-        return np.ones(len(self.rest), dtype=bool)
+        return np.arange(len(self.rest)) < self.first_obstacle
 
     def pairs(
         self,
@@ -93,7 +147,8 @@ class SurfaceTree:
             lasting: whether to look further than asked, so that the result serves as the next `known`.
             among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
 
-        Raises ValueError when they are given together.
+        Raises:
+            ValueError: they are given together.
         """
         if among is not None and (known is not None or lasting):
             raise ValueError("pairs of some vertices are neither taken from known pairs nor kept as such")
@@ -102,7 +157,7 @@ class SurfaceTree:
         neighbourhood = None if known is None else known.neighbourhood
         if neighbourhood is not None and neighbourhood.reach >= reach:
             away, left = neighbourhood.left(vertices, moving)
-            if np.count_nonzero(left) <= _MOST_LEAVING * len(vertices):
+            if np.count_nonzero(left) <= _MOST_LEAVING * self.first_obstacle:
                 stayed = neighbourhood.near(vertices, moving, away, left, reach)
                 found = _near(self._search(vertices, moving, 0.5 * reach, left), vertices, moving, reach)
                 return self._pairs((stayed, found), neighbourhood)
@@ -142,20 +197,59 @@ class SurfaceTree:
         """
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
-        face_boxes, edge_boxes, vertex_boxes = (
-            boxes_of(vertices, moves, corners, margin, room) for corners in (self.faces, self.edges, self._vertices)
-        )
-        boxes = (self.boxes.fitted(face_boxes), face_boxes, edge_boxes, vertex_boxes)
+        boxes = self.fitted(vertices, moves, margin, room)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
         tree = self.boxes.arrays[:3]
-        asked = (among, *_asked(tree, self.faces, self.edges, among))
+        asked = (among, *asked_for(tree, self.faces, self.edges, among))
         whole = np.count_nonzero(among) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         found = of_parts(lambda part: _search(boxes, tree, elements, asked, part), parts)
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         found.append(_search_around(boxes, elements, asked, *self._around))
         vertex_faces, edge_edges = (np.concatenate(pairs) for pairs in zip(*found, strict=True))
+        if among[self.first_obstacle :].any():
+            vertex_faces, edge_edges = (
+                corners[(corners < self.first_obstacle).any(axis=1)] for corners in (vertex_faces, edge_edges)
+            )
         return vertex_faces, edge_edges
+
+    def fitted(self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0) -> Boxes:
+        """Boxes (.., 12) [m] of the nodes, faces, edges and vertices; those of obstacles may be wider than asked for.
+
+        They hold until the next call in the same thread.
+
+        Args:
+            vertices: (vertices, 3) float64 [m].
+            moves: (vertices, 3) float64 [m].
+            margin: what they are wider by on every side [m].
+            room: the same at the end of the move [m].
+        """
+        elements, first = (self.faces, self.edges, self._vertices), self.first_obstacle
+        if first == len(vertices):
+            made = [boxes_of(vertices, moves, corners, margin, room) for corners in elements]
+            return self.boxes.fitted(made[0]), made[0], made[1], made[2]
+        kept: _Fitted | None = getattr(self._kept, "boxes", None)
+        if kept is None or not kept.serves(vertices[first:], moves[first:], margin, room):
+            made = [boxes_of(vertices, moves, corners, margin, room) for corners in elements]
+            boxes = self.boxes.fitted(made[0]), made[0], made[1], made[2]
+            self._kept.boxes = _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes)
+            return boxes
+        for corners, own, boxes_of_them in zip(elements, self._own_counts, kept.boxes[1:], strict=True):
+            fill_boxes(vertices, moves, corners[:own], margin, room, boxes_of_them)
+        fit_nodes(self._own_nodes, kept.boxes[1], *self.boxes.arrays[:3], kept.boxes[0])
+        return kept.boxes
+
+    @cached_property
+    def _kept(self) -> threading.local:
+        return threading.local()
+
+    @cached_property
+    def _own_nodes(self) -> np.ndarray:
+        """Nodes (nodes,) int64 that hold a face which is no obstacle's, children before their parents."""
+        own = self.faces[:, 0] < self.first_obstacle
+        counts = np.concatenate([[0], np.cumsum(own[self.boxes.order])])
+        nodes = np.flatnonzero(counts[self.boxes.ranges[:, 1]] > counts[self.boxes.ranges[:, 0]])
+        return np.ascontiguousarray(nodes[::-1])
 
     @cached_property
     def _parts(self) -> np.ndarray:
@@ -297,7 +391,7 @@ def _search_around(
 
 
 @compiled
-def _asked(
+def asked_for(
     tree: tuple, faces: np.ndarray, edges: np.ndarray, among: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which nodes, faces and edges have a vertex `among` (vertices,) those asked for."""

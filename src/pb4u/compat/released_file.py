@@ -31,7 +31,8 @@ class ReleasedFile:
         path: of the file, for messages.
         content: the dictionary in it.
 
-    Raises InputError where it is no checkpoint of a released network, or holds something other than finite numbers.
+    Raises:
+        InputError: it is no checkpoint of a released network, or holds something other than finite numbers.
     """
 
     def __init__(self, path: Path, content: Any) -> None:
@@ -58,7 +59,8 @@ class ReleasedFile:
     def read(cls, path: Path) -> ReleasedFile:
         """A .pth file, or .safetensors with the same keys.
 
-        Raises InputError where it is damaged, of another project, or holds something unexpected.
+        Raises:
+            InputError: it is damaged, of another project, or holds something unexpected.
         """
         if path.suffix.lower() != ".safetensors":
             return cls(path, load_torch_archive(path))
@@ -71,7 +73,11 @@ class ReleasedFile:
             raise InputError(f"{path} is no whole safetensors file ({told_error(error)}); fetch it again.") from None
 
     def tensor(self, key: str, columns: int | None = None) -> Tensor:
-        """The weights called `key`, float32. Raises InputError where they are missing or of other than `columns`."""
+        """The weights called `key`, float32.
+
+        Raises:
+            InputError: they are missing or of other than `columns`.
+        """
         if key not in self.weights:
             raise InputError(f"{self.path} lacks {key}; it is half a checkpoint, or of another project.")
         self.used.add(key)
@@ -95,7 +101,11 @@ class ReleasedFile:
         return named
 
     def statistics(self, name: str) -> tuple[Tensor, Tensor]:
-        """Mean and spread (columns,) float64 of a released normaliser. Raises InputError where its parts do not fit."""
+        """Mean and spread (columns,) float64 of a released normaliser.
+
+        Raises:
+            InputError: its parts do not fit.
+        """
         counts, _, sums, squares = (
             self.tensor(f"model._{name}_normalizer._{part}").to(torch.float64).reshape(-1)
             for part in ("acc_count", "num_accumulations", "acc_sum", "acc_sum_squared")
@@ -109,7 +119,8 @@ class ReleasedFile:
     def count(self, pattern: str) -> int:
         """Number of blocks whose keys match `pattern`, a number in its one group.
 
-        Raises InputError where they do not count from 0 without a gap.
+        Raises:
+            InputError: they do not count from 0 without a gap.
         """
         found = {int(match[1]) for key in self.weights if (match := re.match(re.escape(NETWORK) + pattern, key))}
         if found != set(range(len(found))):
@@ -139,7 +150,8 @@ def prefixed(prefix: str, mlp: Mapping[str, Tensor]) -> dict[str, Tensor]:
 def reordered(weight: Tensor, given: Sequence[str], wanted: Sequence[str]) -> Tensor:
     """The first layer of an MLP of parts of one width, its parts in another order.
 
-    Raises InputError where its columns are not those of as many parts.
+    Raises:
+        InputError: its columns are not those of as many parts.
     """
     if weight.shape[1] % len(given):
         raise InputError(f"A block reads {weight.shape[1]} columns, which are not {len(given)} latents.")

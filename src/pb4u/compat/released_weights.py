@@ -68,7 +68,11 @@ class ReleasedWeights:
         return built_checkpoint(self.name, self.configuration, self.tensors, self.record, self.licence, dtype)
 
     def save(self, path: Path | str) -> None:
-        """Write a checkpoint of ours. Raises InputError where the folder cannot be written."""
+        """Write a checkpoint of ours.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
         save_tensors(path, self.tensors, self.configuration, self.record, self.licence)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pb4u import __version__
 from pb4u.errors import InputWarning, Pb4uError
 from pb4u.jobs.job import Failure, Job, address, attempted, require_content
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run, WornGarment
 
 # torch and all that needs it is imported where it is used: a worker sets its number of threads before.
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ class ClipJob(Job):
         weights: SHA-256 of a network's weights; None for what has none.
     """
 
-    run: RunSpecification
+    run: Run
     half: bool = False
     contents: tuple[tuple[str, str, str], ...] = ()
     weights: str | None = None
@@ -62,7 +61,7 @@ class ClipJob(Job):
     @property
     def labels(self) -> dict[str, Any]:
         """What the clip was asked to be, as JSON: names as they are in the jobs file."""
-        scene, names = self.run.scene, {value: Path(file).stem for value, file, _ in reversed(self.contents)}
+        scene, names = self.run, {value: Path(file).stem for value, file, _ in reversed(self.contents)}
 
         def named(value: object) -> str | None:
             return None if value is None else names.get(str(value), str(value))
@@ -124,6 +123,7 @@ def make(job: ClipJob) -> Clip:
         Pb4uError: the state stopped being finite before the first frame to write.
     """
     from pb4u.measures.run_report import run_report
+    from pb4u.simulation.run_simulation import roll_out, scene_for
     from pb4u.simulation.simulator import RunRecord
 
     began = time.perf_counter()
@@ -132,11 +132,11 @@ def make(job: ClipJob) -> Clip:
         warnings.simplefilter("always", InputWarning)
         for _, file, expected in job.contents:
             require_content(Path(file), expected)
-        simulator = _simulator(replace(job.run, scene=SceneSpecification()))
-        scene = job.run.assemble(simulator)
+        simulator = _simulator(job.run.options)
+        scene = scene_for(job.run, simulator)
         record = RunRecord()
         try:
-            trajectory = job.run.roll_out(simulator, scene, record=record)
+            trajectory = roll_out(job.run, simulator, scene, record=record)
         except Pb4uError as error:
             if record.failed_at is None:
                 raise
@@ -165,14 +165,16 @@ def make(job: ClipJob) -> Clip:
 
 
 @lru_cache(maxsize=1)
-def _simulator(options: RunSpecification) -> Simulator:
+def _simulator(options: Run) -> Simulator:
     """The simulator of the options; clips mostly share one, whose weights need not be read for each."""
-    return options.simulator()
+    from pb4u.simulation.models import simulator_of
+
+    return simulator_of(options)
 
 
 def _plain(specification: object, files: Mapping[str, list[str]]) -> Any:
     """A specification as JSON, files by their names and contents."""
-    if isinstance(specification, RunSpecification | SceneSpecification | GarmentSpecification):
+    if isinstance(specification, Run | WornGarment):
         return {each.name: _plain(getattr(specification, each.name), files) for each in fields(specification)}
     if isinstance(specification, tuple):
         return [_plain(each, files) for each in specification]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -16,14 +18,16 @@ from pb4u.errors import InputError, Pb4uError
 from pb4u.jobs.job_queue import make_all, still_to_do
 from pb4u.jobs.worker_pool import WorkerPool
 from pb4u.progress import Progress, unheard
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run
 
 _SPARE = 64 * 2**20
 """Bytes that stay free on the disk: the index, the manifest and what else the machine writes meanwhile."""
 
+_NUMBER = re.compile(r"\d[\d.,]*")
+
 
 def make_dataset(
-    runs: Sequence[RunSpecification],
+    runs: Sequence[Run],
     out: Path,
     pool: Callable[[], WorkerPool],
     layout: Layout,
@@ -59,7 +63,10 @@ def make_dataset(
         Pb4uError: the disk refuses, or it was interrupted.
     """
     require_parquet()
-    jobs = plan_clips(runs, half, say)
+    try:
+        jobs = plan_clips(runs, half, say)
+    except InputError as error:
+        raise InputError(f"{jobs_file}: {error}" if jobs_file else str(error)) from None
     takes = dict(zip((job.key for job in jobs), footprints(jobs), strict=True))
     with DatasetFolder(out, layout, half) as folder:
         missing = still_to_do(jobs, folder, "clips", retry, say)
@@ -143,8 +150,21 @@ def _summary(jobs: Sequence[ClipJob], folder: DatasetFolder) -> dict[str, Any]:
         "clips": len(jobs),
         "done": len(records),
         "diverged": sum(bool(record["diverged"]) for record in records),
+        "limbs_through_cloth": sum(bool(record.get("limbs_through_cloth")) for record in records),
+        "notes": _summed(record.get("notes", ()) for record in records),
         "failures": [{"key": job.key, "job": str(job), "sentence": failure.sentence} for job, failure in failed],
         "bytes": sum(record["bytes"] for record in records),
         "worker_seconds": sum(record["seconds"] for record in records),
         "index": str(folder.path / INDEX),
     }
+
+
+def _summed(notes: Iterable[Sequence[str]]) -> list[dict[str, Any]]:
+    """The sentences of all clips, the most frequent first; those that differ in their numbers count as one."""
+    first: dict[str, str] = {}
+    counts: Counter[str] = Counter()
+    for sentences in notes:
+        alike = {_NUMBER.sub("N", sentence): sentence for sentence in sentences}
+        counts.update(alike.keys())
+        first = {**alike, **first}
+    return [{"clips": count, "sentence": first[kind]} for kind, count in counts.most_common()]

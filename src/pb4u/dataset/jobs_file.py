@@ -11,14 +11,14 @@ import csv
 import io
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from pb4u.errors import InputError, unknown_name
 from pb4u.io.reading_limits import read_text
-from pb4u.simulation.run_specification import ENTRIES, RunSpecification, read_tables
+from pb4u.run import ENTRIES, Run, read_tables
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -35,7 +35,7 @@ _TOLD = 4
 """Entries of a clip that a refusal names: enough to find its line."""
 
 
-def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[RunSpecification, ...]:
+def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[Run, ...]:
     """The runs of a jobs file, those of the product first, its last entry varying fastest.
 
     Args:
@@ -46,13 +46,18 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[RunSpecification, ...
         InputError: it is missing or not of its format, describes none or too many, or an entry is unknown or has a
             value that cannot be used.
     """
-    readers = {".toml": _read_toml, ".csv": _read_csv}
+    readers: dict[str, tuple[Callable[[Path], Any], Callable[[Any], tuple[int, Iterator[dict[str, Any]]]]]] = {
+        ".toml": (_tables, _toml_clips),
+        ".csv": (_table_text, _csv_clips),
+    }
     if path.suffix.lower() not in readers:
         raise InputError(f"{path} is no jobs file, whose name ends in {' or '.join(readers)}.")
     if not path.is_file():
         raise InputError(f"There is no jobs file {path}.")
+    read, parse = readers[path.suffix.lower()]
+    content = read(path)
     try:
-        count, clips = readers[path.suffix.lower()](path)
+        count, clips = parse(content)
         if not count:
             raise InputError("it describes no clip; give lists in [product], or [[clips]].")
         if count > most:
@@ -60,7 +65,7 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[RunSpecification, ...
                 f"it describes {count:,} clips, and {most:,} are the most that are made at once; shorten a list, or "
                 "raise --most-clips."
             )
-        scenes: dict[Path, RunSpecification] = {}
+        scenes: dict[Path, Run] = {}
         # Absolute, so that a worker finds the files from wherever it runs.
         folder = path.absolute().parent
         return tuple(_run(number, entries, folder, scenes) for number, entries in enumerate(clips, start=1))
@@ -68,19 +73,17 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[RunSpecification, ...
         raise InputError(f"{path}: {error}") from None
 
 
-def _run(
-    number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Path, RunSpecification]
-) -> RunSpecification:
+def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Path, Run]) -> Run:
     """The run of one clip; `scenes` holds the scene files that were read."""
     changed = {name: value for name, value in entries.items() if name != _SCENE}
     try:
-        described = RunSpecification()
+        described = Run()
         if _SCENE in entries:
             if not isinstance(entries[_SCENE], str):
                 raise InputError(f"A scene is the name of a scene file, not {entries[_SCENE]!r}.")
             file = folder / entries[_SCENE]
             if file not in scenes:
-                scenes[file] = RunSpecification.open(file)
+                scenes[file] = Run.open(file)
             described = scenes[file]
         return described.with_entries(changed, folder)
     except InputError as error:
@@ -88,9 +91,12 @@ def _run(
         raise InputError(f"clip {number} ({told}): {error}") from None
 
 
-def _read_toml(path: Path) -> tuple[int, Iterator[dict[str, Any]]]:
-    """How many clips the file describes, and their entries."""
-    tables = read_tables(path, "a jobs file")
+def _tables(path: Path) -> dict[str, Any]:
+    return read_tables(path, "a jobs file")
+
+
+def _toml_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, Any]]]:
+    """How many clips the tables describe, and their entries."""
     for name in tables:
         if name not in _SECTIONS:
             raise unknown_name("section", name, _SECTIONS)
@@ -124,7 +130,7 @@ def _table(section: str, table: Any) -> dict[str, Any]:
         raise InputError(f"the section {section} must hold entries such as name = value, not {table!r}.")
     for name in table:
         if name not in _KNOWN:
-            raise unknown_name(f"entry of {section}", name, _KNOWN)
+            raise unknown_name("entry", name, _KNOWN, section)
     return table
 
 
@@ -143,20 +149,24 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _read_csv(path: Path) -> tuple[int, Iterator[dict[str, Any]]]:
-    """How many clips the file describes, and their entries; an empty cell leaves an entry at its default."""
+def _table_text(path: Path) -> str:
     try:
         # Spreadsheets write a mark of the encoding first.
-        text = read_text(path, "a jobs file", encoding="utf-8-sig")
+        return read_text(path, "a jobs file", encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: it is no table with a header in UTF-8: {error}.") from None
+
+
+def _csv_clips(text: str) -> tuple[int, Iterator[dict[str, Any]]]:
+    """How many clips a table describes, and their entries; an empty cell leaves an entry at its default."""
+    try:
         header, *rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if any(row)]
-    except InputError:
-        raise
     except (csv.Error, ValueError) as error:
         raise InputError(f"it is no table with a header in UTF-8: {error}.") from None
     names = [name.strip() for name in header]
     for name in names:
         if name not in _KNOWN:
-            raise unknown_name("entry, as columns are called,", name, _KNOWN)
+            raise unknown_name("column", name, _KNOWN)
         if names.count(name) > 1:
             raise InputError(f"two columns are called {name}.")
     for number, row in enumerate(rows, start=2):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,10 +19,9 @@ from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import MATERIALS, load_material
 from pb4u.jobs.job import digest
 from pb4u.motion.library import load_motion, motion_names
-from pb4u.scene.assembly import DEFAULT_FRAMES
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification, with_companions
-from pb4u.simulation.models import default_model
-from pb4u.simulation.run_specification import Device, RunSpecification
+from pb4u.run import Run, WornGarment, with_companions
+from pb4u.scene.assembly import DEFAULT_FRAMES, DEFAULT_MOTION
+from pb4u.simulation.models import default_model, simulator_of
 
 _SECONDS_A_FRAME = {
     "skinning": (0.05, 0.05), "solver": (0.15, 0.35), "quick-solver": (0.08, 0.15), "newton": (0.5, 0.5),
@@ -49,7 +47,7 @@ class Footprint(NamedTuple):
     seconds: float
 
 
-def plan_clips(runs: Sequence[RunSpecification], half: bool, say: Callable[[str], None]) -> tuple[ClipJob, ...]:
+def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> tuple[ClipJob, ...]:
     """The clips of the runs, each once.
 
     Args:
@@ -62,16 +60,24 @@ def plan_clips(runs: Sequence[RunSpecification], half: bool, say: Callable[[str]
     """
     contents: dict[str, tuple[tuple[str, str, str], ...]] = {}
     checked: set[tuple[str, str]] = set()
-    models: dict[RunSpecification, tuple[str, Device, str | None]] = {}
+    models: dict[Run, tuple[str, str, str | None]] = {}
     jobs = []
-    for run in runs:
-        _require_names(run.scene, checked)
-        options = replace(run, scene=SceneSpecification())
-        if options not in models:
-            models[options] = _resolved(run)
+    has_bones = lru_cache(maxsize=None)(_has_bones)
+    for number, run in enumerate(runs, start=1):
+        try:
+            _require_names(run, checked)
+            options = run.options
+            if options not in models:
+                models[options] = _resolved(run)
+        except InputError as error:
+            raise InputError(f"clip {number} ({ClipJob(run)}): {error}") from None
         model, device, weights = models[options]
-        resolved = replace(run, model=model, device=device)
-        named = dict.fromkeys(str(value) for value in run.files() if isinstance(value, str | Path))
+        given = {"model": model, "device": device}
+        if run.motion is None and has_bones(str(run.body)):
+            # Named, so that its label says what the body performs.
+            given["motion"] = DEFAULT_MOTION
+        resolved = run.with_entries(given)
+        named = dict.fromkeys(str(value) for value in resolved.files if isinstance(value, str | Path))
         for value in named:
             if value not in contents:
                 contents[value] = _content(value)
@@ -82,7 +88,7 @@ def plan_clips(runs: Sequence[RunSpecification], half: bool, say: Callable[[str]
     return tuple(unique.values())
 
 
-def _require_names(scene: SceneSpecification, checked: set[tuple[str, str]]) -> None:
+def _require_names(scene: Run, checked: set[tuple[str, str]]) -> None:
     """Refuse names and files that are not there; `checked` holds those that are."""
     known = {"garment": garment_names(), "motion": motion_names(), "material": tuple(MATERIALS)}
     worn = [(kind, getattr(each, kind)) for each in scene.garments for kind in ("garment", "material")]
@@ -90,7 +96,7 @@ def _require_names(scene: SceneSpecification, checked: set[tuple[str, str]]) -> 
         if value is None or (kind, str(value)) in checked or not isinstance(value, str | Path):
             continue
         checked.add((kind, str(value)))
-        entry = DictionaryEntry.parse(value) if kind == "garment" else None
+        entry = DictionaryEntry.parse(value) if kind in ("garment", "motion") else None
         file = Path(value) if entry is None else entry.path
         if file.suffix and not file.exists():
             raise InputError(f"There is no {kind} file {file}.")
@@ -102,14 +108,18 @@ def _require_names(scene: SceneSpecification, checked: set[tuple[str, str]]) -> 
             raise unknown_name(kind, str(value), known[kind])
 
 
-def _resolved(run: RunSpecification) -> tuple[str, Device, str | None]:
+def _has_bones(body: str) -> bool:
+    return isinstance(load_body(body), ShapedBody)
+
+
+def _resolved(run: Run) -> tuple[str, str, str | None]:
     """Model by name or file, device, and the digest of a network's weights."""
     from pb4u.simulation.checkpoint import weights_file
     from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
-    simulator = run.simulator()
+    simulator = simulator_of(run)
     model = default_model() if str(run.model) == "auto" else str(run.model)
-    device: Device = "cuda" if str(simulator.settings().get("device")) == "cuda" else "cpu"
+    device = "cuda" if str(simulator.settings().get("device")) == "cuda" else "cpu"
     if not isinstance(simulator, NetworkSimulator):
         return model, device, None
     with weights_file(model) as path:
@@ -136,7 +146,7 @@ def footprints(jobs: Iterable[ClipJob]) -> list[Footprint]:
     recorded = lru_cache(maxsize=None)(_recorded_frames)
     told = []
     for job in jobs:
-        scene = job.run.scene
+        scene = job.run
         points, corners, own_frames = body(str(scene.body))
         frames = scene.frames
         if frames is None:
@@ -165,7 +175,7 @@ def _body_counts(name: str) -> tuple[int, int, int | None]:
     return len(body.contact), len(body.faces), body.frame_count if moves else None  # type: ignore[union-attr]
 
 
-def _garment_triangles(garment: GarmentSpecification) -> int:
+def _garment_triangles(garment: WornGarment) -> int:
     name = garment.garment
     assert isinstance(name, str | Path)
     entry = DictionaryEntry.parse(name)

@@ -91,10 +91,13 @@ class LiveCaches:
         self._folder = folder
 
     def append(self, frame: Frame) -> None:
-        """Take a computed frame, and write those that can be told now. Raises InputError where the disk takes no more.
+        """Take a computed frame, and write those that can be told now.
 
         Args:
             frame: the next one.
+
+        Raises:
+            InputError: the disk takes no more.
         """
         self._arrived.append(frame.positions)
         known = self._dropped + len(self._arrived)

@@ -111,7 +111,8 @@ def check_target(path: Path) -> None:
     """
     form = WRITERS.get(path.suffix.lower())
     if form is None:
-        raise InputError(f"Cannot tell what to write from the name {path}: end it in one of {', '.join(WRITERS)}.")
+        what = f"{path.suffix} is not a format that is written" if path.suffix else f"{path} has no suffix"
+        raise InputError(f"{what}; end the name of the file in one of {', '.join(WRITERS)}.")
     folder = path.parent
     if not folder.is_dir():
         raise InputError(f"The folder {folder} does not exist; make it first.")

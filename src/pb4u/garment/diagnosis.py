@@ -101,7 +101,10 @@ class Diagnosis:
 
 
 def diagnose(
-    garment: PolygonMesh | Garment, body: ShapedBody | AnimatedBody | None = None, file: str | Path = "GARMENT.obj"
+    garment: PolygonMesh | Garment,
+    body: ShapedBody | AnimatedBody | None = None,
+    file: str | Path = "GARMENT.obj",
+    body_file: str | None = None,
 ) -> Diagnosis:
     """Faults of a garment, all of them, on its own and on the resting body.
 
@@ -112,6 +115,7 @@ def diagnose(
         garment: as it was read, or as it is simulated.
         body: who wears it; without a body only the mesh itself is looked at.
         file: the garment's file, named in the cures.
+        body_file: name or file of the body, named in the cures; by default a place to put it.
     """
     pinned = False
     if isinstance(garment, Garment):
@@ -133,7 +137,7 @@ def diagnose(
     if body is not None and len(vertices):
         rest = RestBody.of(body)
         fit = find_fit(vertices, rest)
-        mend = fix_command(file, rest.name)
+        mend = fix_command(file, rest.name if body_file is None else body_file)
         findings += _placement_findings(vertices, fit, rest, mend)
         findings += _crossing_findings(surface, fit.apply(garment.vertices), measures)
         findings += _contact_findings(surface, fit, rest, measures, mend)
@@ -179,19 +183,36 @@ def require_worn(
         warnings.warn(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.", InputWarning, stacklevel=3)
 
 
-def require_fine(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
+def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
+    """Refuse a garment from arrays in other units, or far from the body.
+
+    Args:
+        garment: as it was given.
+        body: who wears it.
+
+    Raises:
+        InputError: its extent is that of no garment in metres, or it does not come near the resting body.
+    """
+    if unit := likely_unit(garment.vertices):
+        raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
+    for finding in _far_finding(garment.vertices, RestBody.of(body)):
+        raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
+
+
+def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted: bool = False) -> None:
     """Refuse a garment too coarse to stay around the resting body; warn where skin may show through it.
 
     Args:
         garment: as it is simulated.
         body: who wears it.
+        accepted: whether the user wants it as coarse as it is: a warning then takes the place of the refusal.
 
     Raises:
         InputError: its edges span too much of the way round the body.
     """
     for finding in _coarse_findings(garment.vertices, garment.faces, RestBody.of(body)):
         sentence = f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}."
-        if finding.severity is Severity.REFUSED:
+        if finding.severity is Severity.REFUSED and not accepted:
             raise InputError(sentence)
         warnings.warn(sentence, InputWarning, stacklevel=3)
 
@@ -261,7 +282,7 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
             sentence = f"Edge lengths vary by {lengths.std() / lengths.mean():.2f} of their mean, more than {_GRADED}."
             add("graded", warning, sentence, f"simulate it evenly meshed with `--triangles {len(surface.faces)}`")
     if surface.many_sided:
-        fix = "nothing: they are cut to simulate, and `pb4u convert --on source` writes them whole"
+        fix = "none is needed: triangles are cut of them to simulate, and `pb4u convert --on source` writes them whole"
         add("polygons", Severity.NOTE, f"{surface.many_sided} faces have four corners or more.", fix)
     return findings
 
@@ -294,7 +315,7 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
         code = "place" if fit.shift[[0, 2]].any() else "height"
         findings.append(Finding(code, Severity.WARNING, sentence, f"move it with {mend}", True))
     if fit.front_alike:
-        sentence = f"Its shape does not tell its front: {fit.axes} is taken, and {fit.front_alike[0]} fits alike."
+        sentence = f"Front and back of the garment fit alike: {fit.axes} is taken, {fit.front_alike[0]} is as likely."
         fix = "look at it once it is mended, and turn it about the vertical where it is the wrong way round"
         findings.append(Finding("front", Severity.WARNING, sentence, fix))
     if float(body.misfit(vertices)) > _WORST_MISFIT:
@@ -313,10 +334,11 @@ def _coarse_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) ->
     coarse = Coarseness.of(vertices, faces, body)
     if not coarse.is_few:
         return []
-    spans = f"one edge in ten spans {coarse.degrees:.0f} degrees of the way round it"
+    spans = f"one edge in ten covers {coarse.degrees:.0f} of the 360 degrees around a limb or the trunk"
     fix = f"ask for more with `--triangles {coarse.enough}`"
     if coarse.is_lost:
         sentence = f"Its {coarse.triangles:,} triangles are too few to stay around the body: {spans}."
+        fix = f"{fix}, or take its own with `--triangles {coarse.triangles}`"
         return [Finding("too-coarse", Severity.REFUSED, sentence, fix)]
     sentence = f"Its {coarse.triangles:,} triangles are few for the body, so skin or a limb may come through: {spans}."
     return [Finding("coarse", Severity.WARNING, sentence, fix)]

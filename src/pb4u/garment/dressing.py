@@ -74,7 +74,8 @@ class PrescribedPlacement(Placement):
     Args:
         frames: (frames, vertices, 3) [m]; the last one is held.
 
-    Raises InputError for another shape, no frame, or numbers that are not finite.
+    Raises:
+        InputError: another shape, no frame, or numbers that are not finite.
     """
 
     def __init__(self, frames: np.ndarray) -> None:

@@ -217,7 +217,7 @@ class Fit:
         """A sentence on a place where it fits closer than where it is left; None where there is none."""
         if self.closer is None:
             return None
-        return f"Left where it is, though it fits a little closer moved by {_in_words(self.closer)}: it is wide."
+        return f"It was not moved, though it would fit a little closer {_in_words(self.closer)} away: it is wide."
 
     @property
     def is_identity(self) -> bool:

@@ -8,7 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from pb4u.body.skinning import SkinningWeights, strongest_influences
+from pb4u.errors import InputError
 from pb4u.garment.material import Material
+from pb4u.geometry.mesh_arrays import as_numbers, checked_faces, checked_vertices
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import edge_lengths, face_areas
@@ -88,6 +90,12 @@ class Garment:
         loose: whether it hangs free of the nearest limb (dresses, skirts): skinning weights are then averaged widely.
         coarse_edges: (edges, 2) int64 of each coarse level from fine to coarse, where its file brings them.
         skinning: how it rides on the body, where its file says so; None borrows from the body.
+        rest_uv: (faces, 3, 2) float64 corners of each face lying flat [m], of cloth that was cut flat and sewn. These
+            triangles are then the rest shape, and `vertices` only says where they are worn. None where `vertices` is
+            the rest shape.
+
+    Raises:
+        InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
     """
 
     name: str
@@ -101,19 +109,54 @@ class Garment:
     loose: bool = False
     coarse_edges: tuple[np.ndarray, ...] = ()
     skinning: GarmentSkinning | None = None
+    rest_uv: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if not len(self.pinned):
-            object.__setattr__(self, "pinned", np.zeros(len(self.vertices), dtype=bool))
+        owner = f"garment {self.name}"
+        vertices = checked_vertices(owner, self.vertices)
+        checked: dict[str, np.ndarray] = {
+            "vertices": vertices,
+            "faces": checked_faces(owner, self.faces, len(vertices)),
+            "pinned": np.asarray(self.pinned) if len(self.pinned) else np.zeros(len(vertices), dtype=bool),
+        }
+        if checked["pinned"].shape != (len(vertices),) or checked["pinned"].dtype != bool:
+            raise InputError(
+                f"{owner}: pinned is a bool for each of its {len(vertices)} vertices; vertices by number are pinned by "
+                "make_scene(pins=[..])."
+            )
+        if not isinstance(self.material, Material):
+            raise InputError(
+                f'{owner}: its material must be a Material, such as pb4u.Material.named("cotton"), not '
+                f"{self.material!r}."
+            )
+        if (self.uvs is None) != (self.uv_faces is None):
+            raise InputError(f"{owner}: uvs and uv_faces belong together; give both or neither.")
+        if self.uvs is not None and self.uv_faces is not None:
+            uvs = as_numbers(owner, "uvs", self.uvs)
+            if uvs.ndim != 2 or uvs.shape[1] != 2:
+                raise InputError(f"{owner}: its uvs have the shape {uvs.shape}, where (uv points, 2) belongs.")
+            uv_faces = checked_faces(owner, self.uv_faces, len(uvs), "uv_faces")
+            if len(uv_faces) != len(checked["faces"]):
+                raise InputError(f"{owner}: it has {len(uv_faces)} uv_faces for {len(checked['faces'])} faces.")
+            checked |= {"uvs": uvs, "uv_faces": uv_faces}
+        for name, array in checked.items():
+            object.__setattr__(self, name, array)
 
     @cached_property
     def topology(self) -> Topology:
         return Topology(self.faces, len(self.vertices))
 
     @cached_property
+    def rest_corners(self) -> np.ndarray:
+        """Corners (faces, 3, 3) [m] of the faces at rest: flat ones have a third coordinate of 0."""
+        if self.rest_uv is None:
+            return self.vertices[self.faces]
+        return np.concatenate([self.rest_uv, np.zeros((len(self.faces), 3, 1))], axis=2)
+
+    @cached_property
     def face_areas(self) -> np.ndarray:
         """Rest areas (faces,) [m^2] of the faces."""
-        return face_areas(self.vertices, self.faces)
+        return face_areas(self.rest_corners.reshape(-1, 3), np.arange(3 * len(self.faces)).reshape(-1, 3))
 
     @cached_property
     def vertex_areas(self) -> np.ndarray:
@@ -128,13 +171,25 @@ class Garment:
 
     @cached_property
     def edge_lengths(self) -> np.ndarray:
-        """Rest lengths (edges,) [m] of `topology.edges`."""
-        return edge_lengths(self.vertices, self.topology.edges)
+        """Rest lengths (edges,) [m] of `topology.edges`; at a seam the mean of its two sides."""
+        if self.rest_uv is None:
+            return edge_lengths(self.vertices, self.topology.edges)
+        sides = np.linalg.norm(np.roll(self.rest_uv, -1, axis=1) - self.rest_uv, axis=2)
+        edges = self.topology.face_edges.ravel()
+        return np.bincount(edges, weights=sides.ravel()) / np.bincount(edges)
 
     @cached_property
     def mean_edge_length(self) -> float:
         """Mean rest edge length [m]: the garment's resolution."""
         return float(self.edge_lengths.mean())
+
+    @property
+    def is_authors_mesh(self) -> bool:
+        """Whether its vertices are the author's own, not those of a remeshing."""
+        if self.source is None:
+            return True
+        kept = np.count_nonzero(self.source.barycentric.max(axis=1) == 1.0)
+        return bool(kept >= len(self.vertices))
 
     @property
     def triangle_count(self) -> int:

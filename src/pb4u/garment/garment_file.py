@@ -36,7 +36,7 @@ def read_garment(
     Args:
         path: the file.
         material: its cloth.
-        triangles: about how many triangles it is remeshed to; None for the mesh as its author made it.
+        triangles: about how many triangles it is remeshed to; None, or as many as it has, for the author's own mesh.
         pins: which vertices follow the body, as for `resolve_pins`; None for none.
 
     Raises:
@@ -56,11 +56,12 @@ def read_garment(
     simulated = np.unique(faces)
     vertices = source.vertices[simulated]
     faces = np.searchsorted(simulated, faces)
-    if triangles is None:
+    if triangles in (None, len(faces)):
         uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
         garment = Garment(path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces)
         garment = replace(garment, source=_map_to_same(source, simulated, vertices, faces))
     else:
+        assert triangles is not None
         from pb4u.collision.remeshing import remesh
 
         vertices, faces = remesh(vertices, faces, triangles)
@@ -105,7 +106,8 @@ def fix_command(file: str | Path = "GARMENT.obj", body: str = DEFAULT_BODY) -> s
         file: the garment's file.
         body: name or file of the body that wears it.
     """
-    worn_by = "" if body == DEFAULT_BODY else f" --body {body}" if body in body_names() else " --body BODY"
+    is_given = body in body_names() or Path(body).exists()
+    worn_by = "" if body == DEFAULT_BODY else f" --body {shlex.quote(body)}" if is_given else " --body BODY"
     return f"`pb4u check {shlex.quote(str(file))}{worn_by} --fix OUT.obj`"
 
 

@@ -30,6 +30,11 @@ class Material:
     bending: float
     thickness: float = 4.7e-4
 
+    @classmethod
+    def named(cls, name_or_path: str | Path) -> Material:
+        """A built-in material by name, or one of a .json file, as `load_material` reads it."""
+        return load_material(name_or_path)
+
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             lowest_allowed = 0.0 if name in ("lame_lambda", "bending") else None
@@ -68,8 +73,10 @@ def load_material(name_or_path: str | Path) -> Material:
     if name in MATERIALS:
         return MATERIALS[name]
     path = Path(name_or_path)
+    if not path.suffix:
+        raise unknown_name("material", name, MATERIALS)
     if path.suffix.lower() != ".json":
-        raise unknown_name("material, nor a .json file of one, called", name, MATERIALS)
+        raise InputError(f"A material of your own is a .json file; {path} ends otherwise.")
     return _read_material(path)
 
 

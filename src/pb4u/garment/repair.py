@@ -55,7 +55,7 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
         said += [] if fit.doubt is None else [fit.doubt]
         return source
     if fit.is_unsure:
-        said.append("Left where it is: it cannot be told where on the body it belongs.")
+        said.append("It was not moved: where on the body it belongs cannot be found out from its shape.")
         return source
     if fit.unit != "metres":
         said.append(f"Scaled by {UNITS[fit.unit]:g}, from {fit.unit} to metres.")
@@ -64,7 +64,7 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     if fit.shift.any():
         said.append(f"Moved by {fit.move} on to the body, {1000 * fit.misfit:.0f} mm off on average.")
     if fit.front_alike:
-        said.append(f"Taken as {fit.axes}: its shape does not tell its front, and {fit.front_alike[0]} fits alike.")
+        said.append(f"Taken as {fit.axes}: front and back fit alike, and so does {fit.front_alike[0]}.")
     return replace(source, vertices=fit.apply(source.vertices))
 
 

@@ -104,8 +104,10 @@ class SourceSurface:
     def weld_target(self) -> np.ndarray:
         """Indices (vertices,) int64 of the vertices welded to: of a border vertex the lowest in its place, else itself.
 
-        Vertices that share an edge are never joined, however short the edge is. Raises InputError where so many lie in
-        one place that their pairs cannot be gone through.
+        Vertices that share an edge are never joined, however short the edge is.
+
+        Raises:
+            InputError: so many lie in one place that their pairs cannot be gone through.
         """
         vertices, topology = self.source.vertices, self.topology
         border = np.flatnonzero(topology.border_vertices)

@@ -133,7 +133,11 @@ class _Table:
         self._parts: list[np.ndarray] = []
 
     def add(self, lines: Lines) -> None:
-        """Add the rows of some lines. Raises InputError naming the first bad line."""
+        """Add the rows of some lines.
+
+        Raises:
+            InputError: a line is bad; the first is named.
+        """
         if not lines:
             return
         self._parts.append(self._numbers(lines))

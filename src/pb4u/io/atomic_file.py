@@ -34,10 +34,11 @@ _NAME_KEPT = 100
 def working_folder(path: Path) -> Iterator[Path]:
     """A hidden folder beside a file, for what becomes it; deleted at the end, or by the next one after a kill.
 
-    Raises OSError where it cannot be made.
-
     Args:
         path: path of the file.
+
+    Raises:
+        OSError: it cannot be made.
     """
     sweep(path.parent)
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:_NAME_KEPT]}.", suffix=MARK, dir=path.parent))
@@ -94,11 +95,14 @@ def _is_alive(process: str) -> bool:
 
 
 def move_into_place(written: Path, path: Path) -> None:
-    """Give a complete file its name, once its bytes are on the disk. Raises OSError.
+    """Give a complete file its name, once its bytes are on the disk.
 
     Args:
         written: path of the file as it was written, on the same disk.
         path: path that it gets; a file there is replaced.
+
+    Raises:
+        OSError: the disk does not take it.
     """
     with open(written, "rb+") as stream:
         os.fsync(stream.fileno())
@@ -106,11 +110,14 @@ def move_into_place(written: Path, path: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file beside its place and move it there. Raises OSError, leaving nothing behind.
+    """Write a file beside its place and move it there.
 
     Args:
         path: path of the file.
         content: all of its bytes.
+
+    Raises:
+        OSError: the disk does not take it; nothing is left behind.
     """
     beside = path.with_name(f".{path.name[:_NAME_KEPT]}.{os.getpid()}{MARK}")
     try:

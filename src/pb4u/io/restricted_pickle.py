@@ -10,7 +10,7 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from pb4u.io.pickle_limits import MOST_UNFOLDED, require_plain_pickle
 from pb4u.io.reading_limits import Allowance, told_error
 
 _SPARSE_FORMATS = ("csr", "csc", "coo")
+_MOST_PLAIN = 2**20
+"""Bytes of a file of joblib beside its arrays; each makes one object at most."""
 
 
 class _Refused(Exception):
@@ -64,19 +66,25 @@ class _DtypeShell(_Shell):
 def load_pickle(path: str | Path) -> Any:
     """Content of a pickle file made of numbers, strings, collections, numpy arrays and sparse matrices.
 
+    Files of `joblib.dump` that are not compressed are read as well.
+
     Chumpy objects become plain arrays; pickles of Python 2 are read as latin-1. The classes and functions that the file
     names are never called: known ones are replaced by constructors of this module, all others are refused.
 
-    Raises InputError when the file cannot be read, names anything else, holds what contains itself, or would take more
-    memory than it may.
+    Raises:
+        InputError: the file cannot be read, names anything else, holds what contains itself, or would take more memory
+            than it may.
     """
     path = Path(path)
     try:
         allowance = Allowance(path)
         with path.open("rb") as file:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                require_plain_pickle(content, path)  # type: ignore[arg-type]
-            return _Resolution(allowance).of(_DataUnpickler(file, allowance).load())
+                is_joblib = content.find(b"joblib.numpy_pickle", 0, _MOST_PLAIN) >= 0
+                if not is_joblib:
+                    require_plain_pickle(content, path)  # type: ignore[arg-type]
+            unpickler = _JoblibUnpickler if is_joblib else _DataUnpickler
+            return _Resolution(allowance).of(unpickler(file, allowance).load())
     except InputError:
         raise
     except _Refused as refusal:
@@ -96,7 +104,8 @@ def load_torch_archive(path: str | Path) -> Any:
     Besides what `load_pickle` takes, tensors and parameters of 16, 32 and 64 bit floating point and whole numbers are
     known, on whichever device they lay; all other names are refused.
 
-    Raises InputError when the file is no whole archive of torch 1.6 or later, or names anything else.
+    Raises:
+        InputError: the file is no whole archive of torch 1.6 or later, or names anything else.
     """
     path = Path(path)
     try:
@@ -107,7 +116,7 @@ def load_torch_archive(path: str | Path) -> Any:
             return _Resolution(allowance).of(_ArchiveUnpickler(members, allowance).load())
     except DamagedArchiveError:
         raise InputError(
-            f"{path} is no whole archive of torch.save; fetch it again, or save a file from before torch 1.6 anew."
+            f"{path} is not a torch file (or is damaged); give a .pth or .pt file that torch 1.6 or later saved."
         ) from None
     except InputError:
         raise
@@ -122,12 +131,51 @@ def load_torch_archive(path: str | Path) -> Any:
         ) from error
 
 
-class _DataUnpickler(pickle.Unpickler):
-    """An unpickler whose only callables are those of `_constructors`, made anew for each file."""
+def load_object_array(path: str | Path) -> Any:
+    """What `numpy.save` wrote of one object: numbers, text, collections, arrays and tensors of torch, as `load_pickle`.
 
-    def __init__(self, file: BinaryIO, allowance: Allowance) -> None:
-        super().__init__(file, encoding="latin1")
-        self._constructors = _constructors(allowance)
+    Raises InputError when it is no such .npy, or names anything else.
+    """
+    path = Path(path)
+    try:
+        allowance = Allowance(path)
+        with path.open("rb") as file:
+            version = np.lib.format.read_magic(file)
+            header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            shape, _, dtype = header(file)
+            if shape or not dtype.hasobject:
+                raise InputError(f"{path} holds an array {shape} of {dtype}, and no dictionary.")
+            content = io.BytesIO(file.read())
+            require_plain_pickle(content, path)
+            content.seek(0)
+            unpickler = _DataUnpickler(content, allowance)
+            unpickler._constructors["torch.storage", "_load_from_bytes"] = _stored_numbers
+            unpickler._constructors["torch._utils", "_rebuild_tensor_v2"] = _tensor
+            return _Resolution(allowance).of(unpickler.load()).item()
+    except InputError:
+        raise
+    except _Refused as refusal:
+        raise InputError(f"{path}: {refusal}; only files of plain arrays are read, nothing in it was run.") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except Exception as error:
+        raise InputError(
+            f"{path}: not a complete .npy of plain data ({type(error).__name__}: {told_error(error)})."
+        ) from error
+
+
+def _stored_numbers(content: Any) -> np.ndarray:
+    """The numbers of a storage of torch, which it pickles as a file of `torch.save`."""
+    import torch
+
+    storage = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+    return torch.tensor([], dtype=storage.dtype).set_(storage).numpy()
+
+
+class _Names:
+    """What an unpickler may call: nothing but `_constructors`, which are made for each file."""
+
+    _constructors: dict[tuple[str, str], Any]
 
     def find_class(self, module: str, name: str) -> Any:
         constructor = self._constructors.get((module.replace("numpy._core", "numpy.core"), name))
@@ -143,6 +191,71 @@ class _DataUnpickler(pickle.Unpickler):
 
     def persistent_load(self, pid: Any) -> Any:
         raise _Refused("it refers to data outside of itself")
+
+
+class _DataUnpickler(_Names, pickle.Unpickler):
+    """An unpickler of plain data."""
+
+    def __init__(self, file: BinaryIO, allowance: Allowance) -> None:
+        super().__init__(file, encoding="latin1")
+        self._constructors = _constructors(allowance)
+
+
+class _JoblibUnpickler(_Names, pickle._Unpickler):
+    """An unpickler of `joblib.dump`, which writes the bytes of each array into the stream, after what describes it.
+
+    Source of the layout: joblib 1.5, `numpy_pickle.py` (BSD). It needs the unpickler written in Python, as joblib does.
+
+    Args:
+        file: the stream.
+        allowance: memory that it may take.
+    """
+
+    def __init__(self, file: BinaryIO, allowance: Allowance) -> None:
+        self._file, self._allowance, self._plain = file, allowance, 0
+        super().__init__(self, encoding="latin1")
+        self._constructors = _constructors(allowance)
+        self._constructors["joblib.numpy_pickle", "NumpyArrayWrapper"] = _InlineArray
+
+    def read(self, size: int) -> bytes:
+        """Bytes of the pickle itself, of which there are few beside the arrays."""
+        self._plain += size
+        if self._plain > _MOST_PLAIN:
+            raise _Refused(f"it holds over {_MOST_PLAIN:,} bytes that are no arrays")
+        return self._file.read(size)
+
+    def readline(self) -> bytes:
+        """A line of the pickle itself."""
+        line = self._file.readline(_MOST_PLAIN)
+        self._plain += len(line)
+        return line
+
+    def load_build(self) -> None:
+        """Set the state of an object; the bytes of an array follow it."""
+        super().load_build()  # type: ignore[misc]
+        wrapper = self.stack[-1]  # type: ignore[attr-defined]
+        if isinstance(wrapper, _InlineArray):
+            self.stack[-1] = wrapper.read(self._file, self._allowance)  # type: ignore[attr-defined]
+
+    dispatch: ClassVar[dict[int, Any]] = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}
+
+
+class _InlineArray(_Shell):
+    """Stands for what describes an array in a file of joblib."""
+
+    def read(self, file: BinaryIO, allowance: Allowance) -> np.ndarray:
+        """The array whose bytes come next."""
+        kind, shape, order = (self.state.get(name) for name in ("dtype", "shape", "order"))
+        if not isinstance(kind, _DtypeShell) or not isinstance(shape, tuple) or kind.dtype.hasobject:
+            raise _Refused("it holds an array of objects")
+        if not all(type(n) is int and n >= 0 for n in shape):
+            raise _Refused("it holds an array of an unknown shape")
+        if self.state.get("numpy_array_alignment_bytes") is not None:
+            file.read(int.from_bytes(file.read(1), "little"))
+        size = math.prod(shape) * kind.dtype.itemsize
+        if size > allowance.left:
+            allowance.take(size, "an array")
+        return _array(kind, shape, file.read(size), order == "F", allowance)
 
 
 class _Storage(NamedTuple):
@@ -279,6 +392,7 @@ def _constructors(allowance: Allowance) -> dict[tuple[str, str], Any]:
         ("numpy.core.numeric", "_frombuffer"): from_buffer,
         ("_codecs", "encode"): encode,
         ("collections", "OrderedDict"): counted(OrderedDict),
+        ("collections", "defaultdict"): lambda kind: {},
     }
     for builtins in ("builtins", "__builtin__"):
         named |= {(builtins, kind.__name__): counted(kind) for kind in (set, frozenset, list, dict, tuple)}

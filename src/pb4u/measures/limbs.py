@@ -16,7 +16,6 @@ import numpy as np
 import torch
 
 from pb4u.body.body_model import PosedBody
-from pb4u.body.skeleton import joint_positions
 from pb4u.collision.crossings import segments_through_faces
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.scene.scene import Scene
@@ -54,7 +53,7 @@ class Bones:
         for body in scene.colliders:
             if isinstance(body, PosedBody):
                 bones, segments = _touchable_bones(body)
-                joints = joint_positions(body.body.skeleton, body.poses)
+                joints = body.joints
                 now = np.minimum(at.astype(int), len(joints) - 1)
                 share = (at - now)[:, None, None]
                 between = (1.0 - share) * joints[now] + share * joints[np.minimum(now + 1, len(joints) - 1)]

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.collision.overlaps import overlapping_faces
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
@@ -35,7 +36,7 @@ ENERGIES = (*(term.name for term in IncrementalPotential().terms), "total")
 STRAINS = ("strain_p95", "strain_max")
 GEOMETRY = (
     *STRAINS, "penetration_percent", "penetration_depth_max", "visible_skin_percent", "self_intersections",
-    "body_intersections",
+    "body_intersections", "body_intersections_pinched",
 )  # fmt: skip
 OF_A_CLIP = (*ENERGIES, *GEOMETRY, "limbs_through_cloth")
 """Metrics of each frame of a clip; the last needs the skeletons of its scene."""
@@ -70,8 +71,12 @@ def measure(
         `limbs_through_cloth`, those that cross cloth; a metric of that name counts them in each frame.
 
     Raises:
-        InputError: the metadata do not say what the garments are made of.
+        InputError: it is no trajectory, or its metadata do not say what the garments are made of.
     """
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(
+            f"measure takes a Trajectory, which simulator.simulate(scene) gives, not a {type(trajectory).__name__}."
+        )
     ruler = Ruler(trajectory)
     frames = []
     for t in range(trajectory.frame_count):
@@ -185,7 +190,10 @@ def _garment(header: TrajectoryHeader, entry: dict[str, Any]) -> Garment:
     vertices, triangles = slice(*entry["vertices"]), slice(*entry["triangles"])
     rest = np.asarray(header.rest_positions[vertices], dtype=np.float64)
     faces = header.faces[triangles] - vertices.start
-    return Garment(str(entry["name"]), rest, faces, material, header.pinned[vertices])
+    flat = None if header.rest_uv is None else np.asarray(header.rest_uv[triangles], dtype=np.float64)
+    if flat is not None and not np.isfinite(flat).all():
+        flat = None
+    return Garment(str(entry["name"]), rest, faces, material, header.pinned[vertices], rest_uv=flat)
 
 
 def visible_skin(
@@ -214,6 +222,35 @@ def visible_skin(
     return shown, covered, cover.faces[cover.shown]
 
 
+def pinched(
+    pairs: np.ndarray, cloth: np.ndarray, cloth_faces: np.ndarray, body: np.ndarray, body_faces: np.ndarray
+) -> np.ndarray:
+    """Which crossings (pairs,) bool of cloth with the body reach where the body is inside itself.
+
+    The circle around a face of cloth, about its centre, reaches there: no cloth can lie right between two parts of a
+    body that pass through each other.
+
+    Args:
+        pairs: (pairs, 2) int64 a face of cloth and one of the body.
+        cloth: (vertices, 3) [m].
+        cloth_faces: (faces, 3) int64.
+        body: (body vertices, 3) [m].
+        body_faces: (body faces, 3) int64 of all of it, closed.
+    """
+    if not len(pairs):
+        return np.zeros(0, dtype=bool)
+    from scipy.spatial import KDTree
+
+    overlapping = body_faces[overlapping_faces(body, body_faces)]
+    if not len(overlapping):
+        return np.zeros(len(pairs), dtype=bool)
+    corners = cloth[cloth_faces[pairs[:, 0]]]
+    centres = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
+    near: np.ndarray = KDTree(body[np.unique(overlapping)]).query(centres)[0] <= radii
+    return near
+
+
 class FrameMetrics(NamedTuple):
     """Metrics of one frame; not a number where a position is none.
 
@@ -239,6 +276,7 @@ class Ruler:
     Attributes:
         garments: the garments, packed in float64.
         surface: the body's surface, or None where it is open or nothing may touch it.
+        faces: (faces, 3) of the bodies.
         touched: (faces, 3) of the bodies that cloth may touch.
 
     Raises:
@@ -262,6 +300,7 @@ class Ruler:
         touchable = closed and bool(contact[faces].all(axis=1).any())
         # As contact knows it: what is in a hand, which it leaves out, is not in the forearm.
         self.surface = TriangleSurface(faces, len(contact), contact, capped=True) if touchable else None
+        self.faces = faces
         self.touched = faces[contact[faces].all(axis=1)]
 
     def frame(self, t: int) -> FrameMetrics:
@@ -272,7 +311,7 @@ class Ruler:
             lost = dict.fromkeys(ENERGIES, float("nan"))
             whole = lost | dict.fromkeys(GEOMETRY, float("nan"))
             return FrameMetrics(whole, lost, [lost | each for each in each_strains])
-        step = self._step(t, x)
+        step = self.step(t, x)
         ours, paper = (_energies(potential.of(step).energies(x).terms) for potential in self.potentials)
         metrics = _summed(ours) | strains
         if self.surface is not None:
@@ -287,11 +326,13 @@ class Ruler:
             areas = vertex_areas(body, self.touched)
             under = float(areas[shown | covered].sum())
             metrics["visible_skin_percent"] = 100.0 * float(areas[shown].sum()) / under if under else 0.0
-            metrics["body_intersections"] = float(len(crossings(x.numpy(), cloth, body, self.touched)))
+            crossing = crossings(x.numpy(), cloth, body, self.touched)
+            metrics["body_intersections"] = float(len(crossing))
+            metrics["body_intersections_pinched"] = float(pinched(crossing, x.numpy(), cloth, body, self.faces).sum())
         garments = [energies | each for energies, each in zip(ours, each_strains, strict=True)]
         return FrameMetrics(metrics, _summed(paper), garments)
 
-    def _step(self, t: int, x: Tensor) -> TimeStep:
+    def step(self, t: int, x: Tensor) -> TimeStep:
         """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still."""
         state = State(x, torch.zeros_like(x), -1)
         if t:

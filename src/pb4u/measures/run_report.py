@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pb4u.measures.divergence import skinned_centres
+from pb4u.measures.excess import BEATEN_BY, distance_to, excess_heights, series
 from pb4u.measures.limbs import Bones, limbs_sentence
 from pb4u.measures.metrics import measure
 from pb4u.progress import Progress, unheard
@@ -14,7 +15,13 @@ from pb4u.simulation.simulator import RunRecord, Simulator
 
 
 def run_report(
-    trajectory: Trajectory, simulator: Simulator, scene: Scene, record: RunRecord, progress: Progress = unheard
+    trajectory: Trajectory,
+    simulator: Simulator,
+    scene: Scene,
+    record: RunRecord,
+    progress: Progress = unheard,
+    excess: bool = False,
+    reference: Trajectory | None = None,
 ) -> dict[str, Any]:
     """Names, counts, timing and metrics of a run, as JSON but for numbers that are not finite.
 
@@ -24,15 +31,23 @@ def run_report(
         scene: what was simulated.
         record: cost of the run and how it ended.
         progress: called with (frames measured, frames in all).
+        excess: also measure `excess_height`, three solves a frame, and count the frames that lie below their reference.
+        reference: also measure `distance_to_reference`.
 
     Raises:
-        InputError: the trajectory does not say what its garments are made of.
+        InputError: the trajectory does not say what its garments are made of, or the reference is of other meshes.
     """
     bones = Bones.of(scene, trajectory)
     measured = measure(trajectory, skinned_centres(scene, trajectory), progress, bones)
     if record.failed_at is not None and not measured["diverged"]:
         # The frames that are not finite are not written.
         measured |= {"diverged": True, "diverged_at": trajectory.frame_count}
+    if excess:
+        heights = excess_heights(trajectory, progress)
+        measured["metrics"]["excess_height"] = series(heights)
+        measured["frames_below_reference"] = sum(height < -BEATEN_BY for height in heights)
+    if reference is not None:
+        measured["metrics"]["distance_to_reference"] = series(distance_to(trajectory, reference))
     said = limbs_sentence(measured.get("limbs_through_cloth", ()), trajectory.frame_count)
     noted = ("garment", "body", "motion", "model")
     return {

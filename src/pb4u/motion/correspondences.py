@@ -7,7 +7,7 @@ name, or a `Blend` of two where the other skeleton divides the body elsewhere.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 TORSO_ROLES = ("pelvis", "spine_lower", "spine_middle", "spine_upper", "neck_lower", "neck_upper", "head")
@@ -68,11 +68,13 @@ class TargetMap:
         bones: bone -> role, or blend of roles.
         joints: limb role -> bone whose head marks the upper end of that limb segment.
         elbow_flexion: as in `SkeletonRoles`, used where the rest arm is straight.
+        partial: whether a skeleton may lack bones that mark no joint.
     """
 
     bones: Mapping[str, Part]
     joints: Mapping[str, str] = field(default_factory=dict)
     elbow_flexion: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    partial: bool = False
 
 
 # Role -> bone, or blend of bones, in the columns' skeletons. Of a limb role `{}` stands for the side.
@@ -157,4 +159,9 @@ def _smpl() -> TargetMap:
     return TargetMap(bones, joints)
 
 
-TARGETS: Mapping[str, TargetMap] = {"anny": _anny(), **dict.fromkeys(("smpl", "smplh", "smplx"), _smpl())}
+TARGETS: Mapping[str, TargetMap] = {
+    "anny": _anny(),
+    **dict.fromkeys(("smpl", "smplh", "smplx"), _smpl()),
+    # A rig with the names of SMPL's joints, and its own bones between and beside them.
+    "character": replace(_smpl(), partial=True),
+}

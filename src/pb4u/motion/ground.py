@@ -19,8 +19,6 @@ _STANDS, _HOLDS = 0.25, 0.1
 _LEAST_STANCES, _LEAST_SPREAD = 4, 0.8
 # Before anything is seen a slope is this [m/m], and the ball of a foot that stands varies by so much [m].
 _USUAL_SLOPE, _USUAL_ERROR = 0.02, 0.01
-# A floor that was calibrated askew slopes less than three degrees; what is steeper is a ramp or stairs.
-_STEEPEST = np.tan(np.deg2rad(3.0))
 # A floor leaves no more than this [m] of all but the worst tenth of stances: steps and objects leave more.
 _LEFT_OVER = 0.02
 # A slope that raises the floor by less [m] is not worth mending; of a drift as little may be the dancer's own.
@@ -102,7 +100,11 @@ def _with_upright_floor(recording: Recording) -> Recording:
     slope, left = _plane(places)
     risen = float(np.ptp(places[:, [0, 2]] @ slope))
     steepness = float(np.linalg.norm(slope))
-    if risen < _LEAST_RISE or steepness > _STEEPEST or np.percentile(np.abs(left), 90) > _LEFT_OVER:
+    if (
+        risen < _LEAST_RISE
+        or steepness > np.tan(np.deg2rad(recording.askew))
+        or np.percentile(np.abs(left), 90) > _LEFT_OVER
+    ):
         return recording
     up = np.array([-slope[0], 1.0, -slope[1]]) / np.hypot(1.0, steepness)
     turn = between(up, np.array([0.0, 1.0, 0.0]))

@@ -38,7 +38,7 @@ class Humanoid:
                 f'{body.name}: no motion can be put on a body of the family "{body.family}"; '
                 f"known families are {', '.join(TARGETS)}."
             )
-        needed = set(target.bones) | set(target.joints.values())
+        needed = set(target.joints.values()) | (set() if target.partial else set(target.bones))
         if missing := sorted(needed - set(skeleton.names)):
             raise InputError(f"{body.name}: the skeleton lacks the bones {', '.join(missing)} of a {body.family} body.")
         self.body = body

@@ -2,30 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from pkgutil import resolve_name
+from typing import cast
 
 from pb4u.errors import InputError, unknown_name
+from pb4u.io.restricted_pickle import load_pickle
 from pb4u.motion.ground import on_level_ground
 from pb4u.motion.motion import Motion
 from pb4u.motion.procedural import CLIPS, ProceduralMotion
 from pb4u.motion.recording import Recording
 from pb4u.motion.repair import told_of_leaps, without_false_start, without_flips
 from pb4u.motion.retargeting import RecordedMotion
+from pb4u.motion.smpl_recording import vto_recording
+from pb4u.motion.steadying import steadied
+from pb4u.motion.wham import holds_people, wham_recording
 
 READERS = {
     ".amc": "pb4u.motion.asf_amc:read_amc",
     ".bvh": "pb4u.motion.bvh:read_bvh",
     ".npz": "pb4u.motion.smpl_recording:read_amass",
-    ".pkl": "pb4u.motion.smpl_recording:read_vto",
+    ".npy": "pb4u.motion.tram:read_tram",
+    ".pkl": "pb4u.motion.library:read_pickled_motion",
+    ".pt": "pb4u.motion.gvhmr:read_gvhmr",
 }
 """Suffix -> function of a path that gives its `Recording`; another format is one more line here."""
 SUFFIXES = tuple(READERS)
+_OF_SEVERAL = (".pkl",)
+"""Suffixes whose reader also takes the person, as files of them may hold several."""
 
 
 def motion_names() -> tuple[str, ...]:
     """Names of the built-in procedural clips."""
     return tuple(CLIPS)
+
+
+def recording_file(name: str | Path) -> tuple[Path, str | None]:
+    """The file that FILE or FILE:PERSON names, and the person where one is named."""
+    head, colon, person = str(name).rpartition(":")
+    if colon and Path(head).suffix.lower() in SUFFIXES:
+        return Path(head), person
+    return Path(name), None
 
 
 def load_motion(
@@ -34,14 +52,19 @@ def load_motion(
     *,
     seed: int = 0,
     arms_away_degrees: float | None = None,
+    raw: bool = False,
+    recorded_fps: float | None = None,
 ) -> Motion:
     """A built-in clip by name, or a recording by path; the suffix decides how it is read.
 
     Args:
-        name_or_path: one of `motion_names()`, or an .amc (with its .asf beside it), .bvh, AMASS .npz or VTO/HOOD .pkl.
+        name_or_path: one of `motion_names()`, or an .amc (with its .asf beside it), .bvh, AMASS .npz, VTO/HOOD .pkl, or
+            what GVHMR (.pt), WHAM (.pkl) or TRAM (.npy) finds in a video; of several people one, as FILE:PERSON.
         crop: (first, stop) frames to keep, counted at the recording's own rate.
         seed: varies tempo and amplitude of a built-in clip a little.
         arms_away_degrees: see `Motion`.
+        raw: whether motion from a video is left as it is, not steadied.
+        recorded_fps: frames per second of the recording, over what its file tells or is taken to have.
 
     Raises:
         InputError: the name is unknown, the file unreadable, or the crop not inside the recording.
@@ -51,25 +74,57 @@ def load_motion(
         if crop is not None:
             raise InputError(f'The built-in motion "{name}" has no end to crop; ask for the frames you want.')
         return ProceduralMotion(name, seed=seed, arms_away_degrees=arms_away_degrees)
-    path = Path(name)
+    path, person = recording_file(name)
+    if path.suffix.lower() == ".asf":
+        raise InputError(f"{path} holds the skeleton alone; give the .amc file beside it, which holds the motion.")
+    if path.is_file() and path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path} is of no kind of motion file that is read; those end in {', '.join(SUFFIXES)}.")
     if path.suffix.lower() not in SUFFIXES:
-        raise unknown_name(f"motion, nor a file ending in {', '.join(SUFFIXES)}, called", name, CLIPS)
-    recording = read_recording(path)
+        raise unknown_name("motion", name, CLIPS)
+    recording = read_recording(path, person)
+    if recorded_fps is not None:
+        recording = replace(recording, poses=replace(recording.poses, fps=recorded_fps))
     # The crop comes first: bad frames are often what it is there to leave out.
     recording = without_false_start(recording) if crop is None else recording.cropped(*crop)
-    return RecordedMotion(on_level_ground(told_of_leaps(without_flips(recording))), arms_away_degrees)
+    recording = told_of_leaps(without_flips(recording))
+    if recording.from_video and not raw:
+        recording = steadied(recording)
+    return RecordedMotion(on_level_ground(recording), arms_away_degrees)
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path, person: str | None = None) -> Recording:
     """A recording as it is in its file.
 
     Args:
         path: the file; its suffix, one of `READERS`, says how it is read.
+        person: whom of a file of several people.
 
     Raises:
-        InputError: it cannot be read, or lacks its skeleton.
+        InputError: it cannot be read, lacks its skeleton, or has no such person.
     """
     if not path.is_file():
         raise InputError(f'There is no motion file "{path}".')
-    recording: Recording = resolve_name(READERS[path.suffix.lower()])(path)
-    return recording
+    reader = resolve_name(READERS[path.suffix.lower()])
+    if path.suffix.lower() in _OF_SEVERAL:
+        return cast(Recording, reader(path, person))
+    if person is not None:
+        raise InputError(f'{path} holds one person; give it without ":{person}".')
+    return cast(Recording, reader(path))
+
+
+def read_pickled_motion(path: Path, person: str | None = None) -> Recording:
+    """A recording in a pickle, of which nothing is run: of VTO or HOOD, or one person of WHAM.
+
+    Args:
+        path: the .pkl.
+        person: whom of a file of several people.
+
+    Raises:
+        InputError: it is neither, or a part is missing or does not fit.
+    """
+    content = load_pickle(path)
+    if holds_people(content):
+        return wham_recording(path, content, person)
+    if person is not None:
+        raise InputError(f'{path} holds one person; give it without ":{person}".')
+    return vto_recording(path, content)

@@ -25,6 +25,8 @@ class Recording:
         skeleton: the reference pose, facing +Z.
         poses: the performance.
         notes: plain sentences on what was repaired or ignored.
+        from_video: whether it was estimated from a video, whose feet slide and whose joints tremble.
+        askew: slope [deg] up to which its floor may be level in truth.
     """
 
     name: str
@@ -32,6 +34,8 @@ class Recording:
     skeleton: Skeleton
     poses: PoseSequence
     notes: tuple[str, ...] = ()
+    from_video: bool = False
+    askew: float = 3.0
 
     @property
     def duration(self) -> float:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pb4u.body.skeleton import world_rotations
+from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, conjugate, multiply, rotate, slerp
 from pb4u.motion.recording import Recording
 
@@ -23,6 +24,8 @@ _LIMB_ENDS = {"upper_arm": "forearm", "thigh": "shin", "forearm": "hand", "shin"
 # Nobody travels faster than this [m/s]; less than that distance [m] in a frame is a tremble of slow recordings. Lengths
 # are told in the leg of an average adult [m], since files have units of their own.
 _FASTEST, _LEAST_LEAP, _LEG = 15.0, 0.3, 0.85
+# Of so many frames one at least must be there.
+_MOST_MISSING = 20
 # A recording may begin with a calibration pose, from which everything leaps into the performance.
 _START_FRAMES, _START_SPEED = 6, np.deg2rad(3000.0)
 
@@ -47,7 +50,7 @@ def without_flips(recording: Recording) -> Recording:
         return recording
     mended = world_rotations(local, recording.skeleton.parents)
     told = ", ".join(f"{name} {count}" for name, count in counts.items())
-    note = f"{recording.name}: {sum(counts.values())} joint flip(s) led over by slerp ({told})."
+    note = f"{recording.name}: {sum(counts.values())} sudden joint flip(s) replaced by a smooth turn ({told})."
     return replace(recording, poses=replace(recording.poses, rotations=mended), notes=(*recording.notes, note))
 
 
@@ -82,6 +85,44 @@ def told_of_leaps(recording: Recording) -> Recording:
         f"{worst + 1}; cloth cannot follow, so cut the recording there with --crop."
     )
     return replace(recording, notes=(*recording.notes, note))
+
+
+def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
+    """The recording with frames that its file leaves out between their neighbours, by slerp; told in its notes.
+
+    Args:
+        recording: the frames that there are.
+        numbers: (frames,) whole number of each in the video.
+
+    Raises:
+        InputError: the numbers do not rise, or most frames are missing.
+    """
+    numbers = np.asarray(numbers).reshape(-1)
+    frames = len(recording.poses)
+    if len(numbers) != frames or numbers.dtype.kind not in "iu" or (np.diff(numbers) <= 0).any():
+        raise InputError(f"{recording.name}: its frames are not numbered in rising order, one number for each.")
+    span = int(numbers[-1]) - int(numbers[0]) + 1
+    if span == frames:
+        return recording
+    if span > _MOST_MISSING * frames:
+        raise InputError(f"{recording.name}: of {span:,} frames only {frames:,} are there; too few to be a motion.")
+    times = (numbers - numbers[0]).astype(np.float64)
+    wanted = np.arange(span, dtype=np.float64)
+    upper = np.clip(np.searchsorted(times, wanted), 1, frames - 1)
+    share = (wanted - times[upper - 1]) / (times[upper] - times[upper - 1])
+    rotations, roots = recording.poses.rotations, recording.poses.root_positions
+    poses = replace(
+        recording.poses,
+        rotations=slerp(rotations[upper - 1], rotations[upper], share[:, None]),
+        root_positions=roots[upper - 1] + share[:, None] * (roots[upper] - roots[upper - 1]),
+    )
+    gaps = np.flatnonzero(np.diff(numbers) > 1)
+    told = ", ".join(f"{numbers[k] - numbers[0] + 1} to {numbers[k + 1] - numbers[0] - 1}" for k in gaps[:5])
+    note = (
+        f"{recording.name}: {span - frames} frame(s) in which the person was not seen are interpolated "
+        f"({told}{' and others' if len(gaps) > 5 else ''}); cut long ones out with --crop."
+    )
+    return replace(recording, poses=poses, notes=(*recording.notes, note))
 
 
 def _local(recording: Recording) -> np.ndarray:

@@ -153,7 +153,8 @@ class RecordedMotion(Motion):
 
     def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> Performed:
         retargeting = self._retargeting(body)
-        if retargeting.direct or self.arms_away_degrees is not None:
+        as_measured = retargeting.direct and not self.recording.from_video
+        if as_measured or self.arms_away_degrees is not None:
             return Performed(replace(retargeting.poses(frames / fps), fps=fps))
         # With some frames around them, so that a frame does not depend on which others are asked for.
         end = self.available_frames(fps) or int(frames[-1]) + 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.io.array_archive import member_names, read_arrays
 from pb4u.io.reading_limits import Allowance, told_names
-from pb4u.io.restricted_pickle import load_pickle
 from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames, require_rate
@@ -40,6 +40,8 @@ _PARENTS = {
 _RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "fps")
 _POSE_KEYS = ("poses", "pose", "body_pose")
 _TRANSLATION_KEYS = ("trans", "translation", "transl")
+# What SMPL-X has after its body, in its order -> numbers a frame.
+_SMPLX_PARTS = {"jaw_pose": 3, "leye_pose": 3, "reye_pose": 3, "left_hand_pose": 45, "right_hand_pose": 45}
 # The files do not tell their rate; it is that of the released VTO sequences.
 _VTO_RATE = 30.0
 # A recorded shape is told where a beta exceeds this, else it counts as average; so many betas are told.
@@ -58,6 +60,8 @@ def read_amass(path: Path) -> Recording:
         InputError: a key is missing, a shape is wrong, or it is no .npz of plain arrays.
     """
     names = set(member_names(path))
+    if {"global_orient", "body_pose"} <= names:
+        return _joint_by_joint(path, names)
     missing = [key for key in ("poses", "trans") if key not in names]
     if missing and "faces" in names and {"positions", "vertices"} & names:
         raise InputError(f"{path} is a body that moves, not a recording; give it as --body {path}.")
@@ -70,8 +74,20 @@ def read_amass(path: Path) -> Recording:
     betas, gender = (_optional(path, key) for key in ("betas", "gender"))
     if rate.size != 1 or not all(a.dtype.kind in "iuf" for a in (poses, translations, rate)):
         raise InputError(f"{path}: poses, trans and {rate_key} should be numbers, the last a single one.")
-    recording = _recording(path, poses, translations, float(rate.reshape(-1)[0]), z_up=True)
-    return replace(recording, notes=(*recording.notes, *_shape_note(path, betas, gender)))
+    recording = smpl_recording(path, poses, translations, float(rate.reshape(-1)[0]), z_up=True)
+    return replace(recording, notes=(*recording.notes, *shape_note(path, betas, gender)))
+
+
+def _joint_by_joint(path: Path, names: set[str]) -> Recording:
+    """A recording whose poses are split into root, body and hands, as the programs write them that fit SMPL-X."""
+    keys = ("global_orient", "body_pose", *_SMPLX_PARTS, *_TRANSLATION_KEYS, "betas", *_RATE_KEYS)
+    file = {key: stored_numbers(value, path, key) for key, value in read_arrays(path, keys).items()}
+    poses, translations = full_poses(path, file)
+    rate = next((file[key] for key in _RATE_KEYS if key in names), np.array(_VTO_RATE))
+    if rate.size != 1:
+        raise InputError(f"{path}: its frame rate should be a single number.")
+    recording = smpl_recording(path, poses, translations, float(rate.reshape(-1)[0]))
+    return replace(recording, notes=(*recording.notes, *shape_note(path, file.get("betas"))))
 
 
 def _optional(path: Path, key: str) -> np.ndarray | None:
@@ -81,8 +97,14 @@ def _optional(path: Path, key: str) -> np.ndarray | None:
         return None
 
 
-def _shape_note(path: Path, betas: np.ndarray | None, gender: np.ndarray | None) -> tuple[str, ...]:
-    """Which shape of body was recorded, where the file tells one: the body is chosen apart from the motion."""
+def shape_note(path: Path, betas: np.ndarray | None, gender: np.ndarray | None = None) -> tuple[str, ...]:
+    """Which shape of body was recorded, where the file tells one: the body is chosen apart from the motion.
+
+    Args:
+        path: the file, for the sentence.
+        betas: (..., shape parameters) [1]; of several rows the first is told.
+        gender: text, as files have it.
+    """
     if betas is None or betas.dtype.kind != "f" or not betas.size:
         return ()
     values = betas.reshape(-1, betas.shape[-1])[0] if betas.ndim else betas.reshape(1)
@@ -99,17 +121,17 @@ def _shape_note(path: Path, betas: np.ndarray | None, gender: np.ndarray | None)
     )
 
 
-def read_vto(path: Path) -> Recording:
-    """A pickled sequence of the VTO dataset or of HOOD, at 30 fps with Y up; nothing in it is run.
+def vto_recording(path: Path, content: Any) -> Recording:
+    """A sequence of the VTO dataset or of HOOD, at 30 fps with Y up.
 
     Args:
-        path: a .pkl with `poses` (frames, 72), or `body_pose` (frames, 69) and `global_orient` (frames, 3) as HOOD
-            writes them, and `trans` (frames, 3).
+        path: the file, for messages.
+        content: what it holds: `poses` (frames, 72), or `body_pose` (frames, 69) and `global_orient` (frames, 3) as
+            HOOD writes them, and `trans` (frames, 3).
 
     Raises:
-        InputError: a key is missing, a shape is wrong, or the pickle asks for code.
+        InputError: a key is missing or a shape is wrong.
     """
-    content = load_pickle(path)
     if not isinstance(content, Mapping):
         raise InputError(f"{path} holds a {type(content).__name__}, not the dictionary of a sequence.")
     pose_key = next((key for key in _POSE_KEYS if key in content), None)
@@ -123,11 +145,13 @@ def read_vto(path: Path) -> Recording:
         if root.shape != (len(poses), 3):
             raise InputError(f"{path}: global_orient has the shape {root.shape}, not ({len(poses)}, 3).")
         poses = np.concatenate([root, poses], axis=1)
-    return _recording(path, poses, translations, _VTO_RATE, z_up=False)
+    return smpl_recording(path, poses, translations, _VTO_RATE)
 
 
-def _recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps: float, z_up: bool) -> Recording:
-    """A recording from pose parameters.
+def smpl_recording(
+    path: Path, poses: np.ndarray, translations: np.ndarray, fps: float, z_up: bool = False
+) -> Recording:
+    """A recording from pose parameters of the SMPL family.
 
     Args:
         path: the file, for messages.
@@ -161,6 +185,47 @@ def _recording(path: Path, poses: np.ndarray, translations: np.ndarray, fps: flo
         rotations = multiply(_Z_UP_TO_Y_UP, sequence.rotations)
         sequence = PoseSequence(rotations, rotate(_Z_UP_TO_Y_UP, sequence.root_positions), fps)
     return Recording(path.stem, SMPL, skeleton, sequence, notes)
+
+
+def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and translations of parameters that come joint by joint, as SMPL and SMPL-X take them.
+
+    Args:
+        path: the file, for messages.
+        parameters: arrays (frames, numbers) [rad] `global_orient` and `body_pose`, of SMPL-X also jaw, eyes and hands
+            where there are any, and `transl` or `trans` (frames, 3) [m].
+
+    Returns:
+        (frames, 72 or 165) rotation vectors [rad] and (frames, 3) [m].
+
+    Raises:
+        InputError: a part is missing or of another shape.
+    """
+    translation = next((key for key in _TRANSLATION_KEYS if key in parameters), None)
+    missing = [key for key in ("global_orient", "body_pose") if key not in parameters]
+    if missing or translation is None:
+        raise InputError(f"{path} has no {(missing or ['transl'])[0]}; it holds {told_names(parameters)}.")
+    body = parameters["body_pose"]
+    frames = len(body) if body.ndim else 0
+    if not frames:
+        raise InputError(f"{path} holds no frames.")
+    body = body.reshape(frames, -1)
+    widths = {"global_orient": 3, "body_pose": body.shape[1], **_SMPLX_PARTS}
+    if body.shape[1] not in (63, 69):
+        raise InputError(f"{path}: body_pose has {body.shape[1]} numbers a frame; SMPL-X has 63 and SMPL 69.")
+    if body.shape[1] == 69:
+        widths = dict(list(widths.items())[:2])
+    parts = []
+    for key, width in widths.items():
+        part = parameters.get(key, np.zeros((frames, width)))
+        if part.size != frames * width:
+            if key in _SMPLX_PARTS:  # hands as a few components of a basis that the file does not hold
+                part = np.zeros((frames, width))
+            else:
+                raise InputError(f"{path}: {key} has the shape {part.shape}, not ({frames}, {width}).")
+        parts.append(part.reshape(frames, width))
+    places = parameters[translation]
+    return np.concatenate(parts, axis=1), places.reshape(frames, 3) if places.size == 3 * frames else places
 
 
 def nominal_skeleton(family: str) -> Skeleton:

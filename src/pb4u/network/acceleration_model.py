@@ -233,7 +233,11 @@ class PreparedGarments:
 
 
 def require_propagation_steps(number: int) -> None:
-    """Refuse a number of propagation steps that no mesh calls for. Raises InputError where it is not from 1 to 500."""
+    """Refuse a number of propagation steps that no mesh calls for.
+
+    Raises:
+        InputError: it is not from 1 to 500.
+    """
     if not 1 <= number <= MOST_PROPAGATION_STEPS:
         raise InputError(
             f"Propagation steps must lie between 1 and {MOST_PROPAGATION_STEPS}, not {number}; "

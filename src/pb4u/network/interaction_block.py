@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import cast
 
-import torch
 from torch import Tensor, nn
 
-from pb4u.network.graph.graph import EdgePiece, Graph
+from pb4u.network.graph.graph import EdgeSet, Graph
+from pb4u.network.kernels.recorded_passes import Ends, passed_edges, records
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP, SplitMLP
-from pb4u.network.segment import gather, joined, segment_sum, sum_of_rows
-from pb4u.network.tiles import of_tiles
+from pb4u.network.segment import gather, segment_sum
 
 
 class InteractionBlock(nn.Module):
@@ -41,17 +41,16 @@ class InteractionBlock(nn.Module):
 
         Args:
             nodes: latents (nodes, width) [1] by set name.
-            edges: latents (edges, width) [1] by set name; overwritten while gradients are off.
+            edges: latents (edges, width) [1] by set name.
             graph: the ends of the edges.
             receivers: node sets still wanted, all by default; where given, edge latents are left as they are, since
                 nothing reads them again.
             masks: (edges, 1) dimensionless factors on the messages by set name, 1 where a set is not named.
         """
         wanted = list(nodes) if receivers is None else list(receivers)
-        run = self._recorded if torch.is_grad_enabled() else self._in_runs
-        return run(nodes, edges, graph, wanted, masks or {}, receivers is None)
+        return self._passed(nodes, edges, graph, wanted, masks or {}, receivers is None)
 
-    def _recorded(
+    def _passed(
         self,
         nodes: dict[str, Tensor],
         edges: dict[str, Tensor],
@@ -60,61 +59,31 @@ class InteractionBlock(nn.Module):
         masks: Mapping[str, Tensor],
         keep_edges: bool,
     ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The block while gradients are recorded: all edges of a set at once."""
-        hidden = {name: self.node_mlp.project(0, nodes[name], bias=True) for name in wanted}
+        """The block; all edges of a set at once."""
+        hidden = {name: self.node_mlp.project(0, nodes[name]) for name in wanted}
         new_edges = {}
         for name, edge_set in graph.edges.items():
             if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
                 continue
             mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
-            first = mlp.project(EDGE, edges[name])
-            first = first + gather(mlp.project(SENDER, nodes[edge_set.sender_set]), edge_set.senders)
-            at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set], bias=True)
-            new = mlp.after_first(first + gather(at_receiver, edge_set.receivers))
-            sums = segment_sum(new * masks[name] if name in masks else new, edge_set.receivers)
+            new_edges[name], sums = _recorded_edges(mlp, nodes, edges[name], edge_set, masks.get(name))
             share = self.node_mlp.project(1 + self.kinds.index(edge_set.kind), sums)
             hidden[edge_set.receiver_set] = hidden[edge_set.receiver_set] + share
-            new_edges[name] = edges[name] + new if keep_edges else edges[name]
-        return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges
-
-    def _in_runs(
-        self,
-        nodes: dict[str, Tensor],
-        edges: dict[str, Tensor],
-        graph: Graph,
-        wanted: Sequence[str],
-        masks: Mapping[str, Tensor],
-        keep_edges: bool,
-    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The block without gradients, on edges a run at a time; edge latents are overwritten."""
-        rounded = {name: values.to(self.node_mlp.precision) for name, values in nodes.items()}
-        hidden = {name: self.node_mlp.project(0, rounded[name], bias=True) for name in wanted}
-        new_edges = {}
-        for name, edge_set in graph.edges.items():
-            if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
-                continue
-            mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
-            table = mlp.shares_of_ends(rounded[edge_set.sender_set], rounded[edge_set.receiver_set])
-            run = _EdgeRun(mlp, table, edges[name], masks.get(name), keep_edges)
-            sums = of_tiles(run, edge_set.pieces)
-            share = self.node_mlp.weight_of(1 + self.kinds.index(edge_set.kind))
-            hidden[edge_set.receiver_set].addmm_(joined(sums).to(self.node_mlp.precision), share.t())
-            new_edges[name] = edges[name]
-        return {name: nodes[name] + self.node_mlp.after_first(value) for name, value in hidden.items()}, new_edges
+            if not keep_edges:
+                new_edges[name] = edges[name]
+        return {name: nodes[name] + self.node_mlp.after_product(value) for name, value in hidden.items()}, new_edges
 
 
-class _EdgeRun:
-    """Sums of the new edges of a piece at its receivers; what that needs of the weights is made once for all pieces."""
-
-    def __init__(self, mlp: EdgeMLP, table: Tensor, latents: Tensor, mask: Tensor | None, keep: bool) -> None:
-        self.mlp, self.table, self.latents, self.mask, self.keep = mlp, table, latents, mask, keep
-        self.of_edges, self.output = mlp.weight_of(EDGE).t(), mlp.output_layer()
-
-    def __call__(self, piece: EdgePiece) -> Tensor:
-        old = self.latents[piece.edges]
-        first = sum_of_rows(self.table, piece.ends).addmm_(old.to(self.mlp.precision), self.of_edges)
-        new = self.output(self.mlp.up_to_last(first))
-        sums = segment_sum(new if self.mask is None else new * self.mask[piece.edges], piece.receivers)
-        if self.keep:
-            old += new
-        return sums
+def _recorded_edges(
+    mlp: EdgeMLP, nodes: Mapping[str, Tensor], latents: Tensor, edge_set: EdgeSet, mask: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """New latents (edges, width) [1] of a set of edges, and sums (receivers, width) [1] of their changes."""
+    at_sender = mlp.project(SENDER, nodes[edge_set.sender_set])
+    at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set])
+    if mask is None and records(latents):
+        ends, norm = Ends(edge_set.senders, edge_set.receivers), cast(nn.LayerNorm, mlp.norm)
+        layers, own = (mlp.second, mlp.last, norm), mlp.weight_of(EDGE)
+        return passed_edges(latents, at_sender, at_receiver, own, mlp.first.bias, layers, ends)
+    first = mlp.project(EDGE, latents, bias=True) + gather(at_sender, edge_set.senders)
+    new = mlp.after_first(first + gather(at_receiver, edge_set.receivers))
+    return latents + new, segment_sum(new if mask is None else new * mask, edge_set.receivers)

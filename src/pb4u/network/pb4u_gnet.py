@@ -14,7 +14,7 @@ from pb4u.network.encode_process_decode import EncodeProcessDecode
 from pb4u.network.graph.garment_graph import GarmentGraph
 from pb4u.network.graph.graph import GARMENT, Graph
 from pb4u.network.interaction_block import InteractionBlock
-from pb4u.network.mlp import MLP, SplitMLP, in_runs
+from pb4u.network.mlp import MLP, SplitMLP
 from pb4u.network.propagation import Propagation, PropagationForm
 from pb4u.network.propagation_control import ConstantDistance, FixedSteps, PropagationControl, TruncatedDistance
 from pb4u.network.update_scaling import MeanScaling, NoScaling, PerVertexScaling, UpdateScaling
@@ -71,12 +71,11 @@ class Pb4uGNet(EncodeProcessDecode):
         """
         nodes, edges = self.encode(graph)
         propagated = self.propagation(nodes, edges, graph, steps)
-        nodes = {**nodes, GARMENT: in_runs(self._updated, nodes[GARMENT], propagated)}
+        nodes = {**nodes, GARMENT: self._updated(nodes[GARMENT], propagated)}
         return self.decode_after(self.blocks, nodes, edges, graph)
 
     def _updated(self, before: Tensor, propagated: Tensor) -> Tensor:
-        hidden = self.update.project(0, before, bias=True) + self.update.project(1, propagated)
-        return self.update.after_first(hidden)
+        return self.update.after_product(self.update.project(0, before) + self.update.project(1, propagated))
 
     def for_inference(self, precision: torch.dtype) -> GraphNetwork:
         """Network that computes the same without gradients; see `GraphNetwork.for_inference`."""

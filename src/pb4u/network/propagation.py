@@ -7,18 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.network.graph.graph import GARMENT, EdgePiece, EdgeSet, Graph, pieces
-from pb4u.network.graph.incidence import Incidence, Span, incidence
+from pb4u.network.graph.graph import GARMENT, EdgeSet, Graph
+from pb4u.network.graph.incidence import Span
+from pb4u.network.kernels.recorded_passes import Ends, propagated, records
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP
-from pb4u.network.segment import gather, segment_sum, sum_of_rows
-from pb4u.network.tiles import of_tiles
+from pb4u.network.segment import gather, segment_sum
 
 
 @dataclass(frozen=True)
@@ -102,14 +101,21 @@ class Propagation(nn.Module):
 
     def _after(self, steps: int, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
         """State after `steps` steps of the garments that all `inflows` end in."""
-        if torch.is_grad_enabled():
-            for _ in range(steps):
-                state = self._recorded_step(state, inflows)
-            return state
-        return self._tiled_steps(steps, state, inflows)
+        message, norm = self.message, self.norm
+        if records(state) and self.form.norm == "messages" and not self.form.message_norm:
+            constants = [inflow.features for inflow in inflows]
+            ends = [Ends(i.senders if i.sender_set == GARMENT else None, i.receivers) for i in inflows]
+            weights, layers = (
+                (message.weight_of(SENDER), message.weight_of(RECEIVER)),
+                (message.second, message.last, norm),
+            )
+            return propagated(steps, state, constants, weights, layers, self.form.decay, ends)
+        for _ in range(steps):
+            state = self._step(state, inflows)
+        return state
 
-    def _recorded_step(self, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
-        """One step while gradients are recorded: all edges of a set at once."""
+    def _step(self, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
+        """One step; all edges of a set at once."""
         message = self.message
         at_receiver, at_sender = message.project(RECEIVER, state), message.project(SENDER, state)
         sums = []
@@ -119,7 +125,7 @@ class Propagation(nn.Module):
                 hidden = hidden + gather(at_sender, inflow.senders)
             sent = message.up_to_last(hidden)
             if self.form.message_norm:
-                sent = message.output_layer()(sent)
+                sent = message.output(sent)
             sums.append(segment_sum(sent, inflow.receivers))
         total = torch.stack(sums).sum(dim=0)
         if not self.form.message_norm:
@@ -127,67 +133,12 @@ class Propagation(nn.Module):
             total = message.last_of_sums(total, degrees)
         return self._moved(state, total)
 
-    def _tiled_steps(self, steps: int, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
-        """Steps without gradients, each run by run from messages to the new state and its shares in the next step.
-
-        Messages over all kinds of edges have the same weights and are taken together. A table holds both shares of
-        every vertex, before a step and after it, and what is the same at every step; a message's first layer is then
-        the sum of three rows, in one pass over memory.
-        """
-        message, form, vertices = self.message, self.form, state.shape[0]
-        ends = message.weight_of_both_ends().t()
-        order, senders, receivers = _merged(inflows, vertices)
-        width = ends.shape[0]
-        constants = [inflow.features for inflow in inflows]
-        # Rows: (before or after, vertex, as sender or as receiver), the constants, and zeros for senders outside.
-        table = torch.cat([constants[0].new_empty(4 * vertices, width), *constants, constants[0].new_zeros(1, width)])
-        shares = table[: 4 * vertices].view(2, vertices, 2 * width)
-        torch.mm(state.to(message.precision), ends, out=shares[0])
-        runs = []
-        for parity in range(2):
-            first = 2 * vertices * parity
-            from_sender = torch.where(senders < 0, len(table) - 1, first + 2 * senders)
-            rows = torch.stack([from_sender, first + 2 * receivers.index + 1, 4 * vertices + order], dim=1)
-            runs.append(pieces(receivers, rows))
-        output = message.output_layer() if form.message_norm else None
-        # W (sum of x) + degree b.
-        last = message.last.weight.t()
-        shift = receivers.offsets.diff()[:, None].to(last.dtype) * message.last.bias
-        state = state.clone()
-
-        def moved(after: Tensor, run: EdgePiece) -> None:
-            sent = message.up_to_last(sum_of_rows(table, run.ends))
-            if output is None:
-                total = torch.addmm(shift[run.nodes], segment_sum(sent, run.receivers), last)
-            else:
-                total = segment_sum(output(sent), run.receivers)
-            at = state[run.nodes]
-            at.copy_(self._moved(at, total.to(at.dtype)))
-            torch.mm(at.to(message.precision), ends, out=after[run.nodes])
-
-        for step in range(steps):
-            of_tiles(partial(moved, shares[1 - step % 2]), runs[step % 2])
-        return state
-
     def _moved(self, state: Tensor, total: Tensor) -> Tensor:
         """State after a step, given the sums `total` (vertices, width) [1] of its messages."""
         form = self.form
         return (
             form.decay * state + self.norm(total) if form.norm == "messages" else self.norm(form.decay * state + total)
         )
-
-
-def _merged(inflows: list[EdgeSet], vertices: int) -> tuple[Tensor, Tensor, Incidence]:
-    """All edges in ascending order of receiver: their numbers, the vertices they start from or -1, their receivers."""
-    receivers = torch.cat([inflow.receivers.index for inflow in inflows])
-    order = torch.argsort(receivers, stable=True)
-    senders = torch.cat(
-        [
-            inflow.senders.index if inflow.sender_set == GARMENT else torch.full_like(inflow.senders.index, -1)
-            for inflow in inflows
-        ]
-    )
-    return order, senders[order], incidence(receivers[order], vertices)
 
 
 def _packed(spans: Sequence[Span]) -> list[Span]:

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pb4u.network.graph.incidence import Bags, Incidence
+from pb4u.network.graph.incidence import Incidence
 
 
 def _bag_sums(values: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
@@ -56,18 +56,6 @@ def gather(nodes: Tensor, ends: Incidence) -> Tensor:
     return _Gather.apply(nodes, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
 
 
-def sum_of_rows(table: Tensor, bags: Bags) -> Tensor:
-    """Sums (edges, width) of each edge's rows of a table, in its unit; not differentiable.
-
-    One pass over memory, where a gather for each end and their addition are three.
-
-    Args:
-        table: (rows, width) values of any unit.
-        bags: rows of each edge.
-    """
-    return _bag_sums(table, bags.rows, bags.offsets)
-
-
 def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:
     """Sums (nodes, width) over the edges that end at each node, in the unit of `edges`; zero where none does.
 
@@ -78,8 +66,3 @@ def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:
     if not torch.is_grad_enabled():
         return _bag_sums(edges, ends.order, ends.offsets)
     return _SegmentSum.apply(edges, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
-
-
-def joined(parts: list[Tensor]) -> Tensor:
-    """Concatenation (rows, width) of `parts` (rows, width) of one unit; a single part as it is."""
-    return parts[0] if len(parts) == 1 else torch.cat(parts)

@@ -227,7 +227,11 @@ NETWORKS: dict[str, NetworkConfiguration] = {name: configuration for name, (conf
 
 
 def network_preset(name: str) -> NetworkConfiguration:
-    """Network configuration called `name`. Raises InputError listing the names."""
+    """Network configuration called `name`.
+
+    Raises:
+        InputError: there is none; the names are listed.
+    """
     if name not in NETWORKS:
         raise unknown_name("network preset", name, NETWORKS)
     return NETWORKS[name]

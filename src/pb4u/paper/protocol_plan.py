@@ -17,12 +17,12 @@ from pb4u.errors import InputError, unknown_name
 from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES, garment_names
 from pb4u.jobs.job import digest
 from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
-from pb4u.motion.library import motion_names
+from pb4u.motion.library import motion_names, recording_file
 from pb4u.paper.protocols import PROTOCOLS, Protocol
 from pb4u.paper.reference_energies import FLOOR_LEAD_IN, stored_floor
 from pb4u.paper.rollout import FPS, ModelRecord, RolloutJob, SceneRecord, Settings
 from pb4u.scene.catalogue import SEEDS, SceneName
-from pb4u.simulation.checkpoint import weights_file
+from pb4u.simulation.checkpoint import weights_file, weights_name
 from pb4u.simulation.models import load_simulator, looks_at, model_descriptions
 from pb4u.simulation.stepwise_simulator import QUICK_SOLVER, NetworkSimulator
 
@@ -58,6 +58,7 @@ class EvaluationRequest:
         floors: run the solver on scenes whose floor is not stored.
         scenes: number of scenes to draw, of a protocol that draws them.
         seed: of the draws.
+        excess: also measure excess heights and distances from the solver; of the protocol `controls` always.
     """
 
     protocol: str = "resolution"
@@ -76,6 +77,7 @@ class EvaluationRequest:
     floors: bool = True
     scenes: int | None = None
     seed: int = 0
+    excess: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """The fields as JSON."""
@@ -149,6 +151,7 @@ def plan(request: EvaluationRequest) -> Plan:
         levels=tuple(levels),
         frames=request.frames or protocol.frames,
         steps=request.steps or protocol.steps,
+        excess=request.excess or protocol.excess,
     )
     motions = [_motion(name, request.recordings) for name in protocol.motions]
     device = _device(request.device)
@@ -189,9 +192,11 @@ def _combined_cases(
     for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, motions):
         scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
         floor = _solver_on(scene) if solver_runs else _floor(scene, motion, level, request)
+        if isinstance(floor, RolloutJob):
+            floor = replace(floor, excess=protocol.excess)
         for model in models:
             for steps in protocol.steps if model.adapts else (None,):
-                job = RolloutJob(scene, model, _settings(model, steps, request, device))
+                job = RolloutJob(scene, model, _settings(model, steps, request, device), protocol.excess)
                 cases.append(Case(level, motion.label, job, floor))
     return cases
 
@@ -211,7 +216,7 @@ def _drawn_cases(
         for model in models:
             for way, settings in _ways(model, device):
                 floor = RolloutJob(scene, _SOLVER, replace(settings, refine=0, device="cpu"))
-                job = RolloutJob(scene, replace(model, label=f"{model.label}{way}"), settings)
+                job = RolloutJob(scene, replace(model, label=f"{model.label}{way}"), settings, protocol.excess)
                 if model.name == "solver":
                     floor = job
                 cases.append(Case(level, motion.label, job, floor if request.floors else None, number))
@@ -324,10 +329,11 @@ def _motion(name: str, recordings: Path | None) -> _Motion:
                 + (f" as {file}." if recordings else "; give the folder of recordings with --recordings.")
             )
         return _Motion(str(file), None, name)
-    if Path(name).suffix.lower() in MOTION_SUFFIXES:
-        if not Path(name).is_file():
-            raise InputError(f"There is no motion file {name}.")
-        return _Motion(name, None, Path(name).stem)
+    file, person = recording_file(name)
+    if file.suffix.lower() in MOTION_SUFFIXES:
+        if not file.is_file():
+            raise InputError(f"There is no motion file {file}.")
+        return _Motion(name, None, file.stem if person is None else f"{file.stem}_{person}")
     raise InputError(f"{unknown_name('motion', name, motion_names())} CMU trials are written as 07_02.")
 
 
@@ -361,7 +367,8 @@ def _settings(model: ModelRecord, steps: int | None, request: EvaluationRequest,
         return Settings(steps, request.refine, request.contact, device=device)
     if model.name == QUICK_SOLVER:
         return Settings(refine=request.refine or REFINE, contact=request.contact)
-    return Settings(contact=request.contact and looks_at(model.name, "contact"))
+    refine = request.refine if looks_at(model.name, "refine") else 0
+    return Settings(refine=refine, contact=request.contact and looks_at(model.name, "contact"))
 
 
 def _device(asked: str) -> str:
@@ -375,7 +382,7 @@ def _models(request: EvaluationRequest, protocol: Protocol, device: str) -> tupl
     wanted = tuple(dict.fromkeys(request.models or protocol.models))
     missing = () if request.models else tuple(name for name in wanted if name not in model_descriptions())
     present = [name for name in wanted if name not in missing]
-    labels = [Path(name).stem if Path(name).suffix else name for name in present]
+    labels = [weights_name(Path(name)) if Path(name).suffix else name for name in present]
     # Checkpoints are often all called best: then each goes by its path.
     labels = [name if labels.count(label) > 1 else label for name, label in zip(present, labels, strict=True)]
     records = [_model(name, label, device) for name, label in zip(present, labels, strict=True)]

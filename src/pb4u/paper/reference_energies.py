@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-FLOORS_FILE = Path(__file__).with_name("floors.json")
+FLOORS_FILE = Path(__file__).with_name("reference_energies.json")
 
 FLOOR_LEAD_IN = 30
 """Frames simulated before those that stored floors are means of, as `tools/floors.py` ran them."""

@@ -14,7 +14,7 @@ from pb4u.errors import Pb4uError
 from pb4u.measures.divergence import SLID, SLID_FRAMES
 from pb4u.paper.page import Block, Plot, Remark, Table
 from pb4u.paper.pictures import draw_still
-from pb4u.paper.summary import FAR_FROM_FLOOR, MOST_INSIDE, Row, Summary
+from pb4u.paper.summary import FAR_FROM_FLOOR, MOST_INSIDE, Row, Summary, share_text
 
 MOST_PICTURES = 24
 """Failures that are drawn; all are named."""
@@ -184,4 +184,4 @@ def _shown(values: list[float], of: Callable[[list[float]], float], digits: str)
 
 def _share(rows: list[Row], what: Callable[[Row], bool]) -> str:
     count = sum(what(row) for row in rows)
-    return f"{count} ({100.0 * count / len(rows):.1f} %)" if rows else "-"
+    return share_text(count, len(rows)) if rows else "-"

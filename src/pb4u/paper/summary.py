@@ -40,10 +40,13 @@ class Quantity(NamedTuple):
 
 _BESIDE_ENERGIES = {
     "ratio": Quantity("energy / floor", "", ".3g"),
+    "excess_height": Quantity("excess height", "mm", ".3g"),
+    "distance_to_reference": Quantity("distance from the solver's", "mm", ".3g"),
     "survived_percent": Quantity("frames before divergence", "%", ".0f"),
     "strain_p95": Quantity("strain, 95th percentile", "", ".3g"),
     "penetration_percent": Quantity("penetration", "%", ".3g"),
     "visible_skin_percent": Quantity("skin through cloth", "%", ".3g"),
+    "self_intersections": Quantity("crossings of cloth with cloth", "", ".3g"),
     "ms": Quantity("time a step", "ms", ".1f"),
 }
 
@@ -51,6 +54,31 @@ _BESIDE_ENERGIES = {
 def quantity_named(name: str) -> Quantity:
     """Notation of the quantity `name`; what is none of those above is an energy of the potential."""
     return _BESIDE_ENERGIES.get(name) or Quantity("total loss" if name == "total" else name, "J", ".2e")
+
+
+def wilson(count: int, of: int) -> tuple[float, float]:
+    """Interval of 95 % for a share, by Wilson (1927), of 0 to 1: it says something where nothing or everything failed.
+
+    Args:
+        count: how many.
+        of: of how many, 1 or more.
+    """
+    z = 1.96
+    middle, spread = count / of + z * z / (2 * of), z * math.sqrt(count * (of - count) / of + z * z / 4) / of
+    return max(0.0, (middle - spread) / (1 + z * z / of)), min(1.0, (middle + spread) / (1 + z * z / of))
+
+
+def share_text(count: int, of: int) -> str:
+    """A count with the interval of its share, as tables print it.
+
+    Args:
+        count: how many.
+        of: of how many.
+    """
+    if not of:
+        return "0 of 0"
+    low, high = (100.0 * end for end in wilson(count, of))
+    return f"{count} of {of} ({low:.0f} to {high:.0f} %)"
 
 
 @dataclass(frozen=True)
@@ -157,6 +185,8 @@ class Row:
         else:
             tables = self.result["metrics"] if quantity in _BESIDE_ENERGIES else self.result["metrics_paper"]
             value = tables.get(quantity, {}).get("mean")
+            if value is not None and quantity_named(quantity).unit == "mm":
+                value = 1e3 * value
         return None if value is None else float(value)
 
     def series(self, term: str) -> list[float]:

@@ -159,7 +159,11 @@ DEFAULT_STEPS = {
 
 
 def training_preset(name: str) -> TrainingConfiguration:
-    """Training configuration called `name`. Raises InputError listing the names."""
+    """Training configuration called `name`.
+
+    Raises:
+        InputError: there is none; the names are listed.
+    """
     if name not in TRAININGS:
         raise unknown_name("training preset", name, TRAININGS)
     return TRAININGS[name]

@@ -16,6 +16,7 @@ from pb4u.physics.contact.contact_set import (
     nearest_face_centres,
     nearest_planes,
 )
+from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import ClothPairs, CollisionFree, NoSelfContact, SelfContact
 from pb4u.physics.terms.bending import Bending
 from pb4u.physics.terms.cloth_contact import ClothContact, ClothFriction
@@ -101,9 +102,20 @@ class IncrementalPotential:
             potential = potential.with_term(term)
         return potential
 
-    def with_self_contact(self) -> IncrementalPotential:
-        """This potential with contact between cloth elements."""
-        return replace(self, terms=(*self.terms, *SELF_CONTACT), self_contact=CollisionFree())
+    def with_self_contact(self, bodies: bool = False) -> IncrementalPotential:
+        """This potential with contact between cloth elements.
+
+        Args:
+            bodies: whether elements of bodies count among them.
+        """
+        return replace(self, terms=(*self.terms, *SELF_CONTACT), self_contact=CollisionFree(feels_bodies=bodies))
+
+    def pressed_by_bodies(self) -> IncrementalPotential:
+        """This potential with faces and edges of bodies among what presses cloth, where cloth feels bodies at all."""
+        contact = self.self_contact
+        if not isinstance(contact, CollisionFree) or not contact.feels_bodies:
+            return self
+        return replace(self, self_contact=replace(contact, pressed_by_bodies=True))
 
     def without_self_contact(self) -> IncrementalPotential:
         """This potential without contact between cloth elements."""
@@ -126,8 +138,10 @@ class IncrementalPotential:
 
     def of(self, step: TimeStep) -> StepPotential:
         """The potential of `step`, with the contacts of the body at its start looked up."""
-        exact = self.search is nearest_planes
-        return StepPotential(self, step, step.contacts if exact else step.contacts_by(self.search))
+        contacts = step.contacts if self.search is nearest_planes else step.contacts_by(self.search)
+        if self.self_contact.feels_bodies and contacts.now is not None and step.sags is not None:
+            contacts = replace(contacts, now=contacts.now.raised(step.sags), raised=step.sags)
+        return StepPotential(self, step, contacts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +182,12 @@ class StepPotential:
             contact: planes of the bodies at t+1.
             opposite: second planes of vertices caught between two parts of a body.
         """
-        return replace(self, contacts=replace(self.contacts, next=contact, opposite=opposite))
+        return replace(self, contacts=replace(self.contacts, next=self.raised(contact), opposite=opposite))
+
+    def raised(self, planes: ContactPlanes | None) -> ContactPlanes | None:
+        """`planes` of the bodies, raised where the cloth between vertices is to stay clear of them."""
+        heights = self.contacts.raised
+        return planes if planes is None or heights is None else planes.raised(heights.to(planes.points))
 
     def reached(self, x: Tensor, wanted: Tensor) -> tuple[StepPotential, Tensor]:
         """This potential for a move, and the positions (vertices, 3) [m] to which it leads where cloth stops cloth.
@@ -181,7 +200,10 @@ class StepPotential:
             wanted: (vertices, 3) [m].
         """
         met = self._along(x, wanted - x)
-        carried = self.potential.self_contact.carried(self.step.garments, x, wanted, met.contacts.cloth)
+        contact, cloth = self.potential.self_contact, met.contacts.cloth
+        on_the_way = None if cloth is None else cloth.obstacle
+        carried, obstacle = contact.carried(self.step.garments, x, wanted, cloth, obstacle=on_the_way)
+        met = replace(met, contacts=replace(met.contacts, obstacle=obstacle))
         return (met if carried is wanted else met._along(x, carried - x)), carried
 
     def as_far_as_free(self, x: Tensor, moves: Tensor) -> tuple[StepPotential, Tensor]:
@@ -201,7 +223,9 @@ class StepPotential:
         if self.contacts.cloth is not None:
             return replace(self, contacts=replace(self.contacts, cloth=cloth))
         before = self.step.state.positions
-        return self._with_cloth_from(cloth, self.potential.self_contact.pairs(self.step.garments, before, None, before))
+        obstacle = self._obstacle(before, None)
+        near = self.potential.self_contact.pairs(self.step.garments, before, None, before, obstacle=obstacle)
+        return self._with_cloth_from(cloth, near)
 
     def _with_cloth_from(self, cloth: ClothPairs, start: ClothPairs | None) -> StepPotential:
         """This potential with `cloth`, and those of the pairs near at the step's `start` that touch there."""
@@ -215,11 +239,25 @@ class StepPotential:
     def _along(self, x: Tensor, moves: Tensor | None) -> StepPotential:
         """This potential with all cloth elements that meet along `moves` (vertices, 3) [m] from `x`; None for none."""
         garments, before, known = self.step.garments, self.step.state.positions, self.contacts.cloth
-        cloth = self.potential.self_contact.pairs(garments, x, moves, before, known)
+        obstacle = self._obstacle(x, moves)
+        cloth = self.potential.self_contact.pairs(garments, x, moves, before, known, obstacle)
         # What a move from the step's start meets is all that touches there.
         if cloth is not None and known is None and x is before:
             return self._with_cloth_from(cloth, cloth)
         return self.with_cloth(cloth)
+
+    def _obstacle(self, x: Tensor, moves: Tensor | None) -> Obstacle | None:
+        """The bodies as they move while cloth goes along `moves` (vertices, 3) [m] from `x`: only with the first move.
+
+        Let through what was found to leave them no room.
+        """
+        step, known = self.step, self.contacts.obstacle
+        if step.bodies is None or not self.potential.self_contact.pressed_by_bodies:
+            return None
+        if x is step.state.positions:
+            start = step.obstacle
+            return start if start is None or known is None else replace(start, passed=start.passed | known.passed)
+        return known or Obstacle.at(step.garments, step.bodies.following, x.detach())
 
     def energies(self, x: Tensor) -> Energies:
         """Energies at `x` (vertices, 3) [m]; differentiable by autograd."""
@@ -293,7 +331,7 @@ class StepPotential:
     def _contacts_at(self, x: Tensor) -> ContactSet:
         contacts = self.contacts
         if self.step.bodies is not None and contacts.next is None:
-            contacts = replace(contacts, next=self.contact_at(x))
+            contacts = replace(contacts, next=self.raised(self.contact_at(x)))
         if contacts.cloth is None:
             found = self._along(x.detach(), None).contacts
             contacts = replace(contacts, cloth=found.cloth, cloth_now=found.cloth_now)

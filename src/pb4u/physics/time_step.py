@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pb4u.errors import InputError, Pb4uError
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
+from pb4u.physics.contact.obstacle import Obstacle, sags
 from pb4u.scene.packed import ColliderFrame, PackedGarments
 from pb4u.scene.state import State
 
@@ -41,7 +42,8 @@ class TimeStep:
             gives them no place: predictions then move them as any other.
         skinned_motion: (vertices, 3) [m] how far skinning moves each vertex over the step, or None.
 
-    Raises InputError for a time step that is not positive, or shapes that do not match.
+    Raises:
+        InputError: a time step that is not positive, or shapes that do not match.
     """
 
     garments: PackedGarments
@@ -75,6 +77,17 @@ class TimeStep:
     def contacts(self) -> ContactSet:
         """Contacts at the start of the step with the exact surface of the bodies, looked up when first asked for."""
         return self.contacts_by(partial(nearest_planes, within=MOTION_REACH))
+
+    @cached_property
+    def obstacle(self) -> Obstacle | None:
+        """The bodies as cloth may not pass through them over the step, looked up when first asked for."""
+        return Obstacle.over(self.garments, self.bodies, self.state.positions)
+
+    @cached_property
+    def sags(self) -> Tensor | None:
+        """Heights (vertices,) [m] that the cloth between vertices asks of them over the bodies; None without a body."""
+        planes = self.contacts.now
+        return None if planes is None else sags(self.garments, planes)
 
     def contacts_by(self, search: PlaneSearch) -> ContactSet:
         """Contacts at the start of the step that `search` finds with the bodies; none without a body."""

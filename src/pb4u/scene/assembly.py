@@ -1,4 +1,4 @@
-"""Makes a Scene of its specification: body, motion and garments loaded, fitted and placed."""
+"""Makes a Scene of a run: body, motion and garments loaded, fitted and placed."""
 
 from __future__ import annotations
 
@@ -7,35 +7,38 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
+from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.collision.remeshing import remesh
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, InputWarning, unknown_name
 from pb4u.garment.corrected_placement import CorrectedPlacement
-from pb4u.garment.diagnosis import require_fine, require_worn
+from pb4u.garment.diagnosis import require_fine, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
 from pb4u.garment.fit import RestBody, find_holder
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import layered, worn_order
-from pb4u.garment.library import build_garment, garment_names
+from pb4u.garment.library import SEWN, build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
 from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.motion.motion import Motion
+from pb4u.motion.steadying import CUTOFF
+from pb4u.run import Run, WornGarment, entries
 from pb4u.scene.scene import DressedGarment, Scene
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 
 if TYPE_CHECKING:
     from pb4u.compat.recording_as_released import RecordingAsItIs
@@ -46,50 +49,27 @@ DEFAULT_FRAMES = 60
 DEFAULT_MOTION = "walk"
 DEFAULT_MATERIAL = "default"
 
-GarmentChoice: TypeAlias = str | Path | Garment | GarmentSpecification
-MaterialChoice: TypeAlias = str | Path | Material | None
-PinChoice: TypeAlias = str | Path | Sequence[int] | None
+GarmentChoice: TypeAlias = str | Path | Garment | WornGarment
 
 
 def make_scene(
-    garment: GarmentChoice | Sequence[GarmentChoice] = GarmentSpecification.garment,
-    body: str | Path | ShapedBody | AnimatedBody = SceneSpecification.body,
+    garment: GarmentChoice | Sequence[GarmentChoice] = WornGarment.garment,
+    body: str | Path | ShapedBody | AnimatedBody = Run.body,
     motion: str | Path | Motion | None = None,
-    *,
-    triangles: int | Sequence[int | None] | None = None,
-    material: MaterialChoice | Sequence[MaterialChoice] = None,
-    pins: PinChoice | Sequence[PinChoice] = None,
-    body_shape: Mapping[str, float] | None = None,
-    frames: int | None = None,
-    lead_in: int = SceneSpecification.lead_in,
-    keep_lead_in: bool = SceneSpecification.keep_lead_in,
-    crop: tuple[int, int] | None = None,
-    fps: float = SceneSpecification.fps,
-    arms_away: float | None = SceneSpecification.arms_away,
-    seed: int = SceneSpecification.seed,
+    **options: Any,
 ) -> Scene:
     """Garments on a moving body, ready to simulate.
 
-    Names, paths and loaded objects are taken alike. `triangles`, `material` and `pins` are one for all garments, or a
-    list with one for each; they hold where a GarmentSpecification leaves them open.
+    Names, paths and loaded objects are taken alike.
 
     Args:
-        garment: built-in name, mesh file, Garment fitted to this body at rest, or GarmentSpecification; of several, a
-            list, inner first.
+        garment: built-in name, mesh file, Garment fitted to this body at rest, or WornGarment; of several, a list,
+            inner first.
         body: built-in name, model or sequence file, or a body already loaded.
         motion: built-in name, file or Motion; default "walk". A body that is a sequence of vertices brings its own.
-        triangles: number of triangles to simulate; default the garment's own.
-        material: built-in name, JSON file or Material; default that of a loaded Garment, else "default".
-        pins: name, boundary loop, file or indices of vertices that follow the body; default the garment's own.
-        body_shape: shape parameters of the body, see `pb4u assets`.
-        frames: frames to write; default the whole recording, or 60 of a motion without end.
-        lead_in: frames simulated before the first written one, from the rest pose into the motion.
-        keep_lead_in: write those frames as well, before the `frames` asked for.
-        crop: (first, stop) frames of a recording, counted at its own rate.
-        fps: frames per second of the simulation [1/s].
-        arms_away: degrees by which hanging arms are held away from the torso; default: arms of a recording by as much
-            as they would go into the body.
-        seed: seed of procedural motion and of everything random.
+        options: fields of `Run` on the scene by name, such as body_shape, frames, lead_in, crop, fps, arms_away, seed;
+            and triangles, material and pins of the garments, one for all or a list with one each, which hold where a
+            WornGarment leaves them open.
 
     Raises:
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
@@ -98,27 +78,28 @@ def make_scene(
         InputWarning: the body does not perform the motion, nothing holds a garment up that comes from a file and is
             given without pins, or skin may show through a garment that is coarse for the body.
     """
-    specification = SceneSpecification(
-        garments=_specified(garment, triangles, material, pins),
-        body=body,
-        body_shape=body_shape or {},
-        motion=motion,
-        frames=frames,
-        lead_in=lead_in,
-        keep_lead_in=keep_lead_in,
-        crop=crop,
-        fps=fps,
-        arms_away=arms_away,
-        seed=seed,
-    )
-    return assemble(specification)
+    known = ("material", "pins", "triangles", *entries("scene"))
+    for option in options:
+        if option not in known:
+            raise unknown_name("option of a scene", option, known)
+    named: Sequence[Any] = garment if isinstance(garment, list | tuple) else [garment]
+    worn = tuple(each if isinstance(each, WornGarment) else WornGarment(each) for each in named)
+    open_ = {name: options.pop(name) for name in ("material", "pins", "triangles") if options.get(name) is not None}
+    options = {name: value for name, value in options.items() if value is not None}
+    run = Run(worn, body=body, motion=motion, **options)
+    filled = run.with_entries(open_)
+    kept = [
+        replace(after, **{name: getattr(given, name) for name in open_ if getattr(given, name) is not None})
+        for given, after in zip(worn, filled.garments, strict=True)
+    ]
+    return build_scene(replace(run, garments=tuple(kept)))
 
 
-def assemble(specification: SceneSpecification) -> Scene:
-    """Scene of a specification, everything in it loaded.
+def build_scene(run: Run) -> Scene:
+    """Scene of a run, everything in it loaded.
 
     Args:
-        specification: names, paths or loaded objects that the scene is made of.
+        run: names, paths or loaded objects that the scene is made of; its options are not looked at.
 
     Raises:
         InputError: anything cannot be used, or what is given with a loaded object conflicts with it.
@@ -126,19 +107,19 @@ def assemble(specification: SceneSpecification) -> Scene:
     Warns:
         InputWarning: as `make_scene` does.
     """
-    recording = _recording(specification) if specification.as_recorded else None
-    body = _load_body(specification, recording)
+    recording = _recording(run) if run.as_recorded else None
+    body = _load_body(run, recording)
     if isinstance(body, ShapedBody):
-        performance = _perform(body, specification) if recording is None else _replay(body, recording, specification)
+        performance = _perform(body, run) if recording is None else _replay(body, recording, run)
     else:
-        performance = _play(body, specification)
-    collider, frames, lead_in, notes = performance.body, performance.frames, specification.lead_in, performance.notes
-    garments, specified = _load_garments(specification.garments, body)
+        performance = _play(body, run)
+    collider, frames, lead_in, notes = performance.body, performance.frames, run.lead_in, performance.notes
+    garments, specified = _load_garments(run.garments, body, run.as_recorded)
     places = layered(garments, RestBody.of(body)) if len(garments) > 1 else (None,)
     dressed = [
         DressedGarment(each, _placement(each, collider, worn)) for each, worn in zip(garments, places, strict=True)
     ]
-    if specification.keep_lead_in and lead_in:
+    if run.keep_lead_in and lead_in:
         notes = (*notes, f"The first {lead_in} frames lead from the rest pose into the motion.")
         frames, lead_in = lead_in + frames, 0
     sources = [str(each.garment) if isinstance(each.garment, str | Path) else None for each in specified]
@@ -147,10 +128,10 @@ def assemble(specification: SceneSpecification) -> Scene:
         colliders=(collider,),
         frames=frames,
         lead_in=lead_in,
-        fps=specification.fps,
+        fps=run.fps,
         # A recording that is played as it is stands at whatever height it has.
         ground_height=Scene.ground_height if recording is None else None,
-        seed=specification.seed,
+        seed=run.seed,
         labels={
             "garment": "+".join(each.garment.name for each in dressed),
             "sources": sources,
@@ -163,55 +144,23 @@ def assemble(specification: SceneSpecification) -> Scene:
 
 
 def _load_garments(
-    specified: Sequence[GarmentSpecification], body: ShapedBody | VertexSequence
-) -> tuple[list[Garment], list[GarmentSpecification]]:
-    """The garments, pinned, and their specifications in the order they are worn, inner first."""
+    specified: Sequence[WornGarment], body: ShapedBody | VertexSequence, as_recorded: bool
+) -> tuple[list[Garment], list[WornGarment]]:
+    """The garments, pinned, and how each was asked for, in the order they are worn, inner first."""
     garments = []
     for each in specified:
         garment = _load_garment(each, body)
-        require_fine(garment, body)
+        # A recording is replayed as its authors did, on the meshes that they did it with.
+        require_fine(garment, body, accepted=as_recorded or _is_own_count(each, garment))
         garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
     order = worn_order(garments, [each.tucked for each in specified])
     return [garments[k] for k in order], [specified[k] for k in order]
 
 
-def _specified(
-    garment: GarmentChoice | Sequence[GarmentChoice],
-    triangles: int | Sequence[int | None] | None,
-    material: MaterialChoice | Sequence[MaterialChoice],
-    pins: PinChoice | Sequence[PinChoice],
-) -> tuple[GarmentSpecification, ...]:
-    worn = garment if isinstance(garment, list | tuple) else [garment]
-    # Whole numbers in a list are the indices of one choice of pins.
-    chosen_pins = [pins] * len(worn) if isinstance(pins, list | tuple) and _all_whole(pins) else pins
-    columns = [
-        _one_each(name, value, len(worn))
-        for name, value in (("triangles", triangles), ("material", material), ("pins", chosen_pins))
-    ]
-    specified = []
-    for each, count, cloth, pinned in zip(worn, *columns, strict=True):
-        given = each if isinstance(each, GarmentSpecification) else GarmentSpecification(each)
-        specified.append(
-            replace(
-                given,
-                triangles=count if given.triangles is None else given.triangles,
-                material=cloth if given.material is None else given.material,
-                pins=pinned if given.pins is None else given.pins,
-            )
-        )
-    return tuple(specified)
-
-
-def _all_whole(values: Sequence[object]) -> bool:
-    return all(isinstance(value, int | np.integer) for value in values)
-
-
-def _one_each(what: str, value: object, count: int) -> Sequence:
-    if not isinstance(value, list | tuple):
-        return [value] * count
-    if len(value) != count:
-        raise InputError(f"The list for {what} has {len(value)} entries for {count} garments; give one each.")
-    return value
+def _is_own_count(worn: WornGarment, garment: Garment) -> bool:
+    """Whether the user asked for just as many triangles as the garment was made with."""
+    is_built_in = str(worn.garment) in garment_names()
+    return worn.triangles == garment.triangle_count and garment.is_authors_mesh and not is_built_in
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,43 +189,53 @@ def _placement(garment: Garment, collider: AnimatedBody, worn: np.ndarray | None
     return SkinnedPlacement(garment, collider, worn=worn)
 
 
-def _recording(specification: SceneSpecification) -> RecordingAsItIs:
-    motion = specification.motion
+def _recording(run: Run) -> RecordingAsItIs:
+    motion = run.motion
     if not isinstance(motion, str | Path) or not Path(motion).suffix:
         raise InputError("To play a recording as recorded, give its file as the motion: a .pkl or .npz of SMPL.")
     kind: type[RecordingAsItIs] = resolve_name("pb4u.compat.recording_as_released:RecordingAsItIs")
-    return kind(Path(motion), specification.crop, specification.arms_away)
+    return kind(Path(motion), run.crop, run.arms_away)
 
 
-def _load_body(
-    specification: SceneSpecification, recording: RecordingAsItIs | None = None
-) -> ShapedBody | VertexSequence:
-    body = _shaped_body(specification, {} if recording is None else recording.shape)
-    if specification.omitted is None:
+def _load_body(run: Run, recording: RecordingAsItIs | None = None) -> ShapedBody | VertexSequence:
+    body = _shaped_body(run, {} if recording is None else recording.shape)
+    if run.omitted is None:
         return body
-    return body.with_contact(read_contact(Path(specification.omitted), len(body.contact)))
+    return body.with_contact(read_contact(Path(run.omitted), len(body.contact)))
 
 
-def _shaped_body(specification: SceneSpecification, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
+def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
     """The body with the `shape` that its recording says, and over it what is asked for."""
-    body = specification.body
+    body = run.body
     if shape and not (isinstance(body, str | Path) and Path(body).suffix):
         raise InputError(
             f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
         )
     if isinstance(body, str | Path):
-        return load_body(body, {**shape, **specification.body_shape})
+        parts = None if run.body_parts is None else [part.strip() for part in run.body_parts.split(",")]
+        return load_body(body, {**shape, **run.body_shape}, clip=run.clip, parts=parts)
     if not isinstance(body, ShapedBody | VertexSequence):
         raise InputError("A moving body must be a shaped body or a vertex sequence.")
-    if specification.body_shape:
+    if run.body_shape:
         raise InputError(f"{body.name} is a body already loaded, with its shape; give body_shape to load_body instead.")
     return body
 
 
-def _perform(body: ShapedBody, specification: SceneSpecification) -> _Performance:
-    """A body with bones performs a motion."""
-    clip, name = _load_motion(specification)
-    frames, fps = specification.frames, specification.fps
+def _perform(body: ShapedBody, run: Run) -> _Performance:
+    """A body with bones performs a motion; a character its own clip, where no motion is given."""
+    if isinstance(body, Character):
+        for note in body.notes:
+            _say(note)
+        if run.motion is None and (body.clip is not None or not body.is_human):
+            return _perform_clip(body, run)
+        if not body.is_human:
+            raise InputError(
+                f"{body.name} performs its own clips alone: its bones are not a human's; leave out --motion."
+            )
+    if isinstance(body, Character) and run.clip is not None:
+        raise InputError(f"{body.name} performs either its clip {run.clip} or --motion; leave one out.")
+    clip, name = _load_motion(run)
+    frames, fps = run.frames, run.fps
     available = clip.available_frames(fps)
     if frames is None:
         frames = available or DEFAULT_FRAMES
@@ -287,24 +246,50 @@ def _perform(body: ShapedBody, specification: SceneSpecification) -> _Performanc
     notes = (*clip.notes, *told)
     for note in notes:
         _say(note)
-    return _Performance(body.posed(prepend_lead_in(poses, body, specification.lead_in)), frames, name, notes)
+    return _Performance(body.posed(prepend_lead_in(poses, body, run.lead_in)), frames, name, notes)
 
 
-def _replay(body: ShapedBody, recording: RecordingAsItIs, specification: SceneSpecification) -> _Performance:
-    """A body with bones plays its recording, nothing changed."""
-    frames, lead_in = specification.frames, specification.lead_in
-    available = recording.available_frames(specification.fps) or 0
+def _perform_clip(body: Character, run: Run) -> _Performance:
+    """A character performs its own clip; one that has none stands."""
+    frames, fps, lead_in = run.frames, run.fps, run.lead_in
+    for given, flag in ((run.crop is not None, "crop"), (run.arms_away is not None, "arms-away")):
+        if given:
+            raise InputError(
+                f"{body.name} performs its own clip, to which --{flag} cannot be applied; change the clip in its file."
+            )
+    name = "stand" if body.clip is None else body.clip.name
+    if run.clip is None and len(body.clip_names) > 1:
+        _say(f"{body.name} performs {name}, the first of its clips {', '.join(body.clip_names[:10])}; --clip chooses.")
+    available = frames or DEFAULT_FRAMES if body.clip is None else body.available_frames(fps)
     if frames is not None and frames > available:
-        _say_shorter(recording.name, available, frames, specification.fps)
-    poses = recording.led_in(body, specification.fps, lead_in)
-    return _Performance(body.posed(poses), min(frames or available, available), str(specification.motion))
+        _say_shorter(name, available, frames, fps)
+    poses = character_lead_in(body, body.clip_poses(fps, available), fps, lead_in)
+    return _Performance(PosedCharacter(body, poses, fps), min(frames or available, available), name, body.notes)
 
 
-def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
-    motion = DEFAULT_MOTION if specification.motion is None else specification.motion
-    crop, arms_away = specification.crop, specification.arms_away
+def _replay(body: ShapedBody, recording: RecordingAsItIs, run: Run) -> _Performance:
+    """A body with bones plays its recording, nothing changed."""
+    frames, lead_in = run.frames, run.lead_in
+    available = recording.available_frames(run.fps) or 0
+    if frames is not None and frames > available:
+        _say_shorter(recording.name, available, frames, run.fps)
+    poses = recording.led_in(body, run.fps, lead_in)
+    return _Performance(body.posed(poses), min(frames or available, available), str(run.motion))
+
+
+def _load_motion(run: Run) -> tuple[Motion, str]:
+    motion = DEFAULT_MOTION if run.motion is None else run.motion
+    crop, arms_away = run.crop, run.arms_away
     if isinstance(motion, str | Path):
-        return load_motion(motion, crop, seed=specification.seed, arms_away_degrees=arms_away), str(motion)
+        clip = load_motion(
+            motion,
+            crop,
+            seed=run.seed,
+            arms_away_degrees=arms_away,
+            raw=run.raw_motion,
+            recorded_fps=run.recorded_fps,
+        )
+        return clip, str(motion)
     if not isinstance(motion, Motion):
         raise InputError(f"The motion must be a name, a path or a Motion, not {motion!r}.")
     for given, option in ((crop is not None, "crop"), (arms_away is not None, "arms_away")):
@@ -315,10 +300,10 @@ def _load_motion(specification: SceneSpecification) -> tuple[Motion, str]:
     return motion, motion.name
 
 
-def _play(body: VertexSequence, specification: SceneSpecification) -> _Performance:
+def _play(body: VertexSequence, run: Run) -> _Performance:
     """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed anew."""
-    motion, frames, fps = specification.motion, specification.frames, specification.fps
-    for given, flag in ((specification.crop is not None, "crop"), (specification.arms_away is not None, "arms-away")):
+    motion, frames, fps = run.motion, run.frames, run.fps
+    for given, flag in ((run.crop is not None, "crop"), (run.arms_away is not None, "arms-away")):
         if given:
             raise InputError(
                 f"{body.name} is a sequence of vertices that moves by itself, so --{flag} cannot be applied; change "
@@ -327,35 +312,44 @@ def _play(body: VertexSequence, specification: SceneSpecification) -> _Performan
     if motion is not None:
         ignored = motion if isinstance(motion, str | Path) else motion.name
         _say(f"{body.name} is a sequence of vertices that moves by itself; the motion {ignored} is not used.")
+    if body.from_video and not run.raw_motion:
+        _say(
+            f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."
+        )
+        body = body.smoothed(CUTOFF)
     # A body that never moves has no end: it stands for as long as is asked.
     standing = (frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
-    held = body.resampled(fps).with_held_start(specification.lead_in + standing)
-    available = held.frame_count - specification.lead_in
+    held = body.resampled(fps).with_held_start(run.lead_in + standing)
+    available = held.frame_count - run.lead_in
     if frames is not None and frames > available:
         _say_shorter(body.name, available, frames, fps)
     return _Performance(held, min(frames or available, available), body.name)
 
 
-def _load_garment(specification: GarmentSpecification, body: ShapedBody | VertexSequence) -> Garment:
-    """The garment in its material, without the pins of the specification."""
-    garment, triangles = specification.garment, specification.triangles
+def _load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garment:
+    """The garment in its material, without the pins of the worn."""
+    garment, triangles = worn.garment, worn.triangles
     if isinstance(garment, Garment):
-        cloth = garment.material if specification.material is None else _load_material(specification.material)
+        require_near(garment, body)
+        cloth = garment.material if worn.material is None else _load_material(worn.material)
         return _remeshed(garment, triangles).with_material(cloth)
     if not isinstance(garment, str | Path):
         raise InputError(f"The garment must be a name, a path or a Garment, not {garment!r}.")
-    cloth = _load_material(specification.material or DEFAULT_MATERIAL)
+    cloth = _load_material(worn.material or DEFAULT_MATERIAL)
     entry = DictionaryEntry.parse(garment)
     if entry is not None:
         read = resolve_name("pb4u.compat.garment_dictionary:read_dictionary_garment")
         return _worn(_remeshed(read(entry, cloth), triangles), body)
+    if loader := SEWN.get(Path(garment).suffix.lower()):
+        loaded = resolve_name(loader)(Path(garment), body, cloth, triangles)
+        return _held(loaded, body) if worn.pins is None else loaded
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
         if triangles is not None:
             loaded = _outside_as_made(loaded, RestBody.of(body))
-        if specification.pins is None:
+        if worn.pins is None:
             loaded = _held(loaded, body)
-        require_worn(loaded, body, garment, pins_given=specification.pins is not None)
+        require_worn(loaded, body, garment, pins_given=worn.pins is not None)
         return loaded
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())
@@ -411,6 +405,11 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
     """A loaded garment with about `triangles` triangles; exports and pins follow the mesh it had."""
     if triangles is None or triangles == garment.triangle_count:
         return garment
+    if garment.rest_uv is not None:
+        raise InputError(
+            f"{garment.name} is sewn of flat panels, and is not remeshed as it hangs; dress its pattern with "
+            f"{triangles} triangles."
+        )
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
     uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
     simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)

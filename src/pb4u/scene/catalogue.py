@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pb4u.errors import InputError, unknown_name
-from pb4u.scene.assembly import assemble
+from pb4u.run import Run, WornGarment
+from pb4u.scene.assembly import build_scene
 from pb4u.scene.scene import Scene
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
 
 TRAINING_GARMENTS = ("tshirt", "tanktop", "longsleeve", "dress")
 UNSEEN_GARMENTS = ("fitted_dress", "cardigan")
@@ -110,9 +110,9 @@ def catalogue_scene(
         InputError: an unknown name, or a recording that is not in the folder.
     """
     entry = _find(name) if isinstance(name, str) else name
-    worn = GarmentSpecification(entry.garment, triangles=triangles)
+    worn = WornGarment(entry.garment, triangles=triangles)
     motion = _recording(entry, recordings) if entry.needs_recording else entry.motion
-    return assemble(SceneSpecification((worn,), body=body, motion=motion, frames=frames, seed=entry.seed or 0))
+    return build_scene(Run((worn,), body=body, motion=motion, frames=frames, seed=entry.seed or 0))
 
 
 def _recording(entry: SceneName, recordings: str | Path | None) -> Path:

@@ -18,8 +18,9 @@ _SMALLEST_MAPPED = 4096
 def map_archive(path: Path) -> dict[str, np.ndarray]:
     """Arrays (...) of any unit of an .npz file by name, mapped from the file; small and compressed ones are read.
 
-    Raises InputError, OSError, ValueError, or what else numpy's reader raises, when the file cannot be read whole, or
-    when what is compressed in it would take more memory than it may.
+    Raises:
+        InputError: the file cannot be read whole; OSError, ValueError or what else numpy's reader raises as well, or
+            when what is compressed in it would take more memory than it may.
     """
     members: dict[str, np.ndarray] = {}
     with open_archive(path) as archive, path.open("rb") as raw:

@@ -266,11 +266,13 @@ class ColliderPose:
 
     Attributes:
         found: what was last looked up here for the vertices of a pack of garments, which may serve again.
+        passed: through what of a pack of garments the bodies were found to be, and at which positions of these.
     """
 
     def __init__(self, colliders: PackedColliders, positions: Tensor) -> None:
         self.colliders, self.positions = colliders, positions
         self.found: dict[PackedGarments, Found] = {}
+        self.passed: dict[PackedGarments, tuple[Tensor, np.ndarray]] = {}
 
     @cached_property
     def surfaces(self) -> tuple[PosedSurface | None, ...]:
@@ -285,7 +287,7 @@ class ColliderPose:
     def apart(self) -> ColliderPose:
         """This pose for another thread: it shares what is built, and keeps to itself what is looked up there."""
         other = copy.copy(self)
-        other.found = dict(self.found)
+        other.found, other.passed = dict(self.found), dict(self.passed)
         return other
 
     def _posed(self, surfaces: tuple[TriangleSurface | None, ...]) -> tuple[PosedSurface | None, ...]:
@@ -385,17 +387,16 @@ def _surfaces(
     return tuple(made)
 
 
-def inverse_rest_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def inverse_rest_shapes(corners: np.ndarray) -> np.ndarray:
     """Inverses (faces, 2, 2) [1/m] of [x1 x2; 0 y2], the rest triangle's edges from corner 0 in its own plane.
 
     Args:
-        vertices: (vertices, 3) [m] at rest.
-        faces: (faces, 3) int64 vertex indices.
+        corners: (faces, 3, 3) of the triangles at rest [m].
 
-    Raises InputError naming the degenerate triangles.
+    Raises:
+        InputError: triangles are degenerate; they are named.
     """
-    e1 = vertices[faces[:, 1]] - vertices[faces[:, 0]]
-    e2 = vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     x1 = np.linalg.norm(e1, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         x2 = np.einsum("ij,ij->i", e1, e2) / x1
@@ -407,7 +408,7 @@ def inverse_rest_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
             f"{len(bad)} rest triangle(s) have no area, first faces {bad[:5].tolist()}; "
             "mend them with `pb4u check GARMENT.obj --fix OUT.obj`."
         )
-    inverse = np.zeros((len(faces), 2, 2))
+    inverse = np.zeros((len(corners), 2, 2))
     inverse[:, 0, 0] = 1.0 / x1
     inverse[:, 0, 1] = -x2 / (x1 * y2)
     inverse[:, 1, 1] = 1.0 / y2
@@ -428,7 +429,8 @@ def pack(
         device: device of the arrays.
         worlds: world of each garment, ascending from 0; each alone in its own by default.
 
-    Raises InputError when a rest triangle is degenerate.
+    Raises:
+        InputError: a rest triangle is degenerate.
     """
     offsets = np.concatenate([[0], np.cumsum([len(g.vertices) for g in garments])]).astype(int)
 
@@ -448,7 +450,7 @@ def pack(
     return PackedGarments(
         rest_positions=real([g.vertices for g in garments]),
         faces=index([g.faces for g in garments]),
-        inverse_rest_shape=real([inverse_rest_shapes(g.vertices, g.faces) for g in garments]),
+        inverse_rest_shape=real([inverse_rest_shapes(g.rest_corners) for g in garments]),
         face_areas=real([g.face_areas for g in garments]),
         lame_mu=per_face("lame_mu"),
         lame_lambda=per_face("lame_lambda"),

@@ -31,7 +31,7 @@ class DressedGarment:
     placement: Placement
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """Garments on moving bodies.
 
@@ -62,6 +62,19 @@ class Scene:
     seed: int = 0
     labels: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        worn = [dressed.garment for dressed in self.garments]
+        garments = ", ".join(f"{each.name} ({each.triangle_count:,} triangles)" for each in worn)
+        bodies = ", ".join(f"{body.name} ({len(body.faces):,} triangles)" for body in self.colliders)
+        ground = "none" if self.ground_height is None else f"{self.ground_height:g} m"
+        return (
+            f"Scene of {self.frames} frames at {self.fps:g} fps after {self.lead_in} of lead-in\n"
+            f"  garments: {garments}\n"
+            f"  bodies:   {bodies}\n"
+            f"  motion:   {self.labels.get('motion', 'own')}, seed {self.seed}\n"
+            f"  gravity:  {self.gravity.tolist()} m/s^2, ground {ground}, {len(self.notes)} notes"
+        )
 
     @property
     def total_frames(self) -> int:

@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from io import BytesIO
@@ -17,6 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from pb4u.errors import InputError, Interrupted
+from pb4u.garment.garment import Garment
 from pb4u.io.array_archive import DamagedArchiveError
 from pb4u.io.atomic_file import move_into_place, working_folder
 from pb4u.io.reading_limits import Allowance, told_error
@@ -53,6 +54,8 @@ class TrajectoryHeader:
         uvs: (uv points, 2) float64 UV coordinates, or None.
         uv_faces: (faces, 3) int64 UV points of each face, or None.
         source: the author's mesh where it differs from the simulated one.
+        rest_uv: (faces, 3, 2) float64 corners [m] of faces that lie flat at rest, NaN for those of garments whose rest
+            shape is `rest_positions`; None where all are.
         polygons: the faces before they were cut into triangles, where this mesh is the author's own; or None.
     """
 
@@ -68,6 +71,7 @@ class TrajectoryHeader:
     uv_faces: np.ndarray | None = None
     source: SourceTrack | None = None
     polygons: Polygons | None = None
+    rest_uv: np.ndarray | None = None
 
     @staticmethod
     def of(scene: Scene, metadata: dict[str, Any]) -> TrajectoryHeader:
@@ -88,6 +92,7 @@ class TrajectoryHeader:
                 "vertices": vertices[k : k + 2],
                 "triangles": triangles[k : k + 2],
                 "source": sources[k],
+                "rest_area": float(garment.face_areas.sum()),
             }
             for k, garment in enumerate(garments)
         ]
@@ -103,6 +108,7 @@ class TrajectoryHeader:
             uvs=uvs,
             uv_faces=uv_faces,
             source=SourceTrack.joined(garments),
+            rest_uv=_joined_rest(garments),
         )
 
     @property
@@ -140,6 +146,8 @@ class TrajectoryHeader:
         }
         if self.uvs is not None and self.uv_faces is not None:
             members |= {"uvs": self.uvs.astype(np.float64), "uv_faces": self.uv_faces.astype(np.int64)}
+        if self.rest_uv is not None:
+            members["rest_uv"] = self.rest_uv.astype(np.float64)
         if self.polygons is not None:
             members |= self.polygons.members()
         if self.source is not None:
@@ -156,6 +164,19 @@ class TrajectoryHeader:
             if self.source.polygons is not None:
                 members |= self.source.polygons.members("source_")
         return members
+
+
+def _joined_rest(garments: Sequence[Garment]) -> np.ndarray | None:
+    """`TrajectoryHeader.rest_uv` of garments."""
+    if all(garment.rest_uv is None for garment in garments):
+        return None
+    unknown = [np.full((len(garment.faces), 3, 2), np.nan) for garment in garments]
+    return np.concatenate(
+        [
+            other if garment.rest_uv is None else garment.rest_uv
+            for garment, other in zip(garments, unknown, strict=True)
+        ]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +244,8 @@ class Trajectory:
             header: everything that does not change from frame to frame.
             frames: one or more, in order.
 
-        Raises InputError when there is no frame.
+        Raises:
+            InputError: there is no frame.
         """
         rows = list(frames)
         if not rows:
@@ -271,8 +293,8 @@ class Trajectory:
     def open(cls, path: str | Path) -> Trajectory:
         """Map a trajectory file into memory; frames are read from disk as they are touched.
 
-        Raises InputError when the file is cut short, of a newer format, not a trajectory, or holds what does not fit
-        together.
+        Raises:
+            InputError: the file is cut short, of a newer format, not a trajectory, or holds what does not fit together.
         """
         path = Path(path)
         try:
@@ -326,7 +348,7 @@ def _header_from(members: dict[str, np.ndarray], metadata: dict[str, Any]) -> Tr
     return TrajectoryHeader(
         members["faces"], members["rest_positions"], members["pinned"], members["vertex_garment"],
         members["body_faces"], members["body_contact"], float(members["fps"]), metadata,
-        members.get("uvs"), members.get("uv_faces"), source, Polygons.from_members(members),
+        members.get("uvs"), members.get("uv_faces"), source, Polygons.from_members(members), members.get("rest_uv"),
     )  # fmt: skip
 
 
@@ -339,7 +361,8 @@ class TrajectoryWriter:
         path: path of the file.
         header: everything that does not change from frame to frame.
 
-    Raises InputError where the folder is absent or cannot be written.
+    Raises:
+        InputError: the folder is absent or cannot be written.
     """
 
     def __init__(self, path: str | Path, header: TrajectoryHeader) -> None:
@@ -358,7 +381,11 @@ class TrajectoryWriter:
         self._shapes: dict[str, tuple[int, ...]] = {}
 
     def append(self, frame: Frame) -> None:
-        """Write one frame. Raises InputError where the disk takes no more."""
+        """Write one frame.
+
+        Raises:
+            InputError: the disk takes no more.
+        """
         try:
             for name in _STREAMED:
                 row = np.ascontiguousarray(getattr(frame, name), dtype="<f4")
@@ -371,7 +398,8 @@ class TrajectoryWriter:
     def close(self) -> None:
         """Assemble the file and move it into place. Without a frame nothing is written.
 
-        Raises InputError where the disk takes no more.
+        Raises:
+            InputError: the disk takes no more.
         """
         try:
             for raw in self._raw.values():
@@ -425,11 +453,14 @@ class TrajectoryWriter:
         elif isinstance(error, KeyboardInterrupt) and self.frame_count:
             self.path = interrupted_path(self.path)
             self.close()
-            raise Interrupted(
-                f"the first {self.frame_count} frames are in {self.path}", getattr(error, "signal", 2)
-            ) from error
+            raise Interrupted(kept_sentence(self.frame_count, self.path), getattr(error, "signal", 2)) from error
         else:
             self.abandon()
+
+
+def kept_sentence(frames: int, path: Path) -> str:
+    """What is kept of an interrupted run: the first `frames` frames, in the file `path`."""
+    return f"the first {'frame is' if frames == 1 else f'{frames} frames are'} in {path}"
 
 
 def interrupted_path(path: Path) -> Path:

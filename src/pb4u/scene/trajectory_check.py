@@ -28,6 +28,7 @@ _LAYOUT: Layout = {
     "metadata": ("U", ()),
     "uvs": ("f", ("uv points", 2)),
     "uv_faces": ("iu", ("faces", 3)),
+    "rest_uv": ("f", ("faces", 3, 2)),
     "polygon_sizes": ("iu", ("polygons",)),
     "polygon_corners": ("iu", ("corners",)),
     "polygon_uv_corners": ("iu", ("corners",)),
@@ -61,7 +62,8 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
         members: arrays (...) of the file by name; `_LAYOUT` has the shape of each, lengths are in [m].
         path: path of the file, for the refusal.
 
-    Raises InputError naming the first member that does not fit.
+    Raises:
+        InputError: a member does not fit; the first is named.
     """
 
     def refuse(what: str) -> InputError:

@@ -140,7 +140,8 @@ def save_checkpoint(
         record: record of its training.
         licence: SPDX name of the weights' licence.
 
-    Raises InputError where the folder cannot be written.
+    Raises:
+        InputError: the folder cannot be written.
     """
     save_tensors(path, model.state_dict(), configuration, record, licence)
 
@@ -161,7 +162,8 @@ def save_tensors(
         record: record of its training.
         licence: SPDX name of the weights' licence.
 
-    Raises InputError where the folder cannot be written.
+    Raises:
+        InputError: the folder cannot be written.
     """
     path = Path(path)
     metadata = {
@@ -178,15 +180,29 @@ def save_tensors(
         raise InputError(f"Cannot write the checkpoint {path}: {error.strerror or error}.") from error
 
 
+_OF_A_TRAINING = ("best", "final", "last")
+"""Stems of the weights in the folder of a training, alike in all of them."""
+
+
+def weights_name(path: Path) -> str:
+    """What the weights of a file are called: its stem, after its folder where a training named the file.
+
+    Args:
+        path: path of the file.
+    """
+    return f"{path.resolve().parent.name}-{path.stem}" if path.stem in _OF_A_TRAINING else path.stem
+
+
 def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtype = torch.float32) -> Checkpoint:
     """Checkpoint in a file that `save_checkpoint` wrote.
 
     Args:
         path: path of the file.
-        name: name of the checkpoint; the file's stem by default.
+        name: name of the checkpoint; `weights_name` by default.
         dtype: precision of the model.
 
-    Raises InputError where the file is absent, cut, foreign, of a newer format, or at odds with its own configuration.
+    Raises:
+        InputError: the file is absent, cut, foreign, of a newer format, or at odds with its own configuration.
     """
     path = Path(path)
     if not path.is_file():
@@ -217,7 +233,7 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
         raise InputError(f"{path} has a header that this pb4u cannot read: {told_error(error)}") from error
     licence = metadata.get("licence", "unknown")
-    return built_checkpoint(name or path.stem, configuration, tensors, record, licence, dtype, path)
+    return built_checkpoint(name or weights_name(path), configuration, tensors, record, licence, dtype, path)
 
 
 class _NormalWeightsUndrawn(TorchFunctionMode):
@@ -256,7 +272,8 @@ def built_checkpoint(
         dtype: precision of the model.
         origin: the file it comes from, for messages; the name by default.
 
-    Raises InputError where the state does not fit the configuration, or is not finite.
+    Raises:
+        InputError: the state does not fit the configuration, or is not finite.
     """
     _check_fit(origin or name, _described(configuration), state)
     model = AccelerationModel(configuration.network())
@@ -277,7 +294,8 @@ def built_in_models() -> tuple[str, ...]:
 def from_pretrained(name_or_path: str | Path) -> Checkpoint:
     """Checkpoint of a built-in name, or of a path.
 
-    Raises InputError where there is neither, listing the names, and whatever `load_checkpoint` refuses.
+    Raises:
+        InputError: there is neither, listing the names, and whatever `load_checkpoint` refuses.
     """
     wanted = str(name_or_path)
     with weights_file(wanted) as path:
@@ -286,7 +304,11 @@ def from_pretrained(name_or_path: str | Path) -> Checkpoint:
 
 @contextmanager
 def weights_file(name_or_path: str) -> Iterator[Path]:
-    """File of a built-in name, or of a path. Raises InputError where there is neither, listing the names."""
+    """File of a built-in name, or of a path.
+
+    Raises:
+        InputError: there is neither, listing the names.
+    """
     if name_or_path in built_in_models():
         with resources.as_file(resources.files("pb4u.simulation") / "weights" / (name_or_path + SUFFIX)) as path:
             yield path
@@ -300,7 +322,11 @@ def weights_file(name_or_path: str) -> Iterator[Path]:
 
 
 def training_record_from_json(data: dict[str, Any]) -> TrainingRecord:
-    """Record of a training from the fields of one as JSON gives them. Raises InputError where they are out of range."""
+    """Record of a training from the fields of one as JSON gives them.
+
+    Raises:
+        InputError: they are out of range.
+    """
     record = TrainingRecord(**data)
     finest, coarsest = (float(length) for length in record.mean_edge_lengths)
     fewest, most = (int(count) for count in record.propagation_steps)

@@ -5,19 +5,24 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError, unknown_name
+from pb4u.run import Run, entries
 from pb4u.simulation.simulator import Simulator
 
 if TYPE_CHECKING:
     import torch
 
+    from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.simulation.checkpoint import Checkpoint
+    from pb4u.simulation.first_frame import FirstFrame
 
 OPTIONS: dict[str, frozenset[str]] = {
-    "solver": frozenset({"contact", "self_contact", "first_frame"}),
-    "quick-solver": frozenset({"contact", "self_contact", "first_frame", "refine"}),
+    "solver": frozenset({"contact", "self_contact", "body_surface", "first_frame"}),
+    "quick-solver": frozenset({"contact", "self_contact", "body_surface", "first_frame", "refine"}),
+    "gradient-descent": frozenset({"contact", "self_contact", "body_surface", "first_frame", "refine", "passes"}),
+    "warm-start": frozenset({"contact", "self_contact", "body_surface", "first_frame", "refine"}),
     "skinning": frozenset(),
     "newton": frozenset({"device"}),
 }
@@ -28,10 +33,7 @@ _WHY_WITHOUT_SELF_CONTACT = {
     "newton": "newton runs with its own self-contact off",
 }
 """What simulators that cannot keep cloth from crossing say when they are asked to."""
-_RELEASED_FIRST_FRAMES = ("release", "hood", "mgn", "contourcraft")
 _RELEASED_WEIGHTS = (".pth", ".pt")
-_PRECISIONS = ("float32", "bfloat16")
-_DEVICES = ("auto", "cpu", "cuda")
 _TRAINING_STATE = "pb4u_training"
 """Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
 
@@ -41,6 +43,11 @@ def model_descriptions() -> dict[str, str]:
     from pb4u.simulation.checkpoint import built_in_models
 
     descriptions = {name: _network_line(name) for name in built_in_models()}
+    if descriptions:
+        descriptions |= {
+            "gradient-descent": "control: the default network's start, search and passes with the gradient, no network",
+            "warm-start": "control: where the default network's steps start, and nothing after",
+        }
     descriptions |= {
         "solver": "minimises the physics energies each frame: the reference",
         "quick-solver": "at most --refine iterations of it a step, without a network: the fastest on a processor",
@@ -72,104 +79,114 @@ def looks_at(model: str | Path, option: str) -> bool:
     return str(model) not in OPTIONS or option in OPTIONS[str(model)]
 
 
-def load_simulator(
-    name: str | Path = "auto",
-    *,
-    contact: bool = True,
-    self_contact: bool | None = None,
-    refine: int = 5,
-    propagation_steps: int | None = None,
-    passes: int | None = None,
-    device: str = "auto",
-    first_frame: str = "auto",
-    precision: str = "auto",
-) -> Simulator:
+def load_simulator(name: str | Path = "auto", **options: Any) -> Simulator:
     """Simulator called `name`, loaded.
 
     Args:
-        name: "auto", "solver", "quick-solver", "skinning", "newton", a shipped network, a checkpoint file, or a .pth of
-            the released code of Pb4U-GNet, HOOD or ContourCraft.
-        contact: push the garment out of the body after each step (networks and solvers).
-        self_contact: cloth feels cloth, within a garment and between garments (networks and solvers, which do unless
-            this is False).
-        refine: most solver iterations after each step of a network, or of the quick solver; fewer where the cloth is
-            near balance.
-        propagation_steps: override of K for a network; None follows the paper's rule.
-        passes: evaluations of a network in a step; None is its own number, with its further ones where a step needs
-            them, or 1 where the solver refines.
-        device: "auto", "cpu" or "cuda".
-        first_frame: way to make frame 0: "settled" by the solver, in one "long_step" of the method's own as in the
-            paper, "placed" as it is, "release", "hood", "mgn" or "contourcraft" as in their released code, or "auto":
-            settled where the solver runs.
-        precision: of a network's products: "float32", "bfloat16", or "auto": bfloat16 where the device multiplies
-            faster in it and the solver refines.
+        name: "auto", "solver", "quick-solver", "gradient-descent", "warm-start", "skinning", "newton", a shipped
+            network, a checkpoint file, or a .pth of the released code of Pb4U-GNet, HOOD or ContourCraft.
+        options: fields of `Run` on the simulation by name: contact, self_contact, body_surface, refine,
+            propagation_steps, passes, device, precision, first_frame.
 
-    Raises InputError for an unknown name, a bad file or an impossible option.
+    Raises:
+        InputError: an unknown name, a bad file or an impossible option.
+    """
+    for option in options:
+        if option not in entries("run"):
+            raise unknown_name("option of a simulator", option, entries("run"))
+    return simulator_of(Run(model=name, **options))
+
+
+def simulator_of(run: Run) -> Simulator:
+    """Simulator that the options of a run name, loaded.
+
+    Args:
+        run: whose scene is not looked at.
+
+    Raises:
+        InputError: an unknown model, a bad file or an impossible option.
     """
     from pb4u.physics.incremental_potential import IncrementalPotential
-    from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
+    from pb4u.simulation.control_simulator import GRADIENT_DESCENT, WARM_START, ControlSimulator
     from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.step_start import CarriedStart, FreeFlight
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolverSimulator, SolverSimulator
 
-    potential = IncrementalPotential() if self_contact is False else IncrementalPotential().with_self_contact()
-    ways: dict[str, FirstFrame] = {
-        "settled": Settled(potential=potential),
-        "long_step": OneLongStep(),
-        "placed": AsPlaced(),
-    }
-    if first_frame in _RELEASED_FIRST_FRAMES:
-        ways[first_frame] = resolve_name("pb4u.compat.first_frames:FIRST_FRAMES")[first_frame]
-    elif first_frame not in ("auto", *ways):
-        raise unknown_name("first frame", first_frame, ("auto", *ways, *_RELEASED_FIRST_FRAMES))
-    if refine < 0:
-        raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
-    if precision not in ("auto", *_PRECISIONS):
-        raise unknown_name("precision", precision, ("auto", *_PRECISIONS))
-    if device not in _DEVICES:
-        raise unknown_name("device", device, _DEVICES)
-    wanted = default_model() if str(name) == "auto" else str(name)
-    answering: Contact = ContactResponse() if contact else NoContact()
-    if first_frame != "auto" and not looks_at(wanted, "first_frame"):
-        raise InputError(f"{wanted} starts in a way of its own; leave the first frame to it.")
-    if self_contact and not looks_at(wanted, "self_contact"):
-        raise InputError(
-            f"{_WHY_WITHOUT_SELF_CONTACT[wanted]}, so --self-contact cannot be on; leave it out, or take --model "
-            "solver or a network."
-        )
-    if wanted == "skinning":
+    model = default_model() if str(run.model) == "auto" else str(run.model)
+    _require_possible(run, model)
+    potential = IncrementalPotential()
+    if run.self_contact is not False:
+        potential = potential.with_self_contact(run.body_surface)
+    contact: Contact = ContactResponse() if run.contact else NoContact()
+    # The solver improves a state more, and settles it better, than one long step of a network at the same cost.
+    solves = (model in OPTIONS and not looks_at(model, "refine")) or run.refine > 0
+    first_frame = _first_frame(run.first_frame, "settled" if solves else "long_step", potential)
+    if model == "skinning":
         return SkinningSimulator()
-    if wanted == "solver":
-        beginning = ways.get(first_frame, ways["settled"])
+    if model == "solver":
         # Where cloth stops cloth, what free flight leaves behind a fast limb would stay hooked on it.
-        start = FreeFlight() if self_contact is False else CarriedStart()
-        return SolverSimulator(contact=answering, first_frame=beginning, potential=potential, start=start)
-    if wanted == "quick-solver":
-        return QuickSolverSimulator(refine, answering, ways.get(first_frame, ways["settled"]), potential)
-    if wanted == "newton":
+        start = FreeFlight() if run.self_contact is False else CarriedStart()
+        return SolverSimulator(contact=contact, first_frame=first_frame, potential=potential, start=start)
+    if model == "quick-solver":
+        return QuickSolverSimulator(run.refine, contact, first_frame, potential)
+    if model == "newton":
         from pb4u.simulation.newton_simulator import NewtonSimulator
 
-        return NewtonSimulator(device)
-    if wanted not in model_descriptions():
-        _refuse_other_files_of_a_training(Path(wanted))
-    if not Path(wanted).suffix and wanted not in model_descriptions():
-        raise unknown_name("model", wanted, model_descriptions())
-    # The solver improves a state more, and settles it better, than a further pass or one long step at the same cost.
-    beginning = ways.get(first_frame, ways["settled" if refine else "long_step"])
-    asked = 1 if passes is None and refine else passes
-    on = _device(device)
+        return NewtonSimulator(run.device)
+    # Where the solver refines, it improves a state more than a further pass does.
+    passes = 1 if run.passes is None and run.refine else run.passes
+    if model in (GRADIENT_DESCENT, WARM_START):
+        like = load_checkpoint_of(_shipped_network(model)).model.network
+        return ControlSimulator(model, like, run.refine, contact, passes, first_frame, potential)
+    device = _device(run.device)
+    precision = _precision(run.precision, device, run.refine)
+    checkpoint = load_checkpoint_of(model)
     return NetworkSimulator(
-        load_checkpoint_of(wanted),
-        propagation_steps,
-        refine,
-        answering,
-        on,
-        asked,
-        beginning,
-        potential,
-        _precision(precision, on, refine),
+        checkpoint, run.propagation_steps, run.refine, contact, device, passes, first_frame, potential, precision
     )
+
+
+def _shipped_network(control: str) -> str:
+    """Name of the network that a control stands beside."""
+    name = default_model()
+    if name == "solver":
+        raise InputError(f"{control} starts and searches as the default network does, and no network is installed.")
+    return name
+
+
+def _require_possible(run: Run, model: str) -> None:
+    """Refuse an unknown model, and options that it cannot follow."""
+    if run.first_frame != "auto" and not looks_at(model, "first_frame"):
+        raise InputError(f"{model} starts in a way of its own; leave the first frame to it.")
+    if run.self_contact and not looks_at(model, "self_contact"):
+        raise InputError(
+            f"{_WHY_WITHOUT_SELF_CONTACT[model]}, so --self-contact cannot be on; leave it out, or take --model "
+            "solver or a network."
+        )
+    if run.body_surface and run.self_contact is False:
+        raise InputError("Cloth is kept off the body's surface by self-contact; leave one of the two out.")
+    if run.body_surface and not looks_at(model, "body_surface"):
+        raise InputError(f"--body-surface does nothing with --model {model}; leave it out.")
+    if model in OPTIONS:
+        return
+    if model not in model_descriptions():
+        _refuse_other_files_of_a_training(Path(model))
+        if not Path(model).suffix:
+            raise unknown_name("model", model, model_descriptions())
+
+
+def _first_frame(name: str, own: str, potential: IncrementalPotential) -> FirstFrame:
+    """The way called `name` to make frame 0; `own` is the one that "auto" stands for."""
+    from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
+
+    chosen = own if name == "auto" else name
+    if chosen == "settled":
+        return Settled(potential=potential)
+    if chosen in ("long_step", "placed"):
+        return OneLongStep() if chosen == "long_step" else AsPlaced()
+    released: dict[str, FirstFrame] = resolve_name("pb4u.compat.first_frames:FIRST_FRAMES")
+    return released[chosen]
 
 
 def load_checkpoint_of(name: str) -> Checkpoint:
@@ -178,7 +195,8 @@ def load_checkpoint_of(name: str) -> Checkpoint:
     Args:
         name: its name or path.
 
-    Raises InputError where there is none, or its file cannot be used.
+    Raises:
+        InputError: there is none, or its file cannot be used.
     """
     from pb4u.simulation.checkpoint import from_pretrained
 

@@ -73,7 +73,8 @@ class NewtonCloth:
         device: Warp's name of the device: "cpu" or "cuda:0".
         options: sub-steps, iterations and contact of the solver.
 
-    Raises MissingExtraError when the package is absent.
+    Raises:
+        MissingExtraError: the package is absent.
     """
 
     def __init__(
@@ -146,7 +147,11 @@ class NewtonCloth:
 
 
 def warp_device(name: str) -> str:
-    """Warp's name of the device "auto", "cpu" or "cuda". Raises InputError where "cuda" is asked for and absent."""
+    """Warp's name of the device "auto", "cpu" or "cuda".
+
+    Raises:
+        InputError: "cuda" is asked for and absent.
+    """
     _, warp = import_newton()
     with _quiet(warp):
         present = name != "cpu" and warp.get_cuda_device_count() > 0
@@ -164,7 +169,11 @@ def needed_substeps(scene: Scene) -> int:
 
 
 def import_newton() -> tuple[Any, Any]:
-    """Modules `newton` and `warp`. Raises MissingExtraError when they are absent."""
+    """Modules `newton` and `warp`.
+
+    Raises:
+        MissingExtraError: they are absent.
+    """
     try:
         import warp
 

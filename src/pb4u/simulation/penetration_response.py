@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pb4u.physics.contact.contact_set import ContactPlanes, nearest_planes
+from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.penetration_cleanup import FaceClearance
 from pb4u.physics.contact.self_contact import SelfContact
 from pb4u.physics.time_step import TimeStep
@@ -28,6 +29,16 @@ class Contact(ABC):
         Args:
             step: the time step that was taken.
             state: at the end of it.
+        """
+
+    @abstractmethod
+    def cleared(self, step: TimeStep, state: State, cloth: SelfContact) -> State:
+        """State with cloth lifted that a body is through though no vertex is inside it, as far as cloth can go there.
+
+        Args:
+            step: the time step that was taken.
+            state: at the end of it.
+            cloth: keeps it from passing through cloth, and tells whether bodies count.
         """
 
     @abstractmethod
@@ -55,6 +66,9 @@ class NoContact(Contact):
     """Leaves states as they are."""
 
     def respond(self, step: TimeStep, state: State) -> State:
+        return state
+
+    def cleared(self, step: TimeStep, state: State, cloth: SelfContact) -> State:
         return state
 
     def depth(self, step: TimeStep, x: Tensor) -> float:
@@ -99,6 +113,14 @@ class ContactResponse(Contact):
             x = torch.where(touched[:, None], x + depth[:, None] * up, x)
             v = torch.where(touched[:, None], v + (-v[:, 1]).clamp_min(0.0)[:, None] * up, v)
         return replace(state, positions=x, velocities=v)
+
+    def cleared(self, step: TimeStep, state: State, cloth: SelfContact) -> State:
+        if step.bodies is None or self.faces is None or not cloth.feels_bodies:
+            return state
+        obstacle = Obstacle.at(step.garments, step.bodies.following, state.positions)
+        if obstacle is None or not obstacle.passed.any():
+            return state
+        return self.faces.lift(step.garments, state, step.bodies.following, cloth)
 
     def depth(self, step: TimeStep, x: Tensor) -> float:
         return float(torch.where(step.garments.pinned, 0.0, _depths(step, x)).max()) if len(x) else 0.0

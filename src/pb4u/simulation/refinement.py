@@ -64,6 +64,9 @@ denim presses the cloth under it 24 mm into the body, and no push of single vert
 _MOST_PRESSING = 5
 """Iterations at which that ends."""
 
+_TURNED_ASIDE = 1e-2
+"""How far [m] bodies may turn cloth aside before the energies count their faces and edges."""
+
 
 class Refinement(ABC):
     """Improves a prediction by physics."""
@@ -87,6 +90,16 @@ class Refinement(ABC):
             contact: tells how deep a vertex is inside.
         """
 
+    @abstractmethod
+    def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
+        """`state` as far as it is reached past the moving bodies, at rest with them where they turned it aside.
+
+        Args:
+            step: the time step.
+            state: at its end.
+            self_contact: keeps cloth from passing through bodies, or does not.
+        """
+
 
 class NoRefinement(Refinement):
     """Leaves predictions as they are, as far as cloth can go there.
@@ -103,6 +116,9 @@ class NoRefinement(Refinement):
 
     def pressed_out(self, step: TimeStep, state: State, contact: Contact) -> State:
         return state
+
+    def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
+        return past_bodies(self_contact, step, state)
 
 
 class SolverRefinement(Refinement):
@@ -141,6 +157,15 @@ class SolverRefinement(Refinement):
         firm = self.potential.with_term(Collision(weight=_FIRM))
         pressed = self._pressing.minimise(firm.of(step), state.positions).positions
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
+
+    def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
+        reached = past_bodies(self_contact, step, state)
+        felt = self.potential.self_contact.feels_bodies
+        if not felt or float((reached.positions - state.positions).norm(dim=1).max()) < _TURNED_ASIDE:
+            return reached
+        pressed = self.potential.pressed_by_bodies().of(step)
+        solved = self._pressing.minimise(pressed, reached.positions)
+        return step.reached(solved.positions)
 
 
 class ImplicitSteps(SolverRefinement):
@@ -231,7 +256,29 @@ def carried(self_contact: SelfContact, step: TimeStep, before: State, wanted: St
         before: state that crosses nowhere.
         wanted: state at the end of the step.
     """
-    positions = self_contact.carried(step.garments, before.positions, wanted.positions)
+    positions, _ = self_contact.carried(step.garments, before.positions, wanted.positions)
+    if positions is wanted.positions:
+        return wanted
+    cut = (positions - wanted.positions) / step.dt
+    return replace(wanted, positions=positions, velocities=wanted.velocities + cut)
+
+
+def past_bodies(self_contact: SelfContact, step: TimeStep, wanted: State) -> State:
+    """`wanted` as far as it is reached from the step's start past the moving bodies, at the speed it then has.
+
+    Args:
+        self_contact: keeps cloth from passing through bodies, or does not.
+        step: the time step.
+        wanted: state at the end of the step.
+    """
+    if not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
+        return wanted
+    positions, obstacle = self_contact.carried(
+        step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle
+    )
+    if obstacle is not None:
+        # What they were not through, nor left no room, need not be looked for again.
+        obstacle.reached(step.garments, step.bodies.following, positions)
     if positions is wanted.positions:
         return wanted
     cut = (positions - wanted.positions) / step.dt

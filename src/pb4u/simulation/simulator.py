@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from abc import ABC, abstractmethod
@@ -119,7 +120,8 @@ class Simulator(ABC):
             progress: called with (frames done, frames in all), lead-in included; by default a bar on standard error
                 where that is a terminal. `pb4u.progress.unheard` is quiet.
 
-        Raises InputError when the state stopped being finite before the first frame to write.
+        Raises:
+            InputError: the state stopped being finite before the first frame to write.
         """
         with shown(progress, self.name) as heard:
             return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=heard))
@@ -141,7 +143,8 @@ class Simulator(ABC):
             progress: called with (frames done, frames in all), lead-in included; a bar by default, as in `simulate`.
             seen: called with every frame that was written.
 
-        Raises Pb4uError when the state stopped being finite before the first frame to write.
+        Raises:
+            Pb4uError: the state stopped being finite before the first frame to write.
         """
         record = record or RunRecord()
         with TrajectoryWriter(path, self.header(scene)) as writer, shown(progress, self.name) as heard:
@@ -202,9 +205,8 @@ def _heading(scene: Scene) -> float:
     collider = next(iter(scene.colliders), None)
     if not isinstance(collider, PosedBody):
         return 0.0
-    w, x, y, z = collider.poses.rotations[scene.lead_in, 0]
-    forward = np.array([2 * (x * z + w * y), 0.0, 1 - 2 * (x * x + y * y)])
-    return float(np.arctan2(forward[0], forward[2]))
+    forward = collider.transforms[scene.lead_in, 0, :, 2].double()
+    return math.atan2(forward[0], forward[2])
 
 
 def _versions() -> dict[str, str]:

@@ -49,11 +49,14 @@ class StepMethod:
 
 
 def take(step: TimeStep, method: StepMethod) -> State:
-    """State at the end of a time step; nothing given is changed. Raises DivergedError where it is not finite.
+    """State at the end of a time step; nothing given is changed.
 
     Args:
         step: that is taken.
         method: what takes it.
+
+    Raises:
+        DivergedError: it is not finite.
     """
     with one_torch_thread():
         # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
@@ -65,7 +68,11 @@ def take(step: TimeStep, method: StepMethod) -> State:
         # A push, like every other move, goes no further than to the next cloth.
         pushed = carried(method.self_contact, step, refined, answered)
         # What cloth around it kept inside the body is pressed out together with that cloth.
-        return method.refinement.pressed_out(step, pushed, method.contact)
+        pressed = method.refinement.pressed_out(step, pushed, method.contact)
+        # Between vertices too no face or edge of a body comes through.
+        kept = method.refinement.past_bodies(step, pressed, method.self_contact)
+        # Where one is through cloth already, no energy leads it back.
+        return method.contact.cleared(step, kept, method.self_contact)
 
 
 def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:

@@ -140,12 +140,13 @@ class QuickSolverSimulator(StepwiseSimulator):
     What `NetworkSimulator` does with the solver in its loop, without the network: what a network has to beat there.
 
     Args:
-        refine: solver iterations a step at most; a step that they leave torn is made anew.
+        refine: solver iterations a step at most; a step that they leave overstretched is solved again.
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; settled by default.
         potential: the energies, and whether cloth feels cloth; the six terms by default.
 
-    Raises InputError for less than 1 iteration.
+    Raises:
+        InputError: less than 1 iteration.
     """
 
     name = QUICK_SOLVER
@@ -191,8 +192,9 @@ class NetworkSimulator(StepwiseSimulator):
         potential: the energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
         precision: data type of the network's products.
 
-    Raises InputError for less than 1 pass, or more than 1 of a network that cannot tell one pass from the next, and for
-    a number of propagation steps out of range.
+    Raises:
+        InputError: less than 1 pass, or more than 1 of a network that cannot tell one pass from the next, and for a
+            number of propagation steps out of range.
     """
 
     def __init__(

@@ -70,7 +70,8 @@ class Budget:
         steps: number of optimiser steps, or None.
         minutes: wall time [min], or None.
 
-    Raises InputError where both are None or one is not above 0.
+    Raises:
+        InputError: both are None or one is not above 0.
     """
 
     steps: int | None = None
@@ -125,12 +126,16 @@ class Counters:
 
     @staticmethod
     def from_json(record: dict[str, Any]) -> Counters:
-        """Counters from the data that `to_json` gave. Raises InputError where it is something else."""
+        """Counters from the data that `to_json` gave.
+
+        Raises:
+            InputError: it is something else.
+        """
         try:
             given = dict(record)
             guard, best = ExplosionGuard(**given.pop("guard")), given.pop("best")
-            if best is not None and "energy" in best:
-                best = None  # of earlier versions, with gravity: nothing of now is compared with it
+            if best is not None and "excess_height" not in best:
+                best = None  # of earlier versions, by energy: nothing of now is compared with it
             return Counters(**given, guard=guard, best=None if best is None else Score(**best))
         except (KeyError, TypeError) as error:
             raise InputError(f"The checkpoint does not say how far the training was: {error}.") from error

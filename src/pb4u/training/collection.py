@@ -33,7 +33,8 @@ def collect(
         seed: seed of body shapes and of the choice of clips.
         progress: called with (parts made, parts in all).
 
-    Raises InputError for an unknown name, or a folder without any of the recordings.
+    Raises:
+        InputError: an unknown name, or a folder without any of the recordings.
     """
     rng = np.random.default_rng([seed, 17])
     bodies = _bodies(selection, rng)

@@ -35,7 +35,8 @@ class DataSelection:
         varied: share of garments whose cut is drawn.
         uneven: share of garments whose edges are halved in a part of them.
 
-    Raises InputError for an empty selection or a number out of range.
+    Raises:
+        InputError: an empty selection or a number out of range.
     """
 
     garments: tuple[str, ...] = ("tshirt", "tanktop", "longsleeve", "dress")
@@ -73,7 +74,8 @@ class MaterialSampling:
         lame_lambda: lowest and highest [Pa].
         bending: lowest and highest [J].
 
-    Raises InputError for a range that does not rise from above 0.
+    Raises:
+        InputError: a range that does not rise from above 0.
     """
 
     density: tuple[float, float] = (0.0434, 0.7)
@@ -117,7 +119,8 @@ class TrainingConfiguration:
         validation_frames: frames of each.
         patience: validations without improvement after which the training stops; 0 never stops it.
 
-    Raises InputError for a value out of range.
+    Raises:
+        InputError: a value out of range.
     """
 
     network: NetworkConfiguration = field(default_factory=Pb4uConfiguration)
@@ -171,7 +174,11 @@ def training_to_json(configuration: TrainingConfiguration) -> dict[str, Any]:
 
 
 def training_from_json(record: Any) -> TrainingConfiguration:
-    """Configuration that `training_to_json` wrote. Raises InputError where it is none."""
+    """Configuration that `training_to_json` wrote.
+
+    Raises:
+        InputError: it is no configuration of a training.
+    """
     try:
         given = dict(record)
         given["network"] = configuration_from_json(given["network"])
@@ -189,7 +196,8 @@ def with_settings(configuration: TrainingConfiguration, settings: Sequence[str])
         configuration: to be changed.
         settings: such as batch=2 or curriculum.learning_rate=1e-3; network=NAME takes a network preset whole.
 
-    Raises InputError for an unknown key, with those near it, or a value of another type.
+    Raises:
+        InputError: an unknown key, with those near it, or a value of another type.
     """
     for setting in settings:
         key, equals, text = setting.partition("=")

@@ -27,7 +27,8 @@ class Curriculum:
         warm_up: fraction of the budget over which the rate rises from 0 to its value.
         settling_share: share of windows that begin with a settling step while windows are one step long; later all do.
 
-    Raises InputError for stages that do not rise from 0, or a value out of range.
+    Raises:
+        InputError: stages that do not rise from 0, or a value out of range.
     """
 
     window_steps: Stages = ((0.0, 1), (0.011, 2), (0.033, 3), (0.067, 4), (0.111, 5))

@@ -36,7 +36,11 @@ class Workers:
         return self.rank == 0
 
     def share(self, batch: int) -> slice:
-        """Samples of a `batch` that fall to this process. Raises InputError where it cannot be divided."""
+        """Samples of a `batch` that fall to this process.
+
+        Raises:
+            InputError: it cannot be divided.
+        """
         if batch % self.count:
             raise InputError(f"A batch of {batch} cannot be shared by {self.count} processes; set batch to a multiple.")
         size = batch // self.count
@@ -77,7 +81,8 @@ def workers(device: str = "auto") -> Iterator[Workers]:
     Args:
         device: "auto", "cpu" or "cuda".
 
-    Raises InputError where an accelerator is asked for and absent.
+    Raises:
+        InputError: an accelerator is asked for and absent.
     """
     if device not in ("auto", "cpu", "cuda"):
         raise InputError(f"The device is auto, cpu or cuda, not {device!r}.")

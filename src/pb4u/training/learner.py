@@ -129,7 +129,8 @@ class Learner:
         Args:
             tensors: (...) each as in the model, by name, in the unit of what it is a copy of.
 
-        Raises InputError where they are of another network.
+        Raises:
+            InputError: they are of another network.
         """
         parts: dict[str, dict[str, Tensor]] = {
             part: {} for part in ("model", "average", "taken", "mean", "square", "root")

@@ -66,7 +66,8 @@ class TrainingData:
         outfits: garments that they wear.
         clips: poses that they take.
 
-    Raises InputError where a body has no garment or no motion, or where a body's poses correct its surface.
+    Raises:
+        InputError: a body has no garment or no motion, or where a body's poses correct its surface.
     """
 
     bodies: tuple[ShapedBody, ...]
@@ -109,7 +110,8 @@ def save_training_data(data: TrainingData, path: Path | str) -> None:
         data: bodies, outfits and clips.
         path: path of the file.
 
-    Raises InputError where the folder cannot be written.
+    Raises:
+        InputError: the folder cannot be written.
     """
     path = Path(path)
     header: dict[str, Any] = {"format_version": FORMAT_VERSION, "bodies": [], "outfits": [], "clips": []}
@@ -185,7 +187,8 @@ def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
 def load_training_data(path: Path | str) -> TrainingData:
     """Training data in a file that `save_training_data` wrote.
 
-    Raises InputError where the file is absent, cut short, of a newer format or no such file.
+    Raises:
+        InputError: the file is absent, cut short, of a newer format or no such file.
     """
     path = Path(path)
     if not path.is_file():

@@ -71,7 +71,8 @@ class Recovery:
     def roll_back(self, counters: Counters) -> Counters:
         """Return to the last good weights at half the rate, and go on with other samples.
 
-        Raises TrainingFailedError where that was done too often.
+        Raises:
+            TrainingFailedError: the training has gone back too often.
         """
         at, back = counters.step, self.saved.step
         lower = replace(
@@ -123,7 +124,8 @@ class Recovery:
             tensors: (...) each as in the model, by name, in the units that `Learner.state` gave them.
             counters: progress, as `Counters.to_json` gave it.
 
-        Raises InputError where it is not of this configuration.
+        Raises:
+            InputError: it is not of this configuration.
         """
         begun = Counters.from_json(counters)
         self.learner.restore(tensors)

@@ -64,7 +64,8 @@ class RunFolder:
             path: path of the folder.
             configuration: plain JSON data.
 
-        Raises InputError where something else is in it, or it cannot be made.
+        Raises:
+            InputError: something else is in it, or it cannot be made.
         """
         RunFolder.require_free(path)
         folder = RunFolder(Path(path))
@@ -83,7 +84,11 @@ class RunFolder:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Keep other processes from training in the folder. Raises InputError where one does."""
+        """Keep other processes from training in the folder.
+
+        Raises:
+            InputError: another process trains in it.
+        """
         lock = FileLock(self.path / LOCK)
         try:
             lock.acquire(timeout=0)
@@ -100,7 +105,11 @@ class RunFolder:
 
     @staticmethod
     def open(path: Path | str) -> RunFolder:
-        """Open an existing folder. Raises InputError where it is none of a training."""
+        """Open an existing folder.
+
+        Raises:
+            InputError: it is no folder of a training.
+        """
         folder = RunFolder(Path(path))
         if not (folder.path / CONFIGURATION).is_file():
             raise InputError(f"{path} is no folder of a training: it has no {CONFIGURATION}.")
@@ -112,7 +121,11 @@ class RunFolder:
         self._replace(CONFIGURATION, (json.dumps(record, indent=2) + "\n").encode())
 
     def configuration(self) -> dict[str, Any]:
-        """Configuration that `configure` wrote. Raises InputError where it cannot be read."""
+        """Configuration that `configure` wrote.
+
+        Raises:
+            InputError: it cannot be read.
+        """
         path = self.path / CONFIGURATION
         try:
             record = read_json(path)
@@ -145,7 +158,8 @@ class RunFolder:
             tensors: (...) each as in the model, by name, in the units that `Learner.state` gives them.
             counters: progress, as `Counters.to_json` gives it.
 
-        Raises NotSavedError where it cannot be written.
+        Raises:
+            NotSavedError: it cannot be written.
         """
         content = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
         self._replace(LAST, save(content, {"pb4u_training": str(FORMAT_VERSION), "counters": json.dumps(counters)}))
@@ -153,7 +167,8 @@ class RunFolder:
     def load_state(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         """Tensors (...) by name and counters of the last checkpoint, in their unit; None where there is none yet.
 
-        Raises InputError for a file that is no checkpoint.
+        Raises:
+            InputError: a file that is no checkpoint.
         """
         path = self.path / LAST
         if not path.is_file():
@@ -168,7 +183,11 @@ class RunFolder:
             raise InputError(f"{path} is no checkpoint of a training ({told_error(error)}).") from error
 
     def append_metrics(self, record: dict[str, Any]) -> None:
-        """Add a line to the metrics. Raises NotSavedError where it cannot be written."""
+        """Add a line to the metrics.
+
+        Raises:
+            NotSavedError: it cannot be written.
+        """
         try:
             with open(self.path / METRICS, "a", encoding="utf-8") as out:
                 out.write(json.dumps(record) + "\n")

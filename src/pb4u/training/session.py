@@ -70,7 +70,8 @@ class Request:
 def train(request: Request) -> dict[str, Any]:
     """Train as asked; returns a summary: how it ended, its steps, seconds, rollbacks and best validation.
 
-    Raises InputError for what cannot be done as asked.
+    Raises:
+        InputError: something of the request cannot be done.
     """
     if (request.resume is None) == (request.out is None):
         raise InputError("Give --out FOLDER for a new training, or --resume FOLDER to go on with one.")

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, astuple, fields
 from enum import Enum, auto
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -310,11 +310,11 @@ class Trainer:
         if self.counters.validated == self.counters.step and self.counters.best is not None:
             return
         self.counters.validated = self.counters.step
-        outcome = torch.zeros(3, dtype=torch.float64, device=self.workers.device)
+        outcome = torch.zeros(len(fields(Score)), dtype=torch.float64, device=self.workers.device)
         with self.learner.averaged():
             if self.workers.leads:
                 score = self.validation.score(self.model.eval())
-                outcome = outcome.new_tensor([score.survived, score.energy_without_gravity, score.strain])
+                outcome = outcome.new_tensor(astuple(score))
             self.model.train()
         score = Score(*self.workers.sum(outcome).tolist())
         best = score.beats(self.counters.best, IMPROVEMENT)
@@ -357,11 +357,14 @@ class Trainer:
         return seen if self.origin is None else seen.after(self.origin)
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
-        """Go on from a checkpoint. Raises InputError where it is not of this configuration.
+        """Go on from a checkpoint.
 
         Args:
             tensors: what `Learner.state` gave, by name.
             counters: what `Counters.to_json` gave.
+
+        Raises:
+            InputError: it is not of this configuration.
         """
         self.counters = self.recovery.resume(tensors, counters)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pb4u.errors import InputError
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run
 from pb4u.viewer.clip import Clip, GrowingClip
 from pb4u.viewer.display import Display
 from pb4u.viewer.export_panel import ExportPanel, deliver, pack_scene
@@ -114,7 +114,7 @@ class BrowserWindow(Requests):
     def find(self, kind: str, name: str) -> Path | None:
         return self._uploads.find(kind, name)
 
-    def save_scene(self, run: RunSpecification) -> str:
+    def save_scene(self, run: Run) -> str:
         require_offered(run, self._uploads.files)
         name, content = pack_scene(run, self._uploads.folder)
         self._client.send_file_download(name, content, save_immediately=True)
@@ -135,7 +135,7 @@ class BrowserWindow(Requests):
             if self._film is not None:
                 self._film.stopped = True
 
-    def simulate(self, run: RunSpecification) -> None:
+    def simulate(self, run: Run) -> None:
         require_offered(run, self._uploads.files)
         with self._lock:
             if self.simulation is not None and self.simulation.running:

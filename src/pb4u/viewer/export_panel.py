@@ -15,7 +15,7 @@ from pathlib import Path
 from pb4u.errors import InputError, unknown_name
 from pb4u.export.registry import WRITERS, export
 from pb4u.io.atomic_file import replace_file
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.film import SUFFIXES as FILM_SUFFIXES
 from pb4u.viewer.panel import Panel, Tone, notice
@@ -80,7 +80,7 @@ def usual_video() -> str:
     return ".mp4" if find_spec("cv2") else ".gif"
 
 
-def pack_scene(run: RunSpecification, folder: Path) -> tuple[str, bytes]:
+def pack_scene(run: Run, folder: Path) -> tuple[str, bytes]:
     """A scene file, alone or packed with the files it names: name and content of one file for the browser.
 
     Args:
@@ -92,7 +92,7 @@ def pack_scene(run: RunSpecification, folder: Path) -> tuple[str, bytes]:
         (folder / "scene.toml").unlink()
     # Where they are unpacked, files lie beside the scene.
     text = written.replace(f"{folder.as_posix()}/", "")
-    named = [path for path in run.files() if isinstance(path, Path)]
+    named = [path for path in run.files if isinstance(path, Path)]
     if not named:
         return "scene.toml", text.encode()
     # What belongs to a file lies beside it under the same name; a skeleton serves all recordings beside it.

@@ -12,9 +12,9 @@ from pb4u.errors import InputError, unknown_name
 from pb4u.garment.library import garment_names
 from pb4u.garment.material import material_names
 from pb4u.motion.library import motion_names
-from pb4u.scene.assembly import assemble
-from pb4u.simulation.models import model_descriptions
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run
+from pb4u.scene.assembly import build_scene
+from pb4u.simulation.models import model_descriptions, simulator_of
 from pb4u.simulation.simulator import RunRecord
 from pb4u.viewer.clip import GrowingClip
 from pb4u.viewer.worker import Worker, heard_warnings, plain_sentence
@@ -29,7 +29,7 @@ MOST_REFINING = 100
 """Iterations a step: twenty times what a network is given unless told otherwise."""
 
 
-def require_offered(run: RunSpecification, files: Collection[Path] = ()) -> None:
+def require_offered(run: Run, files: Collection[Path] = ()) -> None:
     """Refuse what the page does not offer: it is not trusted, so it names what is built in or what it handed over.
 
     Args:
@@ -39,18 +39,17 @@ def require_offered(run: RunSpecification, files: Collection[Path] = ()) -> None
     Raises:
         InputError: a name that is not built in, or a number out of range.
     """
-    scene = run.scene
     named: list[tuple[str, object, tuple[str, ...]]] = [
-        ("body", scene.body, body_names()),
-        ("motion", scene.motion, motion_names()),
+        ("body", run.body, body_names()),
+        ("motion", run.motion, motion_names()),
         ("model", run.model, ("auto", *model_descriptions())),
     ]
     counts: list[tuple[str, int | None, int, int]] = [
-        ("frames", scene.frames, 1, MOST_FRAMES),
-        ("lead-in frames", scene.lead_in, 0, MOST_FRAMES),
+        ("frames", run.frames, 1, MOST_FRAMES),
+        ("lead-in frames", run.lead_in, 0, MOST_FRAMES),
         ("refining iterations", run.refine, 0, MOST_REFINING),
     ]
-    for worn in scene.garments:
+    for worn in run.garments:
         named += [("garment", worn.garment, garment_names()), ("material", worn.material, material_names())]
         # A file may keep its own mesh; how large that is shows when it is read.
         count = worn.triangles if worn.garment in files else worn.triangles or 0
@@ -88,7 +87,7 @@ class LiveSimulation(Worker):
 
     def __init__(
         self,
-        run: RunSpecification,
+        run: Run,
         advanced: Callable[[GrowingClip, int, int], None],
         ended: Callable[[GrowingClip | None, str, Ending], None],
         files: Collection[Path] = (),
@@ -97,7 +96,7 @@ class LiveSimulation(Worker):
         self._specification, self._advanced, self._ended = run, advanced, ended
         self._files = frozenset(files)
         self._clip: GrowingClip | None = None
-        self._frames = run.scene.frames or 0
+        self._frames = run.frames or 0
 
     def _work(self) -> None:
         told: list[str] = []
@@ -114,9 +113,9 @@ class LiveSimulation(Worker):
     def _simulate(self) -> tuple[str, Ending]:
         run = self._specification
         require_offered(run, self._files)
-        simulator = run.simulator()
+        simulator = simulator_of(run)
         self._end_if_cancelled()
-        scene = assemble(replace(run.scene, fps=simulator.fps or run.scene.fps))
+        scene = build_scene(replace(run, fps=simulator.fps or run.fps))
         for worn in scene.garments:
             if (count := worn.garment.triangle_count) > MOST_TRIANGLES:
                 raise InputError(

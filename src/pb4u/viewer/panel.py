@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from pb4u.simulation.run_specification import RunSpecification
+from pb4u.run import Run
 from pb4u.viewer.view_state import ViewState
 from pb4u.viewer.worker import plain_sentence
 
@@ -33,7 +33,7 @@ class Requests(Protocol):
     def reset_camera(self) -> None:
         """Point the camera at all clips again."""
 
-    def simulate(self, run: RunSpecification) -> None:
+    def simulate(self, run: Run) -> None:
         """Begin a simulation.
 
         Args:
@@ -61,7 +61,7 @@ class Requests(Protocol):
     def find(self, kind: str, name: str) -> Path | None:
         """The file of that kind and name that the user handed over; None where there is none."""
 
-    def save_scene(self, run: RunSpecification) -> str:
+    def save_scene(self, run: Run) -> str:
         """Hand the user a scene file, packed with the files it names; returns a sentence that says so.
 
         Args:

@@ -12,10 +12,9 @@ from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import material_names
 from pb4u.garment.pins import NAMES as PIN_NAMES
 from pb4u.motion.library import motion_names
+from pb4u.run import MOST_GARMENTS, Run, WornGarment, described
 from pb4u.scene.assembly import DEFAULT_FRAMES, DEFAULT_MATERIAL, DEFAULT_MOTION
-from pb4u.scene.specification import MOST_GARMENTS, GarmentSpecification, SceneSpecification
 from pb4u.simulation.models import default_model, model_descriptions
-from pb4u.simulation.run_specification import RunSpecification
 from pb4u.viewer.live_simulation import MOST_FRAMES, MOST_REFINING, MOST_TRIANGLES, Ending
 from pb4u.viewer.panel import Panel, Tone, notice
 from pb4u.viewer.uploads import KINDS, MOST_BYTES
@@ -37,7 +36,7 @@ class GarmentControls:
         worn: what is filled in first.
     """
 
-    def __init__(self, gui: GuiApi, garments: tuple[str, ...], number: int, worn: GarmentSpecification) -> None:
+    def __init__(self, gui: GuiApi, garments: tuple[str, ...], number: int, worn: WornGarment) -> None:
         self.folder = gui.add_folder(f"Garment {number}" + (", the innermost" if number == 1 else ""))
         with self.folder:
             self.garment = gui.add_dropdown("Garment", garments, initial_value=str(worn.garment))
@@ -49,9 +48,9 @@ class GarmentControls:
             self.pins = gui.add_dropdown("Pins", (_OWN_PINS, *PIN_NAMES), hint="Vertices that follow the body.")
             self.tucked = gui.add_checkbox("Tucked in", False, hint="Goes into what is worn from the waist.")
 
-    def specification(self, find: Callable[[str, str], Path | None]) -> GarmentSpecification:
+    def specification(self, find: Callable[[str, str], Path | None]) -> WornGarment:
         """The garment that is filled in; `find` gives the file of a kind and name, if there is one."""
-        return GarmentSpecification(
+        return WornGarment(
             find("garment", self.garment.value) or self.garment.value,
             self.material.value,
             pins=None if self.pins.value == _OWN_PINS else self.pins.value,
@@ -65,14 +64,13 @@ class SimulationPanel(Panel):
 
     def _add_controls(self) -> None:
         gui = self._gui
-        usual, models = RunSpecification(), model_descriptions()
-        scene = usual.scene
+        usual, models = Run(), model_descriptions()
         self._offered = {"garment": garment_names(), "body": body_names(), "motion": motion_names()}
         self._place = gui.add_folder(None)
         self._worn: list[GarmentControls] = []
         self._more = gui.add_button("Add a garment", hint="Worn over those that are there.")
         self._fewer = gui.add_button("Take off the last", visible=False)
-        self._body = gui.add_dropdown("Body", body_names(), initial_value=str(scene.body))
+        self._body = gui.add_dropdown("Body", body_names(), initial_value=str(usual.body))
         self._motion = gui.add_dropdown("Motion", motion_names(), initial_value=DEFAULT_MOTION)
         with gui.add_folder("Files of your own", expand_by_default=False):
             for kind, accepted in KINDS.items():
@@ -85,8 +83,8 @@ class SimulationPanel(Panel):
                 button.on_upload(self._answer(partial(self._take, kind, button)))
         self._frames = gui.add_number("Frames", DEFAULT_FRAMES, min=1, max=MOST_FRAMES, step=1)
         self._lead_in = gui.add_number(
-            "Lead-in", scene.lead_in, min=0, max=MOST_FRAMES, step=1,
-            hint="Frames from the rest pose into the motion, simulated but not shown.",
+            "Lead-in", usual.lead_in, min=0, max=MOST_FRAMES, step=1,
+            hint=described(Run)["lead_in"].help,
         )  # fmt: skip
         self._model = gui.add_dropdown(
             "Model", list(models), initial_value=default_model(),
@@ -94,7 +92,7 @@ class SimulationPanel(Panel):
         )  # fmt: skip
         self._refine = gui.add_number(
             "Refine", usual.refine, min=0, max=MOST_REFINING, step=1,
-            hint="Solver iterations after each step of a network.",
+            hint=described(Run)["refine"].help,
         )  # fmt: skip
         self._start = gui.add_button("Simulate")
         self._stop = gui.add_button("Cancel", disabled=True)
@@ -110,11 +108,11 @@ class SimulationPanel(Panel):
 
     def _add_garment(self) -> None:
         taken = [each.garment.value for each in self._worn]
-        usual = str(GarmentSpecification().garment)
+        usual = str(WornGarment().garment)
         free = next((name for name in (usual, *self._offered["garment"]) if name not in taken), usual)
         with self._place:
             self._worn.append(
-                GarmentControls(self._gui, self._offered["garment"], len(self._worn) + 1, GarmentSpecification(free))
+                GarmentControls(self._gui, self._offered["garment"], len(self._worn) + 1, WornGarment(free))
             )
         self._show_counts()
 
@@ -145,21 +143,19 @@ class SimulationPanel(Panel):
             self._worn[-1].triangles.value = 0  # type: ignore[misc]
         self._status.content = notice(f"{name} is here and chosen.", Tone.good)
 
-    def run(self) -> RunSpecification:
+    def run(self) -> Run:
         """The run that is filled in.
 
         Raises:
             InputError: that cannot be a run.
         """
         find = self._requests.find
-        return RunSpecification(
-            SceneSpecification(
-                tuple(each.specification(find) for each in self._worn),
-                find("body", self._body.value) or self._body.value,
-                motion=find("motion", self._motion.value) or self._motion.value,
-                frames=int(self._frames.value),
-                lead_in=int(self._lead_in.value),
-            ),
+        return Run(
+            tuple(each.specification(find) for each in self._worn),
+            find("body", self._body.value) or self._body.value,
+            motion=find("motion", self._motion.value) or self._motion.value,
+            frames=int(self._frames.value),
+            lead_in=int(self._lead_in.value),
             model=self._model.value,
             refine=int(self._refine.value),
         )

@@ -90,7 +90,6 @@ def garment_graph(
     pairs = {"mesh": garments.edges, **(further_edges or {})}
     mass = garments.vertex_masses.to(torch.float64)
     density = _known_or_mean(mass / garments.vertex_areas.to(torch.float64), garments)
-    lengths = garments.edge_lengths.repeat_interleave(2)
     return GarmentGraph(
         edges={name: _garment_edges(garments, edges, material, dtype) for name, edges in pairs.items()},
         node_types=torch.where(garments.pinned, int(NodeType.PINNED), int(NodeType.GARMENT)),
@@ -100,12 +99,17 @@ def garment_graph(
         vertex_mass=_known_or_mean(mass.log(), garments)[:, None].to(dtype),
         mass=mass[:, None].to(dtype),
         node_material=material.to(dtype),
-        incident_length=_mean_at(garments.edges.reshape(-1), lengths, garments).to(dtype),
+        incident_length=incident_lengths(garments).to(dtype),
         mean_edge_lengths=garments.mean_edge_lengths,
         vertex_offsets=garments.vertex_offsets,
         world_offsets=garments.world_offsets,
         faces=garments.faces,
     )
+
+
+def incident_lengths(garments: PackedGarments) -> Tensor:
+    """Mean rest length (vertices,) float64 of the mesh edges at each vertex [m]."""
+    return _mean_at(garments.edges.reshape(-1), garments.edge_lengths.repeat_interleave(2), garments)
 
 
 def _garment_edges(garments: PackedGarments, pairs: Tensor, material: Tensor, dtype: torch.dtype) -> GarmentEdges:

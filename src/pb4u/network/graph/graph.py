@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from pb4u.network.graph.incidence import Bags, Incidence, Span, incidence
+from pb4u.network.graph.incidence import Incidence, Span, incidence
 
 GARMENT, BODY = "garment", "body"
 
@@ -36,23 +35,6 @@ class NodeSet:
     features: Tensor
     types: Tensor
     world: Tensor
-
-
-@dataclass(frozen=True, eq=False)
-class EdgePiece:
-    """A run of edges that holds all edges of a run of receivers.
-
-    Args:
-        edges: rows of the edge set.
-        nodes: rows of the receivers.
-        ends: rows of both ends of each edge in a table of all senders, followed by all receivers.
-        receivers: incidence of the receivers, numbered from the first of the run.
-    """
-
-    edges: slice
-    nodes: slice
-    ends: Bags
-    receivers: Incidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +64,6 @@ class EdgeSet:
         """Number of directed edges."""
         return self.receivers.index.shape[0]
 
-    @cached_property
-    def pieces(self) -> tuple[EdgePiece, ...]:
-        """Edges run by run, each small enough for a processor's cache; made when first read."""
-        ends = torch.stack([self.senders.index, self.receivers.index + self.senders.node_count], dim=1)
-        return pieces(self.receivers, ends)
-
     def degrees(self) -> Tensor:
         """Number of edges that end at each receiver, (receivers, 1), dimensionless."""
         return self.receivers.offsets.diff().to(self.features.dtype)[:, None]
@@ -109,21 +85,6 @@ class EdgeSet:
             senders = incidence(torch.cat([self.senders.index[e0:e1] for e0, e1 in edges]), self.senders.node_count)
         features = torch.cat([self.features[e0:e1] for e0, e1 in edges])
         return replace(self, senders=senders, receivers=self.receivers.restrict(edges, nodes), features=features)
-
-
-def pieces(receivers: Incidence, rows: Tensor) -> tuple[EdgePiece, ...]:
-    """Edges in ascending order of receiver, run by run.
-
-    Args:
-        receivers: node at the end of each edge.
-        rows: (edges, rows of each) int64 rows of a table that belong to each edge.
-    """
-    made = []
-    for (e0, e1), (n0, n1) in receivers.runs or (((0, len(rows)), (0, receivers.node_count)),):
-        order = torch.arange(e1 - e0, device=rows.device)
-        local = Incidence(receivers.index[e0:e1] - n0, receivers.offsets[n0 : n1 + 1] - e0, order)
-        made.append(EdgePiece(slice(e0, e1), slice(n0, n1), Bags.of(rows[e0:e1]), local))
-    return tuple(made)
 
 
 @dataclass(frozen=True, eq=False)

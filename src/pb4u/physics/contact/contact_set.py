@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -13,6 +14,9 @@ from pb4u.collision.jit import as_float64
 from pb4u.collision.nearest_points import Found
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
+
+if TYPE_CHECKING:
+    from pb4u.physics.contact.obstacle import Obstacle
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +47,10 @@ class ContactPlanes:
             x: (vertices, 3) [m].
         """
         return ((x - self.points) * self.normals).sum(-1)
+
+    def raised(self, heights: Tensor) -> ContactPlanes:
+        """These planes raised by `heights` (vertices,) [m] along their normals."""
+        return replace(self, points=self.points + heights[:, None] * self.normals, distance=self.distance - heights)
 
     def where(self, rows: Tensor, otherwise: ContactPlanes) -> ContactPlanes:
         """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest."""
@@ -88,6 +96,8 @@ class ContactSet:
         transported_normals: (vertices, 3) the body's unit normals there at t+1, or None.
         cloth: pairs of cloth elements that may feel each other at t+1, or None.
         cloth_now: those that do at frame t, or None.
+        obstacle: the bodies at t+1 as cloth may not pass through them, or None.
+        raised: heights (vertices,) [m] that the planes are raised by for the cloth between vertices, or None.
     """
 
     now: ContactPlanes | None = None
@@ -97,6 +107,8 @@ class ContactSet:
     transported_normals: Tensor | None = None
     cloth: ClothPairs | None = None
     cloth_now: TouchingCloth | None = None
+    obstacle: Obstacle | None = None
+    raised: Tensor | None = None
 
     @staticmethod
     def at_start(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor, search: PlaneSearch) -> ContactSet:

@@ -9,16 +9,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.collision_free import collision_free, free_shares, smallest_gaps
+from pb4u.collision.collision_free import free_shares, past_obstacles, smallest_gaps, through_obstacle
 from pb4u.collision.element_distance import crossing_shares
 from pb4u.collision.element_pairs import ElementPairs
 from pb4u.collision.jit import as_float64
 from pb4u.scene.packed import PackedGarments
+
+if TYPE_CHECKING:
+    from pb4u.physics.contact.obstacle import Obstacle
 
 _SHARE_OF_REST = 0.5
 """Share of their distance at rest within which two elements of one garment feel each other: at rest none does."""
@@ -26,10 +30,15 @@ _SHARE_OF_REST = 0.5
 _PARALLEL = 1e-3
 """Squared sine of the angle between two edges from which on they feel each other in full: 1.8 degrees."""
 
+_BODY_REACH = 5e-4
+"""Distance [m] at which elements of cloth and of a body begin to feel each other; vertices do from 2 mm on."""
+
 
 @dataclass(frozen=True, eq=False)
 class ClothPairs:
     """Pairs of cloth elements that may touch, and what their contact is weighed by.
+
+    Bodies are elements as well where there is an obstacle: their vertices follow those of the cloth.
 
     Args:
         pairs: vertex and face, and edge and edge.
@@ -37,6 +46,7 @@ class ClothPairs:
         reaches: (pairs,) [m] at which they begin to feel each other.
         areas: (pairs,) [m^2] of cloth that each pair stands for.
         parallels: (pairs,) squared cross product [m^4] below which two edges count as parallel; 0 for the others.
+        obstacle: the bodies, or None.
     """
 
     pairs: ElementPairs
@@ -44,6 +54,7 @@ class ClothPairs:
     reaches: np.ndarray
     areas: np.ndarray
     parallels: np.ndarray
+    obstacle: Obstacle | None = None
 
     @staticmethod
     def along(
@@ -53,6 +64,7 @@ class ClothPairs:
         before: Tensor,
         reach: float,
         known: ClothPairs | None = None,
+        obstacle: Obstacle | None = None,
     ) -> ClothPairs:
         """All pairs that come within `reach` on the way along `moves`.
 
@@ -63,35 +75,79 @@ class ClothPairs:
             before: (vertices, 3) [m] positions that cross nowhere, as the step began.
             reach: distance [m].
             known: pairs of positions a little before these, or None.
+            obstacle: the bodies, which move while the cloth does; None for none.
         """
-        tree, way = garments.surface_tree, None if moves is None else as_float64(moves)
-        pairs = tree.pairs(as_float64(x), reach, way, None if known is None else known.pairs, lasting=True)
-        gaps = smallest_gaps(pairs, as_float64(before))
+        tree = garments.surface_tree if obstacle is None else obstacle.tree
+        way = None if moves is None else as_float64(moves)
+        points, began, areas = as_float64(x), as_float64(before), garments.vertex_areas.detach().cpu().numpy()
+        if obstacle is not None:
+            still = np.zeros_like(points) if way is None else way
+            way = np.concatenate([still, obstacle.moves])
+            points, began = (np.concatenate([of, obstacle.before]) for of in (points, began))
+            areas = np.concatenate([areas, obstacle.areas])
+        pairs = tree.pairs(points, reach, way, None if known is None else known.pairs, lasting=True)
+        mixed = (pairs.corners >= tree.first_obstacle).any(axis=1)
+        if obstacle is not None and obstacle.passed.any():
+            kept = ~through_obstacle(pairs.corners, tree.first_obstacle, obstacle.passed)
+            pairs, mixed = pairs.chosen(kept), mixed[kept]
+        gaps = smallest_gaps(pairs, began)
+        if obstacle is not None:
+            # What is near now, where the bodies are, says how near it may come; where the step began they were others.
+            gaps[mixed] = smallest_gaps(pairs, points)[mixed]
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
+        reaches[mixed] = _BODY_REACH
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
-        areas = 0.25 * garments.vertex_areas.detach().cpu().numpy()[pairs.corners].mean(axis=1)
-        ends = garments.surface_tree.rest[pairs.corners]
+        corners = areas[pairs.corners]
+        shares = corners.mean(axis=1)
+        shares[mixed] = np.sqrt(corners[mixed, :2].mean(axis=1) * corners[mixed, 2:].mean(axis=1))
+        vertices = np.flatnonzero(mixed[: pairs.vertex_faces])
+        shares[vertices] = corners[vertices, 0]
+        ends = tree.rest[pairs.corners]
         lengths = ((ends[:, [1, 3]] - ends[:, [0, 2]]) ** 2).sum(axis=2)
         parallels = _PARALLEL * lengths.prod(axis=1)
         parallels[: pairs.vertex_faces] = 0.0
-        return ClothPairs(pairs, gaps, reaches, areas, parallels)
+        return ClothPairs(pairs, gaps, reaches, 0.25 * shares, parallels, obstacle)
+
+    def joined(self, x: Tensor, *, before: bool = False) -> np.ndarray:
+        """Cloth at `x` (vertices, 3) [m] and the bodies as one (vertices + body vertices, 3) [m].
+
+        Args:
+            x: (vertices, 3) [m].
+            before: whether the bodies are where they begin, not where they end.
+        """
+        if self.obstacle is None:
+            return as_float64(x)
+        return np.concatenate([as_float64(x), self.obstacle.before if before else self.obstacle.after])
+
+    def sides(self, vertex_count: int) -> np.ndarray:
+        """A vertex of the cloth (pairs, 2) int64 of each element; of an obstacle's, that of the other element."""
+        return _sides(self.pairs.corners, vertex_count)
 
     def touching(self, x: Tensor) -> TouchingCloth | None:
-        """Those of the pairs that feel each other at `x` (vertices, 3) [m], or None."""
-        distances, weights, normals = self.pairs.nearest(as_float64(x))
+        """Those of the pairs that feel each other at `x` (vertices, 3) [m], or None; bodies are where they begin."""
+        points = self.joined(x, before=True)
+        distances, weights, normals = self.pairs.nearest(points)
         rows = distances < self.reaches
         if not rows.any():
             return None
-        corners = self.pairs.corners[rows]
+        corners, weights = self.pairs.corners[rows], weights[rows]
+        areas = self.areas[rows] * crossing_shares(points, corners, self.parallels[rows])
+        carried, sides = np.zeros((len(corners), 3)), _sides(corners, len(x))
+        if self.obstacle is not None:
+            moves = np.concatenate([np.zeros((len(x), 3)), self.obstacle.moves])
+            carried = np.einsum("pk,pki->pi", weights, moves[corners])
+            own = corners < len(x)
+            corners, weights = np.where(own, corners, 0), np.where(own, weights, 0.0)
         return TouchingCloth(
-            corners,
-            weights[rows],
-            normals[rows],
-            distances[rows],
-            self.gaps[rows],
-            self.reaches[rows],
-            self.areas[rows] * crossing_shares(as_float64(x), corners, self.parallels[rows]),
+            corners, weights, normals[rows], distances[rows], self.gaps[rows], self.reaches[rows], areas, carried, sides
         )
+
+
+def _sides(corners: np.ndarray, vertex_count: int) -> np.ndarray:
+    first, second = corners[:, 0], corners[:, 2]
+    return np.column_stack(
+        [np.where(first < vertex_count, first, second), np.where(second < vertex_count, second, first)]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +162,8 @@ class TouchingCloth:
         gaps: (pairs,) [m] that they never come within.
         reaches: (pairs,) [m] at which they begin to feel each other.
         areas: (pairs,) [m^2] of cloth that each pair stands for, less of edges that are nearly parallel.
+        carried: (pairs, 3) [m] slip over the step by the motion of bodies alone.
+        sides: (pairs, 2) int64 a vertex of each element, of bodies that of the other.
     """
 
     corners: np.ndarray
@@ -115,10 +173,20 @@ class TouchingCloth:
     gaps: np.ndarray
     reaches: np.ndarray
     areas: np.ndarray
+    carried: np.ndarray
+    sides: np.ndarray
 
 
 class SelfContact(ABC):
-    """What keeps cloth from passing through cloth."""
+    """What keeps cloth from passing through cloth.
+
+    Attributes:
+        feels_bodies: whether bodies are surfaces that cloth does not pass through either.
+        pressed_by_bodies: whether their faces and edges press cloth in the energies too, not in its moves alone.
+    """
+
+    feels_bodies: bool = False
+    pressed_by_bodies: bool = False
 
     @abstractmethod
     def pairs(
@@ -128,6 +196,7 @@ class SelfContact(ABC):
         moves: Tensor | None,
         before: Tensor,
         known: ClothPairs | None = None,
+        obstacle: Obstacle | None = None,
     ) -> ClothPairs | None:
         """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`; None for none."""
 
@@ -139,7 +208,8 @@ class SelfContact(ABC):
             garments: static quantities.
             x: (vertices, 3) [m].
 
-        Raises InputError where what crosses cannot be untangled.
+        Raises:
+            InputError: what crosses cannot be untangled.
         """
 
     @abstractmethod
@@ -150,10 +220,12 @@ class SelfContact(ABC):
         wanted: Tensor,
         cloth: ClothPairs | None = None,
         held: Tensor | None = None,
-    ) -> Tensor:
-        """Positions (vertices, 3) [m] near `wanted` that are reached without cloth passing through cloth.
+        obstacle: Obstacle | None = None,
+    ) -> tuple[Tensor, Obstacle | None]:
+        """Positions (vertices, 3) [m] near `wanted` that are reached without cloth passing through cloth or a body.
 
-        Gives back `wanted` itself where no cloth touches.
+        Gives back `wanted` itself where no cloth touches, and the obstacle standing where it ended, let through what
+        it left no room.
 
         Args:
             garments: static quantities.
@@ -161,6 +233,7 @@ class SelfContact(ABC):
             wanted: (vertices, 3) [m].
             cloth: all pairs that may touch on the way, where they were looked up already.
             held: (vertices,) bool, of which none gives way to what meets it, as no pinned vertex does; None for none.
+            obstacle: the bodies, which move while the cloth does; None for none.
         """
 
     @abstractmethod
@@ -185,6 +258,7 @@ class NoSelfContact(SelfContact):
         moves: Tensor | None,
         before: Tensor,
         known: ClothPairs | None = None,
+        obstacle: Obstacle | None = None,
     ) -> ClothPairs | None:
         return None
 
@@ -198,8 +272,9 @@ class NoSelfContact(SelfContact):
         wanted: Tensor,
         cloth: ClothPairs | None = None,
         held: Tensor | None = None,
-    ) -> Tensor:
-        return wanted
+        obstacle: Obstacle | None = None,
+    ) -> tuple[Tensor, Obstacle | None]:
+        return wanted, None
 
     def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
         return x.new_ones(garments.world_count)
@@ -211,9 +286,13 @@ class CollisionFree(SelfContact):
 
     Args:
         reach: distance [m] at which elements begin to feel each other.
+        feels_bodies: whether cloth stays apart from bodies too, but for what they leave no room.
+        pressed_by_bodies: whether their faces and edges press it.
     """
 
     reach: float = 2e-3
+    feels_bodies: bool = False
+    pressed_by_bodies: bool = False
 
     def pairs(
         self,
@@ -222,8 +301,9 @@ class CollisionFree(SelfContact):
         moves: Tensor | None,
         before: Tensor,
         known: ClothPairs | None = None,
+        obstacle: Obstacle | None = None,
     ) -> ClothPairs | None:
-        return ClothPairs.along(garments, x, moves, before, self.reach, known)
+        return ClothPairs.along(garments, x, moves, before, self.reach, known, obstacle)
 
     def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
         # Needs what a machine that only trains may lack.
@@ -242,17 +322,34 @@ class CollisionFree(SelfContact):
         wanted: Tensor,
         cloth: ClothPairs | None = None,
         held: Tensor | None = None,
-    ) -> Tensor:
+        obstacle: Obstacle | None = None,
+    ) -> tuple[Tensor, Obstacle | None]:
         firm = garments.pinned if held is None else garments.pinned | held
-        masses = torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12))
-        asked, known = as_float64(wanted), None if cloth is None else (cloth.pairs, cloth.gaps)
-        result = collision_free(garments.surface_tree, as_float64(before), asked, as_float64(masses), known)
-        return wanted if result is asked else torch.from_numpy(result).to(wanted)
+        masses = as_float64(torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12)))
+        begun, asked = as_float64(before), as_float64(wanted)
+        known = None if cloth is None else (cloth.pairs, cloth.gaps)
+        if obstacle is None:
+            result = past_obstacles(garments.surface_tree, begun, asked, masses, known)[0]
+            return wanted if result is asked else torch.from_numpy(result).to(wanted), None
+        whole = np.concatenate([asked, obstacle.after])
+        result, passed = past_obstacles(
+            obstacle.tree,
+            np.concatenate([begun, obstacle.before]),
+            whole,
+            np.concatenate([masses, np.full(len(obstacle.areas), np.inf)]),
+            known,
+            obstacle.passed,
+        )
+        reached = wanted if result is whole else torch.from_numpy(result[: len(asked)].copy()).to(wanted)
+        return reached, obstacle.standing(passed)
 
     def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
         result = x.new_ones(garments.world_count)
         if cloth is None or not len(cloth.pairs):
             return result
-        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, as_float64(x), as_float64(moves)))
-        world = garments.vertex_world[torch.from_numpy(cloth.pairs.corners[:, 0])]
+        way = as_float64(moves)
+        if cloth.obstacle is not None:
+            way = np.concatenate([way, cloth.obstacle.moves])
+        free = torch.from_numpy(free_shares(cloth.pairs, cloth.gaps, cloth.joined(x, before=True), way))
+        world = garments.vertex_world[torch.from_numpy(cloth.sides(len(x))[:, 0])]
         return result.scatter_reduce(0, world, free.to(x), "amin")

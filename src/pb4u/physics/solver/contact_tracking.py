@@ -42,7 +42,10 @@ def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
         return x
     point = planes.transported(bodies.following).to(x)
     normal = planes.transported_normals(bodies.following).to(x)
+    # Planes may be raised for the cloth between vertices.
     height = ((x - point) * normal).sum(1)
+    if potential.contacts.raised is not None:
+        height = height - potential.contacts.raised.to(x)
     wanted = planes.distance.clamp(0.0, _LIFT).to(x)
     moves = ~garments.pinned & (garments.vertex_masses > 0)
     overrun = planes.touchable & moves & (planes.distance.abs() < REACH) & (height < wanted)

@@ -55,7 +55,8 @@ def implicit_steps(
         iterations: at most this many in each implicit step; None goes to the solver's tolerance.
         start: gives the positions (vertices, 3) [m] that an implicit step starts from.
 
-    Raises DivergedError when the state is not finite.
+    Raises:
+        DivergedError: the state is not finite.
     """
     count, state, made, converged = substep_count(step), step.state, 0, True
     for k in range(count):

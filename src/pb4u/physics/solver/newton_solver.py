@@ -133,7 +133,8 @@ class Solver:
             iterations: Newton iterations after which it stops; `max_iterations` by default.
             watch: called before every iteration, and at the end.
 
-        Raises DivergedError when `start` or its energy is not finite.
+        Raises:
+            DivergedError: `start` or its energy is not finite.
         """
         self._prepare(potential)
         with one_torch_thread():

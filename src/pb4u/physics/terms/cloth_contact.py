@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.element_distance import crossing_share, gather, nearest
-from pb4u.collision.jit import as_float64, compiled
+from pb4u.collision.jit import compiled
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
 from pb4u.physics.terms.energy_term import EnergyTerm, dot
@@ -52,9 +52,9 @@ class ClothContact(EnergyTerm):
         cloth = contacts.cloth
         if cloth is None:
             return x.new_zeros(step.garments.garment_count), torch.zeros_like(x)
-        values, gradient = _barrier(as_float64(x), *_law(cloth), self.stiffness)
-        energies = _by_garment(step.garments, cloth.pairs.corners, torch.from_numpy(values)).to(x)
-        return energies, torch.from_numpy(gradient).to(x)
+        values, gradient = _barrier(cloth.joined(x), *_law(cloth), self.stiffness)
+        energies = _by_garment(step.garments, cloth.sides(len(x)), torch.from_numpy(values)).to(x)
+        return energies, torch.from_numpy(gradient[: len(x)]).to(x)
 
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
         """Second derivative along the line between the nearest points; what turning adds is left out.
@@ -66,7 +66,9 @@ class ClothContact(EnergyTerm):
         """
         if contacts.cloth is None:
             return None
-        return PairStiffness(*_barrier_rows(as_float64(x), *_law(contacts.cloth), self.stiffness))
+        corners, rows = _barrier_rows(contacts.cloth.joined(x), *_law(contacts.cloth), self.stiffness)
+        rows[corners >= len(x)] = 0.0
+        return PairStiffness(np.where(corners < len(x), corners, 0), rows)
 
     def forces(self, touching: TouchingCloth) -> np.ndarray:
         """Force (pairs,) [N] between the elements of each pair."""
@@ -102,7 +104,7 @@ class ClothFriction(EnergyTerm):
         across, limit = self._slip(step, touching, x), self._limit(touching, x)
         rest = self.smoothing * step.dt
         magnitude = (across.square().sum(1) + rest * rest).sqrt()
-        return _by_garment(step.garments, touching.corners, limit * (magnitude - rest))
+        return _by_garment(step.garments, touching.sides, limit * (magnitude - rest))
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         touching = contacts.cloth_now
@@ -115,7 +117,7 @@ class ClothFriction(EnergyTerm):
         weighted = torch.from_numpy(touching.weights).to(x)[:, :, None] * pull[:, None, :]
         corners = torch.from_numpy(touching.corners).reshape(-1)
         gradient = torch.zeros_like(x).index_add_(0, corners, weighted.reshape(-1, 3))
-        return _by_garment(step.garments, touching.corners, limit * (magnitude - rest)), gradient
+        return _by_garment(step.garments, touching.sides, limit * (magnitude - rest)), gradient
 
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
         """Second derivative, a little stiffer than exact along the slip, as that of friction on the body.
@@ -144,6 +146,7 @@ class ClothFriction(EnergyTerm):
         """Slip (pairs, 3) [m] of the nearest points over the step without its part along the normal."""
         weights, normals = torch.from_numpy(touching.weights).to(x), torch.from_numpy(touching.normals).to(x)
         slip = (weights[:, :, None] * (x - step.state.positions)[torch.from_numpy(touching.corners)]).sum(1)
+        slip = slip + torch.from_numpy(touching.carried).to(x)
         return slip - dot(slip, normals)[:, None] * normals
 
     def _limit(self, touching: TouchingCloth, x: Tensor) -> Tensor:
@@ -157,20 +160,19 @@ class _Barrier(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, step: TimeStep, contacts: ContactSet, term: ClothContact) -> Tensor:
         assert contacts.cloth is not None
-        values, ctx.saved = _barrier(as_float64(x), *_law(contacts.cloth), term.stiffness)[0], (step, contacts, term, x)
-        return _by_garment(step.garments, contacts.cloth.pairs.corners, torch.from_numpy(values)).to(x)
+        cloth, ctx.saved = contacts.cloth, (step, contacts, term, x)
+        values = _barrier(cloth.joined(x), *_law(cloth), term.stiffness)[0]
+        return _by_garment(step.garments, cloth.sides(len(x)), torch.from_numpy(values)).to(x)
 
     @staticmethod
     def backward(ctx: Any, slopes: Tensor) -> tuple[Tensor, None, None, None]:
         step, contacts, term, x = ctx.saved
         # Half of a pair's energy belongs to each of its garments; so does half of its force.
-        corners = torch.from_numpy(contacts.cloth.pairs.corners)
-        weights = 0.5 * (
-            slopes[step.garments.vertex_garment[corners[:, 0]]] + slopes[step.garments.vertex_garment[corners[:, 2]]]
-        )
+        sides = torch.from_numpy(contacts.cloth.sides(len(x)))
+        weights = 0.5 * slopes[step.garments.vertex_garment[sides]].sum(1)
         areas = contacts.cloth.areas * weights.numpy()
-        _, gradient = _barrier(as_float64(x), *_law(replace(contacts.cloth, areas=areas)), term.stiffness)
-        return torch.from_numpy(gradient).to(x), None, None, None
+        _, gradient = _barrier(contacts.cloth.joined(x), *_law(replace(contacts.cloth, areas=areas)), term.stiffness)
+        return torch.from_numpy(gradient[: len(x)]).to(x), None, None, None
 
 
 def _any_across(normals: np.ndarray) -> np.ndarray:
@@ -183,9 +185,9 @@ def _law(cloth: ClothPairs) -> tuple[np.ndarray, int, np.ndarray, np.ndarray, np
     return cloth.pairs.corners, cloth.pairs.vertex_faces, cloth.gaps, cloth.reaches, cloth.areas, cloth.parallels
 
 
-def _by_garment(garments: PackedGarments, corners: np.ndarray, values: Tensor) -> Tensor:
-    """Sums (garments,) of `values` (pairs,) over the pairs (pairs, 4), half for the garment of each element."""
-    first, second = (garments.vertex_garment[torch.from_numpy(corners[:, k])] for k in (0, 2))
+def _by_garment(garments: PackedGarments, sides: np.ndarray, values: Tensor) -> Tensor:
+    """Sums (garments,) of `values` (pairs,), half for the garment of the vertex on either of the `sides` (pairs, 2)."""
+    first, second = (garments.vertex_garment[torch.from_numpy(sides[:, k])] for k in (0, 1))
     sums = values.new_zeros(garments.garment_count)
     return sums.index_add(0, first, 0.5 * values).index_add(0, second, 0.5 * values)
 

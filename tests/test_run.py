@@ -13,39 +13,39 @@ import pytest
 from pb4u.body.library import load_body
 from pb4u.errors import InputError
 from pb4u.garment.library import build_garment
-from pb4u.scene.specification import GarmentSpecification, SceneSpecification
+from pb4u.run import Run, WornGarment
 
 
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"frames": 0}, "frames must be 1 or more, not 0"),
-        ({"frames": "many"}, "number of frames must be a whole number, not 'many'"),
-        ({"frames": 2.5}, "whole number, not 2.5"),
-        ({"frames": True}, "whole number, not True"),
-        ({"lead_in": -1}, "lead-in must be 0 frames or more"),
-        ({"lead_in": None}, "lead-in must be a whole number"),
-        ({"fps": 0}, "between 1 and 1000, not 0"),
-        ({"fps": float("nan")}, "between 1 and 1000, not nan"),
-        ({"fps": "fast"}, "must be a number, not 'fast'"),
-        ({"seed": -1}, "seed must be 0 or more"),
-        ({"arms_away": 91}, "0 to 90 degrees, not 91"),
+        ({"frames": 0}, "frames must be a whole number, 1 or more, not 0"),
+        ({"frames": "many"}, "frames must be a whole number, 1 or more, not 'many'"),
+        ({"frames": 2.5}, "whole number, 1 or more, not 2.5"),
+        ({"frames": True}, "whole number, 1 or more, not True"),
+        ({"lead_in": -1}, "lead_in must be a whole number, 0 or more, not -1"),
+        ({"lead_in": None}, "lead_in must be a whole number, 0 or more, not None"),
+        ({"fps": 0}, "fps must be a number from 1 to 1,000, not 0"),
+        ({"fps": float("nan")}, "from 1 to 1,000, not nan"),
+        ({"fps": "fast"}, "must be a number from 1 to 1,000, not 'fast'"),
+        ({"seed": -1}, "seed must be a whole number, 0 or more"),
+        ({"arms_away": 91}, "arms_away must be a number from 0 to 90, not 91"),
         ({"keep_lead_in": 1}, "true or false, not 1"),
         ({"crop": 5}, "the first and the one after the last, not 5"),
         ({"crop": (1, 2, 3)}, "the first and the one after the last"),
-        ({"crop": ("a", 2)}, "frame of a crop must be a whole number"),
+        ({"crop": ("a", 2)}, "the first and the one after the last"),
         ({"body": 3}, "body must be a name, a path or a loaded object, not 3"),
         ({"body": ""}, "body must be a name"),
         ({"motion": ["walk"]}, "motion must be a name"),
         ({"body_shape": "height=0.7"}, "numbers by name"),
         ({"body_shape": {"height": "tall"}}, "shape parameter height must be a number"),
         ({"garments": ()}, "at least one garment"),
-        ({"garments": ("tshirt",)}, "GarmentSpecification objects, not 'tshirt'"),
+        ({"garments": ("tshirt",)}, "WornGarment objects, not 'tshirt'"),
     ],
 )
 def test_what_a_scene_cannot_be_is_refused_in_one_sentence(given: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError) as refused:
-        SceneSpecification(**given)
+        Run(**given)
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -62,38 +62,38 @@ def test_what_a_scene_cannot_be_is_refused_in_one_sentence(given: dict[str, Any]
 )
 def test_what_a_garment_cannot_be_is_refused(given: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says):
-        GarmentSpecification(**given)
+        WornGarment(**given)
 
 
 def test_one_garment_is_not_worn_twice_but_files_of_one_name_are() -> None:
-    shirt = GarmentSpecification("tshirt")
+    shirt = WornGarment("tshirt")
     with pytest.raises(InputError, match="tshirt is worn twice"):
-        SceneSpecification((shirt, replace(shirt, triangles=900)))
+        Run((shirt, replace(shirt, triangles=900)))
     with pytest.raises(InputError, match="shirt is worn twice"):
-        SceneSpecification((GarmentSpecification("a/shirt.obj"), GarmentSpecification(Path("a/shirt.obj"))))
-    two = SceneSpecification((GarmentSpecification("a/shirt.obj"), GarmentSpecification("b/shirt.obj")))
+        Run((WornGarment("a/shirt.obj"), WornGarment(Path("a/shirt.obj"))))
+    two = Run((WornGarment("a/shirt.obj"), WornGarment("b/shirt.obj")))
     assert [each.name for each in two.garments] == ["shirt", "shirt"]
     loaded = build_garment("tanktop", load_body("woman"), 400)
     with pytest.raises(InputError, match="tanktop is worn twice"):
-        SceneSpecification((GarmentSpecification(loaded), GarmentSpecification(loaded, "silk")))
+        Run((WornGarment(loaded), WornGarment(loaded, "silk")))
 
 
 def test_a_specification_is_a_value() -> None:
-    skirt = GarmentSpecification("skirt", pins=np.array([3, 4]))
-    made = [SceneSpecification([skirt], body_shape={"height": 0.7}, crop=[2, 9]) for _ in range(2)]
+    skirt = WornGarment("skirt", pins=np.array([3, 4]))
+    made = [Run([skirt], body_shape={"height": 0.7}, crop=[2, 9]) for _ in range(2)]
     assert made[0] == made[1] == pickle.loads(pickle.dumps(made[0]))
     assert hash(made[0]) == hash(made[1])
     assert made[0].crop == (2, 9)
     assert made[0].garments[0].pins == (3, 4)
     assert made[0] != replace(made[0], seed=1)
     shape = {"height": 0.7}
-    kept = SceneSpecification(body_shape=shape)
+    kept = Run(body_shape=shape)
     shape["height"] = 0.1
     assert kept.body_shape == {"height": 0.7}
 
 
 def test_another_frame_rate_covers_the_same_stretch_of_time() -> None:
-    scene = SceneSpecification(frames=25, lead_in=24, fps=24.0, keep_lead_in=True)
+    scene = Run(frames=25, lead_in=24, fps=24.0, keep_lead_in=True)
     assert scene.written_frames == 49
     faster = scene.at_rate(30.0)
     assert (faster.frames, faster.lead_in, faster.fps) == (31, 30, 30.0)

@@ -1,0 +1,94 @@
+"""Bodies that SAM 3D Body finds in pictures, one file a frame or all in one: vertices of MHR's own topology.
+
+Layout: `process_one_image` of facebookresearch/sam-3d-body gives `pred_vertices` [m] and `pred_cam_t` in the axes of
+the camera (Y down, Z away), here saved by `numpy.savez` as the samples of facebookresearch/MHR are. The faces are the
+estimator's.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.body.vertex_sequence import VertexSequence, require_usable, surface_of
+from pb4u.errors import InputError, InputWarning
+from pb4u.io.array_archive import member_names, read_arrays
+
+VERTICES = "pred_vertices"
+_PLACE, _FACES = "pred_cam_t", ("faces", "mhr_faces")
+_UPRIGHT = np.array([1.0, -1.0, -1.0], dtype=np.float32)
+# The ground is where the lowest vertex is in all but the lowest frames.
+_FLOOR_PERCENTILE = 5.0
+_MESHES = (".ply", ".obj")
+
+
+def is_sam3d_folder(folder: Path) -> bool:
+    """Whether a folder holds .npz files, the first of which has such vertices."""
+    first = next(iter(sorted(folder.glob("*.npz"))), None)
+    return first is not None and VERTICES in member_names(first)
+
+
+def read_sam3d_body(path: Path) -> VertexSequence:
+    """The body of all frames, Y up, on the ground.
+
+    Args:
+        path: an .npz with `pred_vertices` (vertices, 3) or (frames, vertices, 3), or a folder of one a frame. The faces
+            are in a member `faces`, or in a file beside it: `faces.npy`, or a .ply or .obj of one frame.
+
+    Raises:
+        InputError: a part is missing, frames have different vertices, or there are no faces.
+    """
+    files = sorted(path.glob("*.npz"), key=_natural) if path.is_dir() else [path]
+    frames: list[np.ndarray] = []
+    faces: np.ndarray | None = None
+    for file in files:
+        held = read_arrays(file, (VERTICES, _PLACE, *_FACES))
+        if VERTICES not in held or held[VERTICES].dtype.kind != "f" or held[VERTICES].shape[-1:] != (3,):
+            raise InputError(f'{file} has no "{VERTICES}" (vertices, 3) as SAM 3D Body writes them.')
+        vertices = held[VERTICES].astype(np.float32)
+        vertices = vertices.reshape(-1, *vertices.shape[-2:])
+        place = held.get(_PLACE, np.zeros(3)).astype(np.float32)
+        if place.size not in (3, 3 * len(vertices)):
+            raise InputError(f'{file}: "{_PLACE}" has the shape {place.shape}, where one place a frame belongs.')
+        if frames and vertices.shape[1] != frames[0].shape[1]:
+            raise InputError(f"{file} has {vertices.shape[1]} vertices and {files[0].name} {frames[0].shape[1]}.")
+        frames.append((vertices + place.reshape(-1, 1, 3)) * _UPRIGHT)
+        faces = next((held[name] for name in _FACES if name in held), faces)
+    vertices = np.concatenate(frames)
+    faces = _faces_beside(path, vertices.shape[1]) if faces is None else faces
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise InputError(f"{path}: its faces have the shape {faces.shape}, where (faces, 3) whole numbers belong.")
+    vertices, faces = require_usable(path, vertices, faces.astype(np.int64))
+    floor = float(np.percentile(vertices[..., 1].min(axis=1), _FLOOR_PERCENTILE))
+    middle = vertices[0].mean(axis=0)
+    vertices -= np.array([middle[0], floor, middle[2]], dtype=np.float32)
+    warnings.warn(
+        f"{path.name}: the ground is taken to be level for the camera, {-floor:.2f} m below it; where the camera "
+        "looked down, turn the body upright first.",
+        InputWarning,
+        stacklevel=2,
+    )
+    sequence = VertexSequence(path.stem, vertices, faces)
+    sequence.from_video = True
+    return sequence
+
+
+def _faces_beside(path: Path, count: int) -> np.ndarray:
+    folder = path if path.is_dir() else path.parent
+    if (folder / "faces.npy").is_file():
+        return np.asarray(np.load(folder / "faces.npy", allow_pickle=False))
+    for mesh in sorted(each for each in folder.iterdir() if each.suffix.lower() in _MESHES):
+        vertices, faces = surface_of(mesh)
+        if len(vertices) == count:
+            return faces
+    raise InputError(
+        f"{path} has no faces: put the estimator's beside it, numpy.save('faces.npy', estimator.faces), or the .ply "
+        "that the notebook writes of a frame."
+    )
+
+
+def _natural(path: Path) -> list[object]:
+    return [int(word) if word.isdigit() else word for word in re.split(r"(\d+)", path.stem)]

@@ -1,0 +1,80 @@
+"""`pb4u dress`: a sewing pattern put on a body, once for all simulations."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pb4u.cli.console import (
+    BodyShape,
+    JsonFlag,
+    ShapeFlag,
+    check_json_target,
+    check_writable,
+    keep_inputs,
+    say,
+    write_json,
+)
+from pb4u.errors import InputError
+
+_KINDS = (".npz", ".obj", ".json", ".svg", ".png")
+
+
+def dress(
+    pattern: Annotated[
+        Path,
+        typer.Argument(metavar="PATTERN", help="Sewing pattern: GarmentCode's .json, or a garment dressed before."),
+    ],
+    out: Annotated[
+        list[Path],
+        typer.Option(
+            metavar="FILE",
+            help="Repeatable. .npz: the dressed garment with its pattern, for --garment; .obj: its mesh, UVs the "
+            "pattern; .json: the pattern; .svg, .png: a picture of the pattern.",
+        ),
+    ],
+    body: Annotated[str, typer.Option(metavar="NAME|FILE", help="Body that wears it.")] = "woman",
+    body_shape: ShapeFlag = None,
+    triangles: Annotated[int, typer.Option(help="Triangles of the garment.")] = 5000,
+    material: Annotated[str, typer.Option(metavar="NAME|FILE", help="Cloth that it is sewn of.")] = "default",
+    json: JsonFlag = None,
+) -> None:
+    """Sew a pattern around a body, and let it hang.\f
+
+    Each argument is described by its `help`.
+
+    Raises:
+        InputError: the pattern cannot be sewn or put on this body, or a file cannot be read or written.
+    """
+    check_json_target(json)
+    keep_inputs([pattern, body, material], [("--json", json), *(("--out", file) for file in out)])
+    for file in out:
+        if file.suffix.lower() not in _KINDS:
+            raise InputError(f"--out writes {', '.join(_KINDS)}; {file} ends otherwise.")
+        check_writable(file, "--out")
+
+    from pb4u.body.body_model import ShapedBody
+    from pb4u.body.library import load_body
+    from pb4u.garment.material import load_material
+    from pb4u.pattern.dressing import dress as dressed_on
+    from pb4u.pattern.files import load_pattern, write_worn
+
+    figure, sewn = load_body(body, BodyShape.of(body_shape)), load_pattern(pattern)
+    if not isinstance(figure, ShapedBody):
+        raise InputError(f"A pattern is dressed on a body with bones; {body} is a sequence of vertices.")
+    began = time.perf_counter()
+    dressed = dressed_on(sewn, figure, triangles, load_material(material))
+    seconds = time.perf_counter() - began
+    for file in out:
+        write_worn(file, dressed, figure)
+    report: dict[str, Any] = {"seconds": round(seconds, 2), **dressed.to_json()}
+    say(
+        f"{sewn.name}: {len(sewn.panels)} panels, {len(sewn.seams)} seams, {report['triangles']} triangles, sewn on "
+        f"{figure.name} in {seconds:.1f} s; {report['crossings']} crossings, {1000 * report['depth']:.1f} mm in the "
+        f"body at most. Wrote {', '.join(map(str, out))}."
+    )
+    if json is not None:
+        write_json(report, json)

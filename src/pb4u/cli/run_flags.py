@@ -1,0 +1,224 @@
+"""The flags of a run, one for each field of `Run` and `WornGarment`; their help and panels are the fields' own."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
+
+import typer
+
+from pb4u.cli.console import BodyShape, FrameRange, Switch
+from pb4u.errors import InputError, unknown_name
+from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, SCENE, Entry, Run, WornGarment, described, entries
+
+AS_RELEASED: Mapping[str, str] = {"pb4u": "release", "hood": "hood", "mgn": "mgn", "contourcraft": "contourcraft"}
+"""First frame of the released code of each method."""
+
+
+class GarmentValue(NamedTuple):
+    """A value of a flag for one garment.
+
+    Args:
+        garment: name of the garment; None for whichever its place in the command says.
+        value: the value.
+    """
+
+    garment: str | None
+    value: Any
+
+    @classmethod
+    def parse(cls, text: str) -> GarmentValue:
+        """Value from `VALUE` or `NAME=VALUE`."""
+        name, equals, value = text.partition("=")
+        return cls(name.strip(), value.strip()) if equals and not Path(text).exists() else cls(None, text)
+
+    @classmethod
+    def parse_count(cls, text: str) -> GarmentValue:
+        """Value from `N` or `NAME=N`.
+
+        Raises:
+            BadParameter: N is no whole number.
+        """
+        name, value = cls.parse(text)
+        try:
+            return cls(name, int(value))
+        except ValueError:
+            raise typer.BadParameter(f"it takes a whole number or NAME=N; {text!r} is neither.") from None
+
+
+TuckFlag: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="Garment of the scene that goes into what is worn from the waist, such as trousers, wherever it stands in "
+        "the order. Repeatable.",
+        rich_help_panel=GARMENT,
+    ),
+]
+AsReleasedFlag: TypeAlias = Annotated[
+    Literal["pb4u", "mgn", "hood", "contourcraft"] | None,
+    typer.Option(
+        help="Play a recording as the authors of this released code did: --as-recorded, --arms-away 20, --lead-in 31, "
+        "its own first frame, one pass in float32, and neither contact, self-contact nor refinement. Other flags win.",
+        rich_help_panel=RESEARCH,
+    ),
+]
+
+
+def released_entries(method: str) -> dict[str, Any]:
+    """Entries of a run that plays a recording as the released code of `method`, a key of `AS_RELEASED`, did."""
+    return {
+        "as_recorded": True,
+        "arms_away": 20.0,
+        "lead_in": 31,
+        "first_frame": AS_RELEASED[method],
+        "refine": 0,
+        "contact": False,
+        "self_contact": False,
+        "precision": "float32",
+    }
+
+
+def with_run_flags(command: Callable[..., None]) -> Callable[..., None]:
+    """`command(scene, flags, ...)` as the command line calls it: a flag for every field of a run in place of `flags`.
+
+    Args:
+        command: takes the values of those flags, by name of the field, as its argument `flags`.
+    """
+    own = list(inspect.signature(command, eval_str=True).parameters.values())
+    made = [*_garment_parameters(), *_run_parameters()]
+    names = {each.name for each in made}
+
+    def call(**given: Any) -> None:
+        command(flags={name: given[name] for name in names}, **{k: v for k, v in given.items() if k not in names})
+
+    place = next(number for number, each in enumerate(own) if each.name == "flags")
+    parameters = [
+        each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in [*own[:place], *made, *own[place + 1 :]]
+    ]
+    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    call.__annotations__ = {each.name: each.annotation for each in parameters}
+    call.__doc__, call.__name__ = command.__doc__, command.__name__
+    return call
+
+
+def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
+    """The run that the flags change.
+
+    Args:
+        described_run: run of the scene file, or the default.
+        flags: values by name of the field, None where a flag is not given; `tuck` and `as_released` beside them.
+
+    Raises:
+        InputError: a flag names a garment that is not there, or is given for none in particular.
+    """
+    given = {name: value for name, value in flags.items() if value is not None}
+    tuck, method = given.pop("tuck", []), given.pop("as_released", None)
+    named = given.get("garment")
+    worn = [WornGarment(name).name for name in named] if named else [each.name for each in described_run.garments]
+    for name in ("material", "pins", "triangles"):
+        if name in given:
+            given[name] = _one_each(name, given[name], worn)
+    for name in tuck:
+        if name not in worn:
+            raise unknown_name("garment in this scene", name, worn)
+    if tuck:
+        given["tucked"] = [True if name in tuck else None for name in worn]
+    for name in ("contact", "self_contact", "body_surface"):
+        if name in given:
+            given[name] = given[name] == "on"
+    if "body_shape" in given:
+        kept = {} if "body" in given else described_run.body_shape
+        given["body_shape"] = {**kept, **BodyShape.of(given["body_shape"])}
+    return described_run.with_entries({**({} if method is None else released_entries(method)), **given})
+
+
+def _garment_parameters() -> list[inspect.Parameter]:
+    made = []
+    for entry in described(WornGarment).values():
+        if entry.name == "tucked":
+            made.append(_parameter("tuck", TuckFlag))
+        elif entry.name == "garment":
+            made.append(
+                _parameter(entry.name, Annotated[list[str] | None, _option(entry, " Repeatable, inner first.")])
+            )
+        else:
+            parser = GarmentValue.parse_count if entry.kind == "whole" else GarmentValue.parse
+            more = " Once for all garments, once a garment in their order, or as NAME=VALUE."
+            kind = Annotated[list[GarmentValue] | None, _option(entry, more, parser=parser)]
+            made.append(_parameter(entry.name, kind))
+    return made
+
+
+def _run_parameters() -> list[inspect.Parameter]:
+    listed = [described(Run)[name] for name in (*entries("scene"), *entries("run"))]
+    listed.sort(key=lambda entry: (SCENE, BODY, MODEL, RESEARCH).index(entry.flag.panel))
+    return [
+        *(
+            _parameter(entry.name, Annotated[_kind(entry), _option(entry, parser=_PARSERS.get(entry.name))])
+            for entry in listed
+        ),
+        _parameter("as_released", AsReleasedFlag),
+    ]
+
+
+_PARSERS: dict[str, Callable[[str], Any]] = {"crop": FrameRange.parse, "body_shape": BodyShape.parse}
+
+
+def _kind(entry: Entry) -> Any:
+    """Type of the value of a flag as typer reads it."""
+    if entry.name == "body_shape":
+        return list[BodyShape] | None
+    if entry.name == "crop":
+        return FrameRange | None
+    if entry.kind == "choice":
+        return Literal[entry.choices] | None
+    if entry.kind == "switch":
+        return bool | None if entry.flag.names else Switch | None
+    return {"whole": int, "number": float}.get(entry.kind, str) | None
+
+
+def _option(entry: Entry, more: str = "", parser: Callable[[str], Any] | None = None) -> Any:
+    text = entry.help + more
+    if "Default:" not in text and entry.default is not None:
+        shown = (
+            {True: "on", False: "off"}.get(entry.default, entry.default) if entry.kind == "switch" else entry.default
+        )
+        text += f" Default: {shown:g}." if isinstance(shown, float) else f" Default: {shown}."
+    return typer.Option(
+        *entry.flag.names,
+        metavar="" if entry.flag.names and entry.kind == "switch" else entry.flag.metavar,
+        help=text,
+        parser=parser,
+        rich_help_panel=entry.flag.panel,
+    )
+
+
+def _parameter(name: str, annotation: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+
+
+def _one_each(flag: str, given: Sequence[GarmentValue], names: Sequence[str]) -> list[Any]:
+    """The value of a flag for each of the garments called `names`; None where it says nothing."""
+    unnamed = [each.value for each in given if each.garment is None]
+    if len(unnamed) not in (0, 1, len(names)):
+        raise InputError(
+            f"--{flag} is given {len(unnamed)} times, and the garments are {len(names)}; give it once for all, once a "
+            f"garment in their order, or as NAME={flag.upper()}."
+        )
+    values = unnamed if len(unnamed) == len(names) else [unnamed[0] if unnamed else None] * len(names)
+    by_name = [each.garment for each in given if each.garment is not None]
+    for name in by_name:
+        if name not in names:
+            raise unknown_name("garment in this scene", name, names)
+        if names.count(name) > 1 or by_name.count(name) > 1:
+            why = (
+                f"the scene has {names.count(name)} garments of that name"
+                if names.count(name) > 1
+                else f"it is given {by_name.count(name)} times"
+            )
+            raise InputError(f"--{flag} {name}=.. does not say which: {why}.")
+    named = {each.garment: each.value for each in given if each.garment is not None}
+    return [named.get(name, value) for name, value in zip(names, values, strict=True)]

@@ -1,0 +1,166 @@
+"""The document and the arrays of a glTF 2.0 file: .glb, .vrm, or .gltf with its buffers beside it or within.
+
+Source: Khronos, glTF 2.0 specification, 3.6 (accessors) and 4.4 (GLB).
+"""
+
+from __future__ import annotations
+
+import base64
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+
+from pb4u.errors import InputError
+from pb4u.io.reading_limits import MOST_NUMBERS_TEXT, Allowance, parse_json
+
+SUFFIXES = (".glb", ".gltf", ".vrm")
+_MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
+_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+# Vertices and indices are packed by these in ways that are not read.
+_PACKED = {
+    "KHR_draco_mesh_compression": "Draco",
+    "EXT_meshopt_compression": "meshopt",
+    "KHR_meshopt_compression": "meshopt",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class GltfFile:
+    """A document and the buffers that its arrays lie in.
+
+    Args:
+        path: the file.
+        document: its JSON.
+        buffers: bytes of each of its buffers.
+    """
+
+    path: Path
+    document: dict[str, Any]
+    buffers: tuple[bytes, ...]
+
+    def entries(self, name: str) -> list[dict[str, Any]]:
+        """The objects of one of its lists, such as "nodes"; empty where it has none."""
+        found = self.document.get(name, [])
+        return found if isinstance(found, list) else []
+
+    def array(self, index: int) -> np.ndarray:
+        """The array of an accessor, sparse values put in, normalised whole numbers as shares.
+
+        Args:
+            index: number of the accessor.
+
+        Returns:
+            (count, components), or (count,) of scalars: float64 of decimal or normalised numbers, else whole numbers.
+
+        Raises:
+            LookupError, ValueError, TypeError: it is damaged.
+        """
+        accessor = self.entries("accessors")[index]
+        kind, width, count = np.dtype(_TYPES[accessor["componentType"]]), _WIDTHS[accessor["type"]], accessor["count"]
+        if not isinstance(count, int) or count < 0:
+            raise ValueError(f"accessor {index} has the count {count!r}")
+        if "bufferView" in accessor:
+            values = self._view(accessor["bufferView"], accessor.get("byteOffset", 0), kind, count, width)
+        elif count * width * kind.itemsize > self.path.stat().st_size and "sparse" not in accessor:
+            raise ValueError(f"accessor {index} has nothing in it")
+        else:
+            values = np.zeros((count, width), dtype=kind)
+        if sparse := accessor.get("sparse"):
+            places, changed = sparse["indices"], sparse["values"]
+            whole = np.dtype(_TYPES[places["componentType"]])
+            rows = self._view(places["bufferView"], places.get("byteOffset", 0), whole, sparse["count"], 1)[:, 0]
+            given = self._view(changed["bufferView"], changed.get("byteOffset", 0), kind, sparse["count"], width)
+            values = values.copy()
+            values[rows] = given
+        if kind.kind == "f" or accessor.get("normalized"):
+            scale = 1.0 if kind.kind == "f" else float(np.iinfo(kind).max)
+            values = np.maximum(values.astype(np.float64) / scale, -np.inf if kind.kind == "f" else -1.0)
+        return values[:, 0] if width == 1 else values
+
+    def _view(self, index: int, offset: int, kind: np.dtype, count: int, width: int) -> np.ndarray:
+        view = self.entries("bufferViews")[index]
+        start = view.get("byteOffset", 0) + offset
+        step = view.get("byteStride") or kind.itemsize * width
+        content = self.buffers[view["buffer"]]
+        if min(start, step, offset) < 0 or (
+            count and start + (count - 1) * step + kind.itemsize * width > len(content)
+        ):
+            raise ValueError(f"buffer view {index} is cut short")
+        if not count:
+            return np.zeros((0, width), dtype=kind)
+        flat = np.frombuffer(content, dtype=np.uint8)[start:]
+        rows = np.lib.stride_tricks.as_strided(flat, (count, kind.itemsize * width), (step, 1), writeable=False)
+        return np.ascontiguousarray(rows).view(kind)
+
+
+def read_gltf(path: Path) -> GltfFile:
+    """A glTF file, its buffers read but no array taken from them.
+
+    Args:
+        path: the .glb, .vrm or .gltf.
+
+    Raises:
+        InputError: it is none, is cut short, lacks a buffer, or is compressed by Draco or meshopt.
+    """
+    try:
+        allowance = Allowance(path)
+        content = path.read_bytes()
+        document, binary = _parted(path, content)
+        if not isinstance(document, dict) or not str(document.get("asset", {}).get("version", "")).startswith("2"):
+            raise InputError(f"{path} is no glTF of version 2; export it again.")
+        for name in document.get("extensionsRequired", ()):
+            if name in _PACKED:
+                raise InputError(
+                    f"{path} is compressed by {_PACKED[name]}, which is not read; export it without compression, or "
+                    "unpack it with gltf-transform."
+                )
+        buffers = []
+        for buffer in document.get("buffers", ()):
+            held = _buffer(path, buffer.get("uri"), binary, allowance)
+            if len(held) < buffer["byteLength"]:
+                raise InputError(f"{path} is cut short: a buffer has {len(held):,} of {buffer['byteLength']:,} bytes.")
+            buffers.append(held)
+        return GltfFile(path, document, tuple(buffers))
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except (LookupError, ValueError, TypeError, AttributeError, struct.error) as error:
+        raise InputError(f"{path} is no whole glTF file ({type(error).__name__}: {str(error)[:120]}).") from error
+
+
+def _parted(path: Path, content: bytes) -> tuple[Any, bytes]:
+    """The JSON of a file, and the binary chunk behind it."""
+    if content[:4] != struct.pack("<I", _MAGIC):
+        return parse_json(content, path, MOST_NUMBERS_TEXT), b""
+    document, binary, place = b"", b"", 12
+    while place + 8 <= len(content):
+        length, kind = struct.unpack_from("<II", content, place)
+        chunk = content[place + 8 : place + 8 + length]
+        if len(chunk) < length:
+            raise InputError(f"{path} is cut short; copy or export it again.")
+        if kind == _JSON and not document:
+            document = chunk
+        elif kind == _BINARY and not binary:
+            binary = chunk
+        place += 8 + length
+    return parse_json(document, path), binary
+
+
+def _buffer(path: Path, uri: str | None, binary: bytes, allowance: Allowance) -> bytes:
+    if uri is None:
+        return binary
+    if uri.startswith("data:"):
+        return base64.b64decode(uri.partition(",")[2])
+    beside = path.parent / unquote(uri)
+    if "://" in uri or not beside.resolve().is_relative_to(path.parent.resolve()):
+        raise InputError(f'{path} has its buffer at "{uri[:80]}", outside of its folder; put it beside the file.')
+    if not beside.is_file():
+        raise InputError(f"{path} needs {beside.name} beside it.")
+    allowance.take(max(0, beside.stat().st_size - 2**30), f"its buffer {beside.name}")
+    return beside.read_bytes()

@@ -1,0 +1,62 @@
+"""Motion that WHAM (Shin et al. 2024) finds in a video: its `wham_output.pkl`, which `joblib.dump` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pb4u.errors import InputError
+from pb4u.io.reading_limits import told_names
+from pb4u.io.stored_numbers import stored_numbers
+from pb4u.motion.recording import Recording
+from pb4u.motion.repair import without_gaps
+from pb4u.motion.smpl_recording import shape_note, smpl_recording
+
+# The file does not tell the rate of its video.
+_RATE = 30.0
+
+
+def holds_people(content: Any) -> bool:
+    """Whether a pickle is a result of WHAM: people by their number; the empty one, of nobody, as well."""
+    return isinstance(content, Mapping) and all(isinstance(person, Mapping) for person in content.values())
+
+
+def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -> Recording:
+    """The motion in the world of one person, an SMPL recording with Y up; frames that are missing are interpolated.
+
+    Args:
+        path: the file, for messages.
+        content: what it holds: `pose_world` (frames, 72), `trans_world` (frames, 3), `betas` and `frame_ids` of each.
+        person: which one; may be left out where there is one.
+
+    Raises:
+        InputError: it is of nobody, has no such person or several of whom none is chosen, or a part does not fit.
+    """
+    people = {str(number): held for number, held in content.items()}
+    if not people:
+        raise InputError(f"{path} holds nobody: no person was followed for long enough; try another video.")
+    if person not in people:
+        told = ", ".join(f"{name} ({_length(held)} frames)" for name, held in list(people.items())[:10])
+        if person is not None:
+            raise InputError(f"{path} has no person {person[:40]}; it has {told}.")
+        if len(people) > 1:
+            raise InputError(f"{path} holds {len(people)} people, {told}; choose one as {path}:{next(iter(people))}.")
+        person = next(iter(people))
+    held = people[person]
+    if "pose_world" not in held or "trans_world" not in held:
+        raise InputError(f"{path}: person {person} has no pose_world and trans_world, but {told_names(held)}.")
+    poses, translations = (stored_numbers(held[key], path, key) for key in ("pose_world", "trans_world"))
+    recording = smpl_recording(path, poses, translations, _RATE)
+    recording = replace(recording, name=path.stem if len(people) == 1 else f"{path.stem}_{person}", from_video=True)
+    if "frame_ids" in held:
+        recording = without_gaps(recording, stored_numbers(held["frame_ids"], path, "frame_ids"))
+    note = shape_note(path, stored_numbers(held["betas"], path, "betas")) if "betas" in held else ()
+    return replace(recording, notes=(*recording.notes, *note))
+
+
+def _length(held: Mapping[str, Any]) -> int:
+    return len(held["pose_world"]) if isinstance(held.get("pose_world"), np.ndarray) else 0

@@ -1,0 +1,99 @@
+"""A body that cloth is sewn around: arms straight along the sleeves, drawn in towards its bones, then as it is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.skeleton import PoseSequence
+from pb4u.garment.body_form import BodyForm, Limb
+from pb4u.geometry.rotation import between
+
+_END = 0.95
+"""Share of a sleeve's points that are nearer to the shoulder than its end."""
+
+
+class SewingBody:
+    """A resting body on its way from thin and straight to as it is.
+
+    Args:
+        body: the resting body.
+        sleeves: (n, 3) points of the left arm's sleeve, in the frontal plane [m]; none where there are no sleeves.
+
+    Raises:
+        InputError: the skeleton lacks the joints of arms.
+    """
+
+    def __init__(self, body: ShapedBody, sleeves: np.ndarray) -> None:
+        self.rest = body.vertices
+        straight = body.posed(_straight_arms(body, sleeves))
+        lines = bone_lines(body)
+        self._straight, self._lines = (
+            straight.skin(places, body.weights, 0, 1)[0].numpy().astype(np.float64) for places in (self.rest, lines)
+        )
+
+    def thin(self, share: float) -> np.ndarray:
+        """Vertices (vertices, 3) [m] with arms stretched, at a `share` of the girth around the bones."""
+        return self._lines + share * (self._straight - self._lines)
+
+    def between(self, share: float, done: float) -> np.ndarray:
+        """Vertices (vertices, 3) [m] a part `done`, 0 to 1, of the way from `thin` at a `share` to the body at rest."""
+        return (1.0 - done) * self.thin(share) + done * self.rest
+
+
+def _straight_arms(body: ShapedBody, sleeves: np.ndarray) -> PoseSequence:
+    """The pose, one frame long, in which each arm and its hand are a straight line in the frontal plane."""
+    skeleton = body.skeleton
+    rotations = np.tile([1.0, 0.0, 0.0, 0.0], (skeleton.bone_count, 1))
+    for arm in body.kept("form", BodyForm).arms:
+        shoulder, wanted = arm.joints[0], (arm.joints[2] - arm.joints[0])[:2]
+        if len(sleeves):
+            # Through the middle of the sleeve's end.
+            ways = sleeves[:, :2] * (arm.side, 1.0) - shoulder[:2]
+            lengths = np.hypot(*ways.T)
+            wanted = ways[lengths >= np.quantile(lengths, _END)].mean(axis=0)
+        wanted = np.append(wanted / np.hypot(*wanted), 0.0)
+        # From the shoulder on; what comes later in the chain overrides.
+        for joint, way in _parts(body, arm):
+            first = int(np.linalg.norm(skeleton.joints - joint, axis=1).argmin())
+            rotations[_below(skeleton.parents, first)] = between(way / np.linalg.norm(way), wanted)
+    return PoseSequence(rotations[None], skeleton.joints[None, 0], 30.0)
+
+
+def _parts(body: ShapedBody, arm: Limb) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Head (3,) and direction (3,) [m] of upper arm, forearm and hand."""
+    shoulder, elbow, wrist = arm.joints
+    hand = body.vertices[arm.tip].mean(axis=0)
+    return [(shoulder, elbow - shoulder), (elbow, wrist - elbow), (wrist, hand - wrist)]
+
+
+def _below(parents: np.ndarray, first: int) -> np.ndarray:
+    """(bones,) bool: a bone and those that hang on it."""
+    below = np.zeros(len(parents), dtype=bool)
+    for bone, parent in enumerate(parents.tolist()):
+        below[bone] = bone == first or (parent >= 0 and below[parent])
+    return below
+
+
+def bone_lines(body: ShapedBody) -> np.ndarray:
+    """For each vertex (vertices, 3) [m] of a resting body the nearest point of its bones, mixed as they move it.
+
+    Args:
+        body: the resting body.
+    """
+    skeleton, mixed = body.skeleton, np.zeros_like(body.vertices)
+    for bone in range(skeleton.bone_count):
+        share = np.where(body.weights.bones == bone, body.weights.weights, 0.0).sum(axis=1)
+        own = np.flatnonzero(share > 0.0)
+        if not len(own):
+            continue
+        points, start = body.vertices[own], skeleton.joints[bone]
+        nearest = np.broadcast_to(start, points.shape).copy()
+        for child in np.flatnonzero(skeleton.parents == bone):
+            way = skeleton.joints[child] - start
+            along = np.clip((points - start) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
+            on_bone = start + along[:, None] * way
+            closer = np.linalg.norm(points - on_bone, axis=1) < np.linalg.norm(points - nearest, axis=1)
+            nearest[closer] = on_bone[closer]
+        mixed[own] += share[own, None] * nearest
+    return mixed

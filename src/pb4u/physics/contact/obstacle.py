@@ -1,0 +1,182 @@
+"""The bodies as surfaces that cloth does not pass through: what moves and contact pairs know of them over a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.collision.crossing_search import CrossingSearch
+from pb4u.collision.surface_tree import SurfaceTree
+from pb4u.geometry.topology import Topology
+from pb4u.geometry.triangle_mesh import vertex_areas
+from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
+from pb4u.physics.contact.self_contact import as_float64
+from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments
+
+_SPARE = 1e-3
+"""Dip [m] of the cloth between vertices that leaves it clear of the body: they come to rest at nearly twice as much."""
+
+_MOST = 4e-3
+"""Most [m] that a vertex is raised for the cloth beside it."""
+
+_STRETCHED = 1.5
+"""Length over the length at rest up to which the way between the places beneath an edge's ends is one over the skin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """The bodies on their way over a step; their vertices are numbered on from those of the cloth.
+
+    Args:
+        tree: search among cloth and bodies.
+        areas: (body vertices,) [m^2].
+        before: (body vertices, 3) [m] where they begin.
+        after: (body vertices, 3) [m] where they end.
+        passed: (vertices + body vertices,) bool of the cloth that they are let through: where they are through it
+            already, or leave it no room.
+    """
+
+    tree: SurfaceTree
+    areas: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    passed: np.ndarray
+
+    @staticmethod
+    def over(garments: PackedGarments, bodies: ColliderFrame | None, x: Tensor) -> Obstacle | None:
+        """The bodies on their way over a step, let through what they are through at its start; None without a body.
+
+        Args:
+            garments: static quantities.
+            bodies: around the step.
+            x: (vertices, 3) [m] at its start.
+        """
+        start = None if bodies is None else Obstacle.at(garments, bodies.now, x)
+        return None if start is None or bodies is None else replace(start, after=_positions(bodies.following))
+
+    @staticmethod
+    def at(garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Obstacle | None:
+        """The bodies standing still, let through what they are through; None where nothing of them may be touched.
+
+        Args:
+            garments: static quantities.
+            pose: of the bodies.
+            x: (vertices, 3) [m].
+        """
+        if all(surface is None for surface in pose.colliders.surfaces):
+            return None
+        tree, areas = _surface(garments, pose)
+        body = _positions(pose)
+        known = pose.passed.get(garments)
+        if known is not None and torch.equal(known[0], x):
+            return Obstacle(tree, areas, body, body, known[1])
+        return Obstacle(tree, areas, body, body, _noted(garments, pose, x, tree, body))
+
+    def reached(self, garments: PackedGarments, pose: ColliderPose, x: Tensor) -> None:
+        """Note at the pose through what of the cloth, moved there past them, the bodies are: less than they may be.
+
+        Args:
+            garments: static quantities.
+            pose: of the bodies where they end.
+            x: (vertices, 3) [m].
+        """
+        if self.passed.any():
+            _noted(garments, pose, x, self.tree, self.after, self.passed)
+        else:
+            pose.passed[garments] = x, self.passed
+
+    @property
+    def moves(self) -> np.ndarray:
+        """Displacements (body vertices, 3) [m]."""
+        return self.after - self.before
+
+    def standing(self, passed: np.ndarray) -> Obstacle:
+        """The bodies where they end, let through what they have `passed` (vertices + body vertices,) by then."""
+        return replace(self, before=self.after, passed=passed)
+
+
+def _noted(
+    garments: PackedGarments,
+    pose: ColliderPose,
+    x: Tensor,
+    tree: SurfaceTree,
+    body: np.ndarray,
+    among: np.ndarray | None = None,
+) -> np.ndarray:
+    """Vertices (vertices + body vertices,) of the cloth at `x` that bodies are through; kept at the pose."""
+    passed = CrossingSearch(tree).crossed(np.concatenate([as_float64(x), body]), among)
+    planes = nearest_planes(pose, garments, x, within=MOTION_REACH)
+    inside = (planes.touchable & (planes.distance < 0.0)).numpy()
+    passed[: len(x)] |= inside if among is None else inside & among[: len(x)]
+    pose.passed[garments] = x, passed
+    return passed
+
+
+def sags(garments: PackedGarments, planes: ContactPlanes) -> Tensor:
+    """Heights (vertices,) [m] kept over the body besides the usual, so that the cloth between vertices clears it.
+
+    A chord of length L between two points of a round body whose normals differ by an angle t dips by L t / 8 below it,
+    the middle of a face by L t / 6.
+
+    Args:
+        garments: static quantities.
+        planes: of the bodies at the step's start.
+    """
+    heights = torch.zeros_like(planes.distance)
+    a, b = garments.edges.T
+    chords = planes.points[b] - planes.points[a]
+    near = planes.touchable & (planes.distance < MOTION_REACH)
+    bend = ((planes.normals[b] - planes.normals[a]) * chords).sum(1) / 6.0
+    rests = chords.norm(dim=1) < _STRETCHED * garments.edge_lengths
+    dip = torch.where(near[a] & near[b] & rests, bend - _SPARE, 0.0).clamp(0.0, _MOST)
+    for ends in (a, b):
+        heights = heights.scatter_reduce(0, ends, dip.to(heights), "amax")
+    return heights
+
+
+def _positions(pose: ColliderPose) -> np.ndarray:
+    return as_float64(pose.positions)[_touched(pose.colliders)[0]]
+
+
+@lru_cache(maxsize=8)
+def _touched(colliders: PackedColliders) -> tuple[np.ndarray, np.ndarray]:
+    """Packed vertices (vertices,) int64 of the bodies that contact is answered on, and faces (faces, 3) among them."""
+    faces = colliders.contact_faces.cpu().numpy()[np.concatenate(colliders.searched_faces)]
+    vertices, faces = np.unique(faces, return_inverse=True)
+    return vertices, faces.reshape(-1, 3)
+
+
+_KNOWN: WeakKeyDictionary[PackedGarments, tuple[PackedColliders, SurfaceTree, np.ndarray]] = WeakKeyDictionary()
+
+
+def _surface(garments: PackedGarments, pose: ColliderPose) -> tuple[SurfaceTree, np.ndarray]:
+    """Search among garments and bodies, and areas (body vertices,) [m^2]; made once, from the first pose."""
+    colliders, known = pose.colliders, _KNOWN.get(garments)
+    if known is not None and known[0] is colliders:
+        return known[1:]
+    vertices, faces = _touched(colliders)
+    body, first = _positions(pose), garments.vertex_count
+    rest, own, edges, part = (
+        values.cpu().numpy()
+        for values in (garments.rest_positions, garments.faces, garments.edges, garments.vertex_garment)
+    )
+    # All that is of one world lies together.
+    worlds = colliders.vertex_world.cpu().numpy()[vertices]
+    _, bodies = np.unique(worlds, return_inverse=True)
+    sides = Topology(faces, len(vertices)).edges
+    tree = SurfaceTree(
+        np.concatenate([rest.astype(np.float64), body]),
+        np.concatenate([own, faces + first]),
+        np.concatenate([edges, sides + first]),
+        np.concatenate([part, bodies + garments.garment_count]),
+        [*garments.worlds, *np.unique(worlds).tolist()],
+        len(body),
+    )
+    made = tree, vertex_areas(body, faces)
+    _KNOWN[garments] = (colliders, *made)
+    return made

@@ -1,0 +1,586 @@
+"""What a run is: garments on a moving body, and how they are simulated.
+
+`Run` is the one record of it. Scene files, the flags of `pb4u simulate`, `make_scene`, `load_simulator`, the clips of a
+dataset and the studio's form are made of its fields: the text of a field in the docstring is its help, and its `Flag`
+says how it is offered and in what range.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import os
+import re
+import sys
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import lru_cache
+from numbers import Integral, Real
+from pathlib import Path
+from pkgutil import resolve_name
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from pb4u.errors import InputError, unknown_name
+from pb4u.garment.dictionary_entry import DictionaryEntry
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.reading_limits import read_text
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+if TYPE_CHECKING:
+    from pb4u.body.animated_body import AnimatedBody
+    from pb4u.body.body_model import ShapedBody
+    from pb4u.garment.garment import Garment
+    from pb4u.garment.material import Material
+    from pb4u.motion.motion import Motion
+    from pb4u.progress import Progress
+    from pb4u.scene.trajectory import Trajectory
+else:
+    AnimatedBody = ShapedBody = Garment = Material = Motion = object
+
+FORMAT_VERSION = 1
+"""Version of the scene files that are read and written."""
+
+MOST_GARMENTS = 8
+"""Garments of a scene: laying them over each other takes twenty times as long for eight as for two, and with more the
+outermost has no room left within the sleeves of its own cut."""
+
+SCENE, GARMENT, BODY, MODEL = "Scene", "Garment", "Body and motion", "Model"
+RESEARCH = "For released research code"
+"""Headings of the help."""
+
+
+@dataclass(frozen=True)
+class Flag:
+    """How a field is offered beyond Python, and in what range.
+
+    Args:
+        panel: heading of the help under which it stands.
+        metavar: what the help writes for its value; by default its type.
+        names: spelling of the flag, where that is more than the name of the field.
+        least: smallest value.
+        most: largest value.
+        is_file: whether a text may name a file, which scene files hold relative to themselves.
+        section: section of a scene file in which it stands.
+    """
+
+    panel: str
+    metavar: str | None = None
+    names: tuple[str, ...] = ()
+    least: float | None = None
+    most: float | None = None
+    is_file: bool = False
+    section: str = "scene"
+
+
+def _model(metavar: str | None = None, *, panel: str = MODEL, **given: Any) -> Flag:
+    return Flag(panel, metavar, section="run", **given)
+
+
+@dataclass(frozen=True)
+class WornGarment:
+    """One garment of a run.
+
+    Args:
+        garment: Built-in garment, a mesh file in metres that fits the body at rest, a sewing pattern (GarmentCode's
+            .json, or .npz of `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's family; in Python a
+            Garment too.
+        material: Built-in material, a JSON file in SI units or a Material. Default: the garment's own, or "default".
+        pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
+            (lowest border), loop:N (border with the N-th most vertices), a file of indices or a list. Default: the
+            garment's own.
+        triangles: Triangles to simulate. Default: the file's own, or 2,500 of a built-in garment.
+        tucked: Whether it goes into what is worn from the waist, such as trousers, wherever it stands in the order.
+
+    Raises:
+        InputError: a value of a wrong type or out of range.
+    """
+
+    garment: Annotated[str | Path | Garment, Flag(GARMENT, "NAME|FILE", is_file=True)] = "tshirt"
+    material: Annotated[str | Path | Material | None, Flag(GARMENT, "[NAME=]MATERIAL", is_file=True)] = None
+    pins: Annotated[str | Path | Sequence[int] | None, Flag(GARMENT, "[NAME=]PINS", is_file=True)] = None
+    triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N")] = None
+    tucked: Annotated[bool, Flag(GARMENT)] = False
+
+    def __post_init__(self) -> None:
+        if not (self.pins is None or isinstance(self.pins, str | Path)):
+            indices = list(self.pins) if isinstance(self.pins, Collection) else [None]
+            if not all(isinstance(index, Integral) and not isinstance(index, bool) for index in indices):
+                raise InputError(f"The pins must be a name, a file or a list of vertex indices, not {self.pins!r}.")
+            object.__setattr__(self, "pins", tuple(map(int, indices)))
+        _check(self)
+
+    @property
+    def name(self) -> str:
+        """Name of the garment; the stem of a file."""
+        if not isinstance(self.garment, str | Path):
+            return self.garment.name
+        entry = DictionaryEntry.parse(self.garment)
+        return Path(self.garment).stem if entry is None else entry.title
+
+
+@dataclass(frozen=True)
+class Run:
+    """Garments on a moving body, by name, by path or as loaded objects, and how they are simulated.
+
+    Args:
+        garments: Garments worn, inner first.
+        body: woman, man, anny (extra), a model file of the SMPL family, a rigged character (.glb, .gltf, .vrm),
+            or a sequence of vertices.
+        body_shape: Shape of the body, such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of a file of the SMPL
+            family; `pb4u assets` lists the names.
+        clip: Clip that a rigged character performs. Default: its first.
+        body_parts: Meshes or materials that make the body of a character, separated by commas. Default: all but hair,
+            eyes and clothes, as their names tell.
+        motion: Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl, or from a video GVHMR .pt, WHAM .pkl or TRAM
+            .npy (FILE:PERSON of several people). Default: walk, or the body's own.
+        crop: Frames A to B-1 of a recording, at its own rate.
+        arms_away: Degrees by which hanging arms are held away from the torso. Default: arms of a recording by as much
+            as they would go into the body; 0 leaves them as recorded.
+        raw_motion: Leave motion from a video as it is, neither smoothed nor its feet held.
+        recorded_fps: Frames per second of a recording. Default: what its file tells, or 30.
+        lead_in: Frames from the rest pose into the motion, simulated but not written.
+        keep_lead_in: Write the lead-in frames as well, before those that --frames counts.
+        frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
+        fps: Frames per second; a network runs at its own, and the result is resampled.
+        seed: Seed of everything random.
+        model: solver, quick-solver (its first iterations alone: the fastest on a processor), skinning, newton, or a
+            network by name, .safetensors file or .pth of the released code. Default: pb4u-wide.
+        refine: Most solver iterations after each step of a network, or of the quick solver. A step that they leave
+            failed is retried.
+        contact: Push the garment out of the body after each step.
+        self_contact: Cloth feels cloth, within a garment and between garments. Default: on for the solver and
+            networks; skinning and newton cannot.
+        body_surface: Keep cloth clear of faces and edges of the body too, not at its vertices alone; takes about half
+            as long again.
+        propagation_steps: Propagation steps of a network. Default: as many as the mesh calls for.
+        passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
+            it, or 1 with --refine.
+        device: Where a network or newton computes; the solver always runs on the CPU.
+        precision: Precision of a network's matrix products; auto is bfloat16 where the device multiplies faster in it
+            and --refine is above 0.
+        first_frame: How frame 0 is made: settled by the solver; in one long_step of the method itself, as in the
+            paper; placed as it is; or as released code begins: release (Pb4U-GNet), hood, mgn, contourcraft. auto is
+            settled wherever the solver takes part.
+        as_recorded: Play an SMPL recording (.pkl, AMASS .npz) as it is, on its own shape, place and height;
+            --arms-away 20 is the released code's separate_arms.
+        omitted: Body vertices left out of contact: smpl_aux.pkl, or a list. Default: the body's own.
+
+    Raises:
+        InputError: a value of a wrong type or out of range, or one garment worn twice.
+    """
+
+    garments: tuple[WornGarment, ...] = field(default_factory=lambda: (WornGarment(),))
+    body: Annotated[str | Path | ShapedBody | AnimatedBody, Flag(BODY, "NAME|FILE", is_file=True)] = "woman"
+    body_shape: Annotated[Mapping[str, float], Flag(BODY, "KEY=VALUE,..")] = field(default_factory=dict, hash=False)
+    clip: Annotated[str | None, Flag(BODY, "NAME")] = None
+    body_parts: Annotated[str | None, Flag(BODY, "NAME,..")] = None
+    motion: Annotated[str | Path | Motion | None, Flag(BODY, "NAME|FILE", is_file=True)] = None
+    crop: Annotated[tuple[int, int] | None, Flag(BODY, "A:B")] = None
+    arms_away: Annotated[float | None, Flag(BODY, "DEGREES", least=0, most=90)] = None
+    raw_motion: Annotated[bool, Flag(BODY, names=("--raw-motion/--steady-motion",))] = False
+    recorded_fps: Annotated[float | None, Flag(BODY, "N", least=1, most=1000)] = None
+    lead_in: Annotated[int, Flag(BODY, "N", least=0)] = 30
+    keep_lead_in: Annotated[bool, Flag(BODY, names=("--keep-lead-in/--drop-lead-in",))] = False
+    frames: Annotated[int | None, Flag(SCENE, "N", least=1)] = None
+    fps: Annotated[float, Flag(SCENE, "N", least=1, most=1000)] = 30.0
+    seed: Annotated[int, Flag(SCENE, "N", least=0)] = 0
+    model: Annotated[str | Path, _model("NAME|FILE", is_file=True)] = "auto"
+    refine: Annotated[int, _model("N", least=0, most=10_000)] = 5
+    contact: Annotated[bool, _model()] = True
+    self_contact: Annotated[bool | None, _model()] = None
+    body_surface: Annotated[bool, _model()] = False
+    propagation_steps: Annotated[int | None, _model("K", least=1, most=500)] = None
+    passes: Annotated[int | None, _model("N", least=1, most=1000)] = None
+    device: Annotated[Literal["auto", "cpu", "cuda"], _model()] = "auto"
+    precision: Annotated[Literal["auto", "float32", "bfloat16"], _model()] = "auto"
+    first_frame: Annotated[
+        Literal["auto", "settled", "long_step", "placed", "release", "hood", "mgn", "contourcraft"],
+        _model(panel=RESEARCH, names=("--first-frame", "--start")),
+    ] = "auto"
+    as_recorded: Annotated[bool, Flag(RESEARCH, names=("--as-recorded/--retargeted",))] = False
+    omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "garments", tuple(self.garments))
+        object.__setattr__(self, "body_shape", _checked_shape(self.body_shape))
+        if self.crop is not None:
+            object.__setattr__(self, "crop", _checked_crop(self.crop))
+        _check(self)
+        if not self.garments:
+            raise InputError("A scene has at least one garment; none is given.")
+        if len(self.garments) > MOST_GARMENTS:
+            raise InputError(f"At most {MOST_GARMENTS} garments are worn over each other, not {len(self.garments)}.")
+        for number, worn in enumerate(self.garments):
+            if not isinstance(worn, WornGarment):
+                raise InputError(f"The garments of a run are WornGarment objects, not {worn!r}.")
+            if any(_is_same(worn.garment, inner.garment) for inner in self.garments[:number]):
+                raise InputError(
+                    f"The garment {worn.name} is worn twice, and both would lie in the same place; garments of one "
+                    "name must come from different files."
+                )
+
+    @property
+    def written_frames(self) -> int | None:
+        """Number of frames that are written, a kept lead-in included; None where the motion decides."""
+        return self.frames if self.frames is None or not self.keep_lead_in else self.frames + self.lead_in
+
+    @property
+    def files(self) -> tuple[object, ...]:
+        """Everything that names what is read, be it a built-in name, a file or a loaded object."""
+        worn = [getattr(each, name) for each in self.garments for name in _files(WornGarment)]
+        return *worn, *(getattr(self, name) for name in _files(Run))
+
+    @property
+    def options(self) -> Run:
+        """The same simulation of the default scene: runs of equal options share a simulator."""
+        return Run(**{name: getattr(self, name) for name in entries("run")})
+
+    def at_rate(self, fps: float) -> Run:
+        """The same stretch of time at another frame rate.
+
+        Args:
+            fps: frames per second [1/s].
+        """
+        if math.isclose(fps, self.fps):
+            return replace(self, fps=fps)
+        frames = None if self.frames is None else math.ceil((self.frames - 1) * fps / self.fps) + 1
+        return replace(self, fps=fps, frames=frames, lead_in=round(self.lead_in * fps / self.fps))
+
+    def with_entries(self, given: Mapping[str, Any], folder: Path | None = None) -> Run:
+        """Run with other values, named as in a scene file but without its sections; they win as flags do.
+
+        Args:
+            given: value by name. `garment` is one, or a list, inner first, and replaces all garments with what belongs
+                to them; the other entries of a garment are one for all, or a list with one each, None for what stays.
+                `body` replaces its shape too, `motion` its crop.
+            folder: folder from which relative files are found; None leaves them as they are.
+
+        Raises:
+            InputError: an entry is unknown, or a value cannot be used.
+        """
+        _refuse_unknown("entry", given, ENTRIES)
+        values = {name: _located(name, value, folder) for name, value in given.items()}
+        worn: Sequence[WornGarment] = self.garments
+        if "garment" in values:
+            named = values.pop("garment")
+            worn = [WornGarment(each) for each in (named if isinstance(named, list) else [named])]
+        for name in entries("garments"):
+            if name in values:
+                each_one = _one_each(name, values.pop(name), len(worn))
+                worn = [
+                    each if value is None else replace(each, **{name: value})
+                    for each, value in zip(worn, each_one, strict=True)
+                ]
+        if "body" in values:
+            values.setdefault("body_shape", {})
+        if "motion" in values:
+            values.setdefault("crop", None)
+        return replace(self, garments=tuple(worn), **values)
+
+    def simulate(self, path: str | Path | None = None, progress: Progress | None = None) -> Trajectory:
+        """Trajectory of the run; see `pb4u.simulation.run_simulation.simulate`.
+
+        Args:
+            path: trajectory file to write as frames come; None keeps the frames in memory.
+            progress: called with (frames done, frames in all); by default a bar where standard error is a terminal.
+        """
+        made: Trajectory = resolve_name("pb4u.simulation.run_simulation:simulate")(self, path, progress)
+        return made
+
+    @classmethod
+    def open(cls, path: str | Path) -> Run:
+        """Read a scene file (TOML): `[scene]`, one `[[garments]]` for each garment, `[run]`.
+
+        The entries are the fields of `Run` and of `WornGarment`; what is left out has its default.
+
+        Args:
+            path: the file; paths in it are relative to it.
+
+        Raises:
+            InputError: the file is missing or no TOML, an entry is unknown, or a value cannot be used.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError(f"There is no scene file {path}.")
+        tables = read_tables(path, "a scene file")
+        try:
+            _refuse_unknown("section", tables, ("format_version", "scene", "garments", "run"))
+            version = tables.get("format_version", FORMAT_VERSION)
+            if version != FORMAT_VERSION:
+                raise InputError(f"The file is of format version {version!r}; this version reads {FORMAT_VERSION}.")
+            listed = tables.get("garments", [{}])
+            if not isinstance(listed, list):
+                raise InputError("Each garment is a section of its own, written [[garments]].")
+            worn = tuple(WornGarment(**_section("[[garments]]", each, "garments", path.parent)) for each in listed)
+            scene, run = (_section(f"[{name}]", tables.get(name, {}), name, path.parent) for name in ("scene", "run"))
+            return cls(worn, **scene, **run)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    def save(self, path: str | Path) -> Path:
+        """Write the scene file that `open` reads, with every value that is set.
+
+        Args:
+            path: the file; paths that are relative to the current folder are written relative to it.
+
+        Raises:
+            InputError: something is a loaded object, which has no name to be written.
+        """
+        import tomli_w
+
+        path = Path(path)
+        scene = {"format_version": FORMAT_VERSION, "scene": _written(self, "scene", path.parent)}
+        worn = [_written(each, "garments", path.parent) for each in self.garments]
+        # One by one: the library writes short tables of a list on a line each, where nobody finds room for an entry.
+        sections = [
+            tomli_w.dumps(scene),
+            *("[[garments]]\n" + tomli_w.dumps(each) for each in worn),
+            tomli_w.dumps({"run": _written(self, "run", path.parent)}),
+        ]
+        replace_file(path, (_HEADING + "\n".join(sections)).encode())
+        return path
+
+
+_HEADING = """\
+# A scene of pb4u: run it with `pb4u simulate` and the name of this file.
+# Garments stand inner first. A value with a dot or a slash is a file, relative to this one; any other is a name.
+
+"""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One field as all that is derived from it sees it.
+
+    Args:
+        name: of the field.
+        kind: "switch", "whole", "number", "choice" or "name"; "other" where its record checks it.
+        optional: whether None may stand for its value.
+        choices: values of a choice.
+        default: its value where none is given.
+        flag: how it is offered.
+        help: its text.
+    """
+
+    name: str
+    kind: str
+    optional: bool
+    choices: tuple[str, ...]
+    default: Any
+    flag: Flag
+    help: str
+
+
+@lru_cache
+def described(record: type) -> Mapping[str, Entry]:
+    """The fields of `Run` or `WornGarment` that have a flag, by name."""
+    texts = _texts(record)
+    found = {}
+    for each in fields(record):
+        hint = get_type_hints(record, include_extras=True)[each.name]
+        if get_origin(hint) is not Annotated:
+            continue
+        kinds, flag = get_args(hint)[0], get_args(hint)[1]
+        choices = get_args(kinds) if get_origin(kinds) is Literal else ()
+        parts = get_args(kinds) if isinstance(kinds, UnionType) or get_origin(kinds) is Union else (kinds,)
+        kind = "choice" if choices else next((name for of, name in _KINDS.items() if of in parts), "other")
+        default = each.default if each.default is not MISSING else None
+        found[each.name] = Entry(each.name, kind, type(None) in parts, choices, default, flag, texts[each.name])
+    return found
+
+
+_KINDS = {bool: "switch", int: "whole", float: "number", str: "name"}
+
+
+def entries(section: str) -> tuple[str, ...]:
+    """Names of the entries of a section of a scene file: "garments", "scene" or "run"."""
+    if section == "garments":
+        return tuple(described(WornGarment))
+    return tuple(name for name, entry in described(Run).items() if entry.flag.section == section)
+
+
+def _files(record: type) -> tuple[str, ...]:
+    return tuple(name for name, entry in described(record).items() if entry.flag.is_file)
+
+
+def _texts(record: type) -> dict[str, str]:
+    """The text of each argument in the docstring of a record."""
+    part = re.search(r"^Args:\n(.*?)(?:^\w|\Z)", inspect.getdoc(record) or "", re.MULTILINE | re.DOTALL)
+    found = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", part[1] if part else "", re.MULTILINE | re.DOTALL)
+    return {name: " ".join(text.split()) for name, text in found}
+
+
+ENTRIES = (*entries("garments"), *entries("scene"), *entries("run"))
+"""Every entry of a scene file; no two sections have one of the same name."""
+
+
+def read_tables(path: Path, kind: str) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Args:
+        path: the file.
+        kind: what it is, such as "a scene file".
+
+    Raises:
+        InputError: it is no TOML, or too large.
+    """
+    try:
+        return tomllib.loads(read_text(path, kind))
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} cannot be read as TOML, which {kind} is: {error}.") from None
+
+
+def with_companions(path: Path) -> list[Path]:
+    """A file and those that are read with it: the skeleton of a trial, the mesh of a point cache and its cache.
+
+    Args:
+        path: the file.
+    """
+    suffixes = {".amc": (".asf",), ".pc2": (".obj",), ".obj": (".pc2", ".mdd"), ".mdd": (".obj",)}
+    beside = suffixes.get(path.suffix.lower(), ())
+    if path.suffix.lower() == ".npy":  # of TRAM
+        return [path, *{each for up in path.absolute().parents[:2] if (each := up / "camera.npy").is_file()}]
+    near = (each for each in path.absolute().parent.glob("*") if each.suffix.lower() in beside)
+    return [path, *(each for each in near if each.suffix.lower() == ".asf" or each.stem == path.stem)]
+
+
+_OF_ARRAYS = {
+    "garment": "pb4u.Garment(name, vertices, faces, material)",
+    "body": "pb4u.body_from_arrays(vertices, faces)",
+}
+"""What takes arrays in the place of a value."""
+
+
+def _check(record: Run | WornGarment) -> None:
+    """Refuse values of a wrong kind or out of range."""
+    kind: type = type(record)
+    for entry in described(kind).values():
+        value = getattr(record, entry.name)
+        if hasattr(value, "__array__") and (made := _OF_ARRAYS.get(entry.name)):
+            raise InputError(f"The {entry.name} is an array; give a name, a path or {made}.")
+        if not (value is None and entry.optional) and not _fits(entry, value):
+            raise InputError(f"{entry.name} must be {_wanted(entry)}, not {value!r}.")
+
+
+def _fits(entry: Entry, value: object) -> bool:
+    if entry.kind == "choice":
+        if value not in entry.choices:
+            raise unknown_name(entry.name.replace("_", " "), str(value), entry.choices)
+        return True
+    if entry.kind == "switch":
+        return isinstance(value, bool)
+    if entry.kind == "name":
+        return value != "" and not isinstance(value, Real | Mapping | list | set) and value is not None
+    if entry.kind == "other":
+        return True
+    kind = Integral if entry.kind == "whole" else Real
+    if isinstance(value, bool) or not isinstance(value, kind):
+        return False
+    least, most = entry.flag.least, entry.flag.most
+    return (least is None or value >= least) and (most is None or value <= most)  # type: ignore[operator]
+
+
+def _wanted(entry: Entry) -> str:
+    """What the value of an entry has to be, in words."""
+    if entry.kind == "switch":
+        return "true or false"
+    if entry.kind == "name":
+        return "a name, a path or a loaded object"
+    number, least, most = "a whole number" if entry.kind == "whole" else "a number", entry.flag.least, entry.flag.most
+    if least is None:
+        return number
+    return f"{number} from {least:,g} to {most:,g}" if most is not None else f"{number}, {least:,g} or more"
+
+
+def _checked_shape(shape: Any) -> dict[str, float]:
+    if not isinstance(shape, Mapping):
+        raise InputError(f"The shape of the body must be numbers by name, such as height = 0.7, not {shape!r}.")
+    for key, value in shape.items():
+        if isinstance(value, bool) or not isinstance(value, Real):
+            raise InputError(f"The shape parameter {key} must be a number, not {value!r}.")
+    return {key: float(value) for key, value in shape.items()}
+
+
+def _checked_crop(crop: Any) -> tuple[int, int]:
+    if not isinstance(crop, list | tuple) or len(crop) != 2 or not all(_is_whole(frame) for frame in crop):
+        raise InputError(f"A crop is two frames, the first and the one after the last, not {crop!r}.")
+    return crop[0], crop[1]
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _is_same(garment: object, other: object) -> bool:
+    if isinstance(garment, str | Path) and isinstance(other, str | Path):
+        return Path(garment) == Path(other)
+    return garment is other
+
+
+def _refuse_unknown(what: str, given: Iterable[str], known: Collection[str], where: str = "") -> None:
+    for name in given:
+        if name not in known:
+            raise unknown_name(what, name, known, where)
+
+
+def _section(title: str, table: Any, section: str, folder: Path) -> dict[str, Any]:
+    """The entries of a section, its files found from the `folder` of the scene file."""
+    if not isinstance(table, dict):
+        raise InputError(f"The section {title} must hold entries such as name = value, not {table!r}.")
+    _refuse_unknown("entry", table, entries(section), title)
+    return {name: _located(name, value, folder) for name, value in table.items()}
+
+
+def _located(name: str, value: Any, folder: Path | None) -> Any:
+    if isinstance(value, list):
+        return [_located(name, each, folder) for each in value]
+    names_file = name in (*_files(Run), *_files(WornGarment)) and isinstance(value, str) and _is_file(value)
+    return folder / value if names_file and folder is not None else value
+
+
+def _one_each(name: str, value: Any, count: int) -> Sequence[Any]:
+    """The value for each of `count` garments; a list of whole numbers is one choice of pins."""
+    is_indices = name == "pins" and isinstance(value, list | tuple) and all(map(_is_whole, value))
+    if not isinstance(value, list | tuple) or is_indices:
+        return [value] * count
+    if len(value) != count:
+        raise InputError(f"{name} has {len(value)} values for {count} garments; give one for all, or one each.")
+    return value
+
+
+def _is_file(value: str) -> bool:
+    return bool(Path(value).suffix) or "/" in value or "\\" in value
+
+
+def _written(record: Run | WornGarment, section: str, folder: Path) -> dict[str, Any]:
+    """What is set of a section, as TOML holds it."""
+    values = {name: getattr(record, name) for name in entries(section)}
+    return {name: _plain(name, value, folder) for name, value in values.items() if value is not None and value != {}}
+
+
+def _plain(name: str, value: Any, folder: Path) -> Any:
+    if name in (*_files(Run), *_files(WornGarment)) and isinstance(value, str | Path) and (
+        isinstance(value, Path) or _is_file(value)
+    ):  # fmt: skip
+        file = value if os.path.isabs(value) else os.path.relpath(value, folder)
+        written = Path(file).as_posix()
+        return written if _is_file(written) else f"./{written}"
+    if isinstance(value, Mapping):
+        return {key: _plain(key, entry, folder) for key, entry in value.items()}
+    if isinstance(value, tuple):
+        return [_plain("", entry, folder) for entry in value]
+    if isinstance(value, str | bool):
+        return value
+    if isinstance(value, Real):
+        return int(value) if isinstance(value, Integral) else float(value)
+    raise InputError(
+        f"The {name} {getattr(value, 'name', value)} is a loaded object, which a scene file cannot hold; give it by "
+        "name or file."
+    )

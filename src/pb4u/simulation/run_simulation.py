@@ -1,0 +1,105 @@
+"""Simulates a run: its simulator, its scene, and the frames at the rate that was asked for."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+from pb4u.errors import InputWarning, Interrupted
+from pb4u.export.selection import resampled
+from pb4u.progress import Progress, shown, unheard
+from pb4u.run import Run
+from pb4u.scene.assembly import build_scene
+from pb4u.scene.scene import Scene
+from pb4u.scene.trajectory import Frame, Trajectory
+from pb4u.simulation.models import simulator_of
+from pb4u.simulation.simulator import RunRecord, Simulator
+
+
+def simulate(run: Run, path: str | Path | None = None, progress: Progress | None = None) -> Trajectory:
+    """Simulate a whole run; the frames at the scene's own rate, fewer than asked for where they stopped being finite.
+
+    Args:
+        run: what is simulated.
+        path: trajectory file to write as frames come; None keeps the frames in memory.
+        progress: called with (frames done, frames in all), lead-in included; by default a bar on standard error where
+            that is a terminal. `pb4u.progress.unheard` is quiet.
+
+    Raises:
+        InputError: something of the run cannot be used.
+    """
+    simulator = simulator_of(run)
+    scene = scene_for(run, simulator)
+    with shown(progress, simulator.name) as heard:
+        return roll_out(run, simulator, scene, path, progress=heard)
+
+
+def scene_for(run: Run, simulator: Simulator) -> Scene:
+    """Scene of a run, loaded, at the frame rate that its simulator has to run at.
+
+    Args:
+        run: what is simulated.
+        simulator: what `simulator_of` gives for it.
+
+    Raises:
+        InputError: something of the scene cannot be used.
+
+    Warns:
+        InputWarning: that rate is another than the scene's, or the scene has something unusual.
+    """
+    simulated = simulator.fps or run.fps
+    if not math.isclose(simulated, run.fps):
+        sentence = f"{simulator.name} runs at {simulated:g} frames per second; the result is resampled to {run.fps:g}."
+        warnings.warn(sentence, InputWarning, stacklevel=2)
+    return build_scene(run.at_rate(simulated))
+
+
+def roll_out(
+    run: Run,
+    simulator: Simulator,
+    scene: Scene,
+    path: str | Path | None = None,
+    record: RunRecord | None = None,
+    progress: Progress = unheard,
+    interrupted: Path | None = None,
+    seen: Callable[[Frame], None] | None = None,
+) -> Trajectory:
+    """Frames of a scene that `scene_for` made of a run, at the run's own rate.
+
+    Args:
+        run: what is simulated.
+        simulator: what `simulator_of` gives for it.
+        scene: what `scene_for` gives for it.
+        path: trajectory file to write; as frames come, where they need no resampling. None keeps them in memory.
+        record: receives the cost of the run and how it ended.
+        progress: called with (frames done, frames in all), lead-in included.
+        interrupted: trajectory file for the frames until an interrupt, where they were kept in memory.
+        seen: called with every frame, at the rate it is simulated at.
+
+    Raises:
+        Interrupted: the frames until an interrupt are in a file, which it names.
+    """
+    is_resampled = not math.isclose(scene.fps, run.fps)
+    if path is not None and not is_resampled:
+        return simulator.simulate_to(scene, path, record, progress, seen)
+    header, rows = simulator.header(scene), list[Frame]()
+    try:
+        for frame in simulator.written_frames(scene, record, progress):
+            rows.append(frame)
+            if seen is not None:
+                seen(frame)
+    except KeyboardInterrupt as error:
+        if rows and interrupted is not None:
+            kept = Trajectory.collect(header, rows).save(interrupted)
+            raise Interrupted(f"the first {len(rows)} frames are in {kept}", getattr(error, "signal", 2)) from error
+        raise
+    trajectory = Trajectory.collect(header, rows)
+    if is_resampled:
+        trajectory = resampled(trajectory, run.fps, run.written_frames)
+        if record is not None and record.failed_at is not None:
+            record.failed_at = trajectory.frame_count
+    if path is not None:
+        trajectory.save(path)
+    return trajectory

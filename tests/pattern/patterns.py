@@ -1,0 +1,57 @@
+"""Patterns that tests are made of."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam
+
+ROOT = Path(__file__).parents[2]
+
+
+def skirt() -> Pattern:
+    """The skirt of the example."""
+    specification = importlib.util.spec_from_file_location("sew_a_skirt", ROOT / "examples" / "14_sew_a_skirt.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module.skirt()
+
+
+def square(name: str, size: float = 0.4, **given: object) -> Panel:
+    """A square whose edges are 0 bottom, 1 right, 2 top, 3 left."""
+    return Panel(name, [(0, 0), (size, 0), (size, size), (0, size)], **given)
+
+
+def gathered() -> Pattern:
+    """A strip sewn along its bottom to the longer top of another, which has a dart and a curved hem."""
+    lower = Panel(
+        "lower",
+        [(0, 0), (0.6, 0), (0.6, 0.3), (0, 0.3), (0, 0.18), (0.12, 0.15), (0, 0.12)],
+        curves={0: Curve(np.array([[0.3, -0.1]])), 1: Curve(radius=0.4)},
+    )
+    return Pattern(
+        "gathered",
+        [Panel("band", [(0, 0), (0.4, 0), (0.4, 0.05), (0, 0.05)]), lower],
+        [Seam(("band", 0), ("lower", 2)), Seam(("lower", 4), ("lower", 5))],
+    )
+
+
+def record() -> dict:
+    """A GarmentCode specification of two squares in centimetres, sewn along one edge."""
+
+    def panel(curvature: object = None) -> dict:
+        edges = [{"endpoints": [k, (k + 1) % 4]} for k in range(4)]
+        if curvature is not None:
+            edges[0]["curvature"] = curvature
+        return {"vertices": [[0, 0], [40, 0], [40, 40], [0, 40]], "edges": edges, "translation": [0, 100, 20],
+                "rotation": [0, 0, 90], "label": "body"}  # fmt: skip
+
+    curve = {"type": "quadratic", "params": [[0.5, -0.25]]}
+    stitches = [[{"panel": "a", "edge": 1}, {"panel": "b", "edge": 3}]]
+    return {
+        "pattern": {"panels": {"a": panel(curve), "b": panel()}, "stitches": stitches},
+        "properties": {"units_in_meter": 100, "curvature_coords": "relative"},
+    }

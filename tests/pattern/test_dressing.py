@@ -1,0 +1,148 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.pattern.patterns import skirt
+
+import pb4u
+from pb4u.body.library import load_body
+from pb4u.errors import InputError, InputWarning
+from pb4u.garment.fit import RestBody
+from pb4u.garment.material import MATERIALS
+from pb4u.pattern import files
+from pb4u.pattern.dressing import Dressed, carried, dress
+from pb4u.pattern.files import load_worn, read_dressed, write_worn
+from pb4u.pattern.mesh import mesh_pattern
+from pb4u.pattern.pattern import Panel, Pattern
+from pb4u.pattern.thin_body import SewingBody
+
+TRIANGLES = 300
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body("woman", {})
+
+
+@pytest.fixture(scope="module")
+def dressed(body) -> Dressed:
+    return dress(skirt(), body, TRIANGLES)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "pb4u" / "dressed"
+
+
+def test_a_skirt_is_worn_around_the_hips_outside_the_skin(dressed, body):
+    assert dressed.crossings == 0
+    assert dressed.depth < 1e-3
+    assert dressed.strain < 0.05
+    garment = dressed.garment
+    # One loop above and one below, both around the body.
+    loops = sorted(garment.topology.boundary_loops, key=lambda loop: garment.vertices[loop, 1].mean())
+    assert len(loops) == 2
+    for loop in loops:
+        angle = np.unwrap(np.arctan2(garment.vertices[loop, 2], garment.vertices[loop, 0]))
+        assert abs(angle[-1] - angle[0]) > 1.8 * np.pi
+    assert garment.vertices[loops[1], 1].min() > garment.vertices[loops[0], 1].max() + 0.3
+    outwards = RestBody.of(body).surface.nearest(garment.vertices[garment.faces].mean(axis=1)).normals.numpy()
+    corners = garment.vertices[garment.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("ij,ij->i", outwards, normals) > 0.0).mean() > 0.95
+
+
+def test_its_rest_shape_is_the_flat_pattern(dressed):
+    garment = dressed.garment
+    assert garment.face_areas.sum() == pytest.approx(skirt().area, rel=1e-9)
+    assert garment.vertex_masses.sum() == pytest.approx(skirt().area * garment.material.density, rel=1e-9)
+    sides = np.linalg.norm(np.roll(garment.rest_uv, -1, axis=1) - garment.rest_uv, axis=2)
+    # Both sides of the seams of this skirt are alike, so every edge has one length.
+    assert garment.edge_lengths[garment.topology.face_edges] == pytest.approx(sides)
+
+
+def test_it_walks_with_its_flat_rest_shape_in_the_file(dressed, body, tmp_path):
+    scene = pb4u.make_scene(dressed.garment, body, "walk", frames=2, lead_in=2, pins="waist")
+    file = tmp_path / "walk.npz"
+    pb4u.load_simulator("solver").simulate(scene).save(file)
+    trajectory = pb4u.Trajectory.open(file)
+    assert trajectory.metadata["garments"][0]["rest_area"] == pytest.approx(skirt().area)
+    assert trajectory.header.rest_uv == pytest.approx(dressed.garment.rest_uv)
+    measured = pb4u.measure(trajectory)["metrics"]
+    assert measured["self_intersections"]["max"] == 0
+    assert measured["stretch"]["mean"] > 0.0
+    with pytest.raises(InputError, match="dress its pattern with 400 triangles"):
+        pb4u.make_scene(dressed.garment, body, "walk", triangles=400, frames=1)
+
+
+def test_a_dressed_garment_is_kept_with_its_pattern(dressed, body, tmp_path, cache):
+    file = tmp_path / "skirt.npz"
+    write_worn(file, dressed, body)
+    same = load_worn(file, body, MATERIALS["default"])
+    assert (same.vertices == dressed.garment.vertices).all()
+    assert (same.rest_uv == dressed.garment.rest_uv).all()
+    finer = load_worn(file, body, MATERIALS["silk"], 600)
+    assert len(finer.faces) == pytest.approx(600, rel=0.1)
+    assert finer.material == MATERIALS["silk"]
+    assert finer.face_areas.sum() == pytest.approx(skirt().area, rel=1e-9)
+    with pytest.warns(InputWarning, match="was dressed on woman; it is dressed again on man"):
+        load_worn(file, load_body("man", {}), MATERIALS["default"])
+    assert len(list(cache.glob("*.npz"))) == 1
+
+
+def test_a_pattern_is_dressed_once_for_a_body(dressed, body, tmp_path, cache, monkeypatch):
+    file = tmp_path / "skirt.json"
+    write_worn(file, dressed, body)
+    first = load_worn(file, body, MATERIALS["default"], TRIANGLES)
+    monkeypatch.setattr(files, "dress", None)
+    again = load_worn(file, body, MATERIALS["default"], TRIANGLES)
+    assert (again.vertices == first.vertices).all()
+
+
+def test_meshes_and_pictures_are_written(dressed, body, tmp_path):
+    for name in ("skirt.obj", "skirt.svg", "skirt.png"):
+        write_worn(tmp_path / name, dressed, body)
+        assert (tmp_path / name).stat().st_size > 1000
+    assert (tmp_path / "skirt.obj").read_text().count("\nvt ") == len(dressed.mesh.points)
+    with pytest.raises(InputError, match=r"written as .npz, .obj, .json, .svg or .png"):
+        write_worn(tmp_path / "skirt.fbx", dressed, body)
+
+
+def test_other_archives_are_no_dressed_garments(dressed, body, tmp_path):
+    file = tmp_path / "skirt.npz"
+    np.savez(file, positions=np.zeros(3))
+    with pytest.raises(InputError, match="it has no format_version"):
+        read_dressed(file)
+    write_worn(file, dressed, body)
+    members = dict(np.load(file))
+    for name, value in (("faces", members["faces"] + 10_000), ("panel", members["panel"] + 4)):
+        np.savez(file, **members | {name: value})
+        with pytest.raises(InputError, match="is no dressed garment"):
+            read_dressed(file)
+
+
+def test_cloth_stays_where_it_is_on_another_mesh_of_its_panels(dressed):
+    finer = mesh_pattern(skirt(), 4 * TRIANGLES)
+    places = carried(dressed.mesh, dressed.garment.vertices, finer)
+    back = carried(finer, places, dressed.mesh)
+    assert np.linalg.norm(back - dressed.garment.vertices, axis=1).max() < 0.01
+
+
+def test_a_pattern_too_small_for_the_body_is_refused(body):
+    small = [Panel(p.name, 0.5 * p.corners, p.position + (0, 0.25, 0), label=p.label) for p in skirt().panels]
+    with pytest.raises(InputError, match=r"small is too small for woman: .*, and by \d+ % in panel (front|back)"):
+        dress(Pattern("small", small, skirt().seams), body, 200)
+
+
+def test_the_body_fills_out_from_straight_arms_to_its_rest(body):
+    sewing = SewingBody(body, np.zeros((0, 3)))
+    assert sewing.between(0.5, 1.0) == pytest.approx(body.vertices)
+    thin, straight = sewing.thin(0.1), sewing.thin(1.0)
+    waist = np.abs(body.vertices[:, 1] - 1.1) < 0.02
+    waist &= np.abs(body.vertices[:, 0]) < 0.2
+    assert np.ptp(thin[waist, 0]) < 0.2 * np.ptp(straight[waist, 0])
+    arms = body.kept("form", None).arms
+    tips = [straight[arm.tip].mean(axis=0) for arm in arms]
+    # The hand lies on the line of the arm, in the frontal plane through the shoulder.
+    assert all(abs(tip[2] - arm.joints[0, 2]) < 0.02 for tip, arm in zip(tips, arms, strict=True))
