@@ -35,8 +35,8 @@ class MovingAverage:
             step: number of the step, from 1.
         """
         decay = min(self.decay, (1.0 + step) / (10.0 + step))
-        for name, parameter in module.named_parameters():
-            self.values[name].lerp_(parameter, 1.0 - decay)
+        parameters = dict(module.named_parameters())
+        torch._foreach_lerp_(list(self.values.values()), [parameters[name] for name in self.values], 1.0 - decay)
 
     @torch.no_grad()
     def swap(self, module: nn.Module) -> None:
@@ -63,7 +63,9 @@ class Learner:
         torch.manual_seed(configuration.seed)
         self.model = AccelerationModel(configuration.network.network()).to(workers.device)
         self.network = workers.distributed(self.model)
-        self.optimiser = torch.optim.Adam(self.model.parameters(), lr=configuration.curriculum.learning_rate)
+        self.optimiser = torch.optim.Adam(
+            self.model.parameters(), lr=configuration.curriculum.learning_rate, fused=True
+        )
         self.average = MovingAverage(self.model, configuration.ema_decay)
         self.longest = configuration.gradient_norm
 
