@@ -27,7 +27,7 @@ def test_lists_are_taken_for_arrays_and_simulated(skirt: pb4u.Garment) -> None:
     mine = garment(skirt, vertices=skirt.vertices.tolist(), faces=skirt.faces.tolist())
     np.testing.assert_array_equal(mine.vertices, skirt.vertices)
     scene = pb4u.make_scene(mine, "woman", pins="waist", frames=2, lead_in=0)
-    assert pb4u.load_simulator("skinning").simulate(scene, pb4u.unheard).frame_count == 2
+    assert pb4u.load_simulator("skinning").simulate(scene, pb4u.no_progress).frame_count == 2
     assert pb4u.Material.named("cotton").density == 0.15
 
 

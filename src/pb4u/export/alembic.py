@@ -10,7 +10,7 @@ import numpy as np
 from pb4u.errors import MissingExtraError
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.shading import unit_normals
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import Polygons
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def check_alembic(path: Path) -> None:
         raise MissingExtraError("abc", f"Writing {path.suffix}") from error
 
 
-def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
+def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write one Ogawa archive: /Garment and /Body; metres, Y up, a sample each 1 / fps seconds from 0.
 
     Points and vertex normals are sampled at every frame; the author's polygons stay polygons, wound clockwise as

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError
 from pb4u.io.atomic_file import move_into_place, working_folder
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from pb4u.export.view import View
@@ -222,7 +222,7 @@ def export(
     seen = {"view": view} if form.drawn else {}
     try:
         with working_folder(path) as folder:
-            told = writer(shown, folder / path.name, progress or unheard, **seen)
+            told = writer(shown, folder / path.name, progress or no_progress, **seen)
             for written in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
                 move_into_place(written, path.with_name(written.name))
         for stale in _function(form.stale)(path, shown.frame_count) if form.stale else ():

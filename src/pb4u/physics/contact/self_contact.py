@@ -231,7 +231,7 @@ class SelfContact(ABC):
             garments: static quantities.
             before: (vertices, 3) [m] that cross nowhere.
             wanted: (vertices, 3) [m].
-            cloth: all pairs that may touch on the way, where they were looked up already.
+            cloth: all pairs that may touch on the way, where they were queried already.
             held: (vertices,) bool, of which none gives way to what meets it, as no pinned vertex does; None for none.
             obstacle: the bodies, which move while the cloth does; None for none.
         """
