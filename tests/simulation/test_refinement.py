@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from ball_scene import ball_scene
-from test_hooked import pierced
+from test_pierced_edges import pierced
 
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.incremental_potential import IncrementalPotential

@@ -4,8 +4,8 @@ Each iteration solves with the second derivative of the potential by preconditio
 along the direction. Contact and friction change their force more on the way than that derivative tells: their tangents
 are relinearised at the trial point, and the direction is solved for again; else a step that brings cloth onto the body
 would be cut to an eighth. Where cloth is about to buckle the second derivative is not positive: the iteration then
-uses its positive part, and follows the buckling direction for as long as the energy falls. The number of iterations does not
-depend on the resolution.
+uses its positive part, and follows the buckling direction for as long as the energy falls. The number of iterations
+does not depend on the resolution.
 """
 
 from __future__ import annotations
