@@ -26,10 +26,21 @@ def usd_points(path: Path) -> np.ndarray:
     return np.array([points.Get(t) for t in range(6)])
 
 
+def alembic_points(out: Path, fps: float) -> np.ndarray:
+    from alembic3d import Abc, AbcGeom
+
+    archive = Abc.IArchive(str(out))
+    schema = AbcGeom.IPolyMesh(archive.getTop(), "Garment").getSchema()
+    samples = (schema.getValue(Abc.ISampleSelector(t / fps)) for t in range(schema.getNumSamples()))
+    return np.array([[tuple(point) for point in sample.getPositions()] for sample in samples])
+
+
 @pytest.mark.parametrize("suffix", [s for s in WRITERS if s not in (".png", ".jpg", ".gif", ".mp4")])
 def test_convert_writes_the_author_s_mesh(convert: Callable, saved: Path, tmp_path: Path, suffix: str) -> None:
     if suffix.startswith(".usd"):
         pytest.importorskip("pxr", reason='the "usd" extra is not installed')
+    if suffix == ".abc":
+        pytest.importorskip("alembic3d", reason='the "abc" extra is not installed')
     out = tmp_path / f"mine{suffix}"
     code, said = convert(saved, out, *OPTIONS)
     assert code == 0, said
@@ -46,12 +57,13 @@ def test_convert_writes_the_author_s_mesh(convert: Callable, saved: Path, tmp_pa
         ".pc2": lambda: pc2_frames(out),
         ".mdd": lambda: mdd_frames(out)[1],
         ".glb": lambda: Glb(out).blended(0, "POSITION", 6)[:, :5],
+        ".abc": lambda: alembic_points(out, chosen.fps),
     }.get(suffix, lambda: usd_points(out))()
     np.testing.assert_allclose(found, expected, atol=1e-3 if suffix == ".glb" else 1e-7)
 
 
 def test_one_sentence_on_standard_error(convert: Callable, saved: Path, tmp_path: Path) -> None:
-    for name, says in (("mine.abc", ".usdc"), ("absent/mine.glb", "does not exist")):
+    for name, says in (("mine.xyz", ".usdc"), ("absent/mine.glb", "does not exist")):
         code, said = convert(saved, tmp_path / name)
         assert code == 1
         assert says in said

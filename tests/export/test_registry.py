@@ -57,7 +57,7 @@ def test_a_format_is_known_without_importing_its_writer_and_names_functions_that
 
 def test_an_unknown_suffix_lists_the_known(trajectory: Trajectory, tmp_path: Path) -> None:
     with pytest.raises(InputError) as refused:
-        export(trajectory, tmp_path / "walk.abc")
+        export(trajectory, tmp_path / "walk.fbx")
     assert all(suffix in str(refused.value) for suffix in WRITERS)
 
 
@@ -91,6 +91,7 @@ def test_a_full_disk_leaves_nothing_and_is_told(
     skip_without_usd(suffix)
     # No ffmpeg: how that tells of a disk is its own.
     monkeypatch.setenv("PATH", "")
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with small_disk(), pytest.raises(InputError, match="Cannot write") as refused:
         export(trajectory, tmp_path / f"walk{suffix}")
     assert list(tmp_path.iterdir()) == []

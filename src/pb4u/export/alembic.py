@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,24 +51,38 @@ def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_pr
         InputError: the file cannot be written.
     """
     check_alembic(path)
+    if "fork" in multiprocessing.get_all_start_methods():
+        # Where the disk takes no more, the library ends its process: another one than this writes.
+        writer = multiprocessing.get_context("fork").Process(target=_write_quietly, args=(trajectory, path))
+        writer.start()
+        writer.join()
+        if writer.exitcode:
+            raise incomplete(path)
+    else:
+        _write(trajectory, path)
+    progress(trajectory.frame_count, trajectory.frame_count)
+
+
+def _write_quietly(trajectory: Trajectory, path: Path) -> None:
+    """Write without what the library says on standard error when it ends its process."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    _write(trajectory, path)
+
+
+def _write(trajectory: Trajectory, path: Path) -> None:
     from alembic3d import Abc, AbcCoreAbstract
 
     header, fps = trajectory.header, float(trajectory.fps)
-    try:
-        archive = Abc.CreateArchiveWithInfo(str(path), fps, "pb4u", "metres, Y up")
-        # The library crashes on a sampling that is handed to a mesh; the archive takes it, and meshes name its index.
-        sampling = archive.addTimeSampling(AbcCoreAbstract.TimeSampling(1.0 / fps, 0.0))
-        top = archive.getTop()
-        garment = _Mesh(top, "Garment", header.outlines, header.faces, header.uvs, sampling)
-        skin = Polygons.of_triangles(header.body_faces, None)
-        body = _Mesh(top, "Body", skin, header.body_faces, None, sampling)
-        frames = zip(trajectory.positions, trajectory.body_positions, strict=True)
-        for t, (positions, body_positions) in enumerate(frames):
-            garment.sample(positions)
-            body.sample(body_positions)
-            progress(t + 1, trajectory.frame_count)
-    except RuntimeError as error:  # what is thrown in the library names places in its source
-        raise incomplete(path) from error
+    archive = Abc.CreateArchiveWithInfo(str(path), fps, "pb4u", "metres, Y up")
+    # The library crashes on a sampling that is handed to a mesh; the archive takes it, and meshes name its index.
+    sampling = archive.addTimeSampling(AbcCoreAbstract.TimeSampling(1.0 / fps, 0.0))
+    top = archive.getTop()
+    garment = _Mesh(top, "Garment", header.outlines, header.faces, header.uvs, sampling)
+    skin = Polygons.of_triangles(header.body_faces, None)
+    body = _Mesh(top, "Body", skin, header.body_faces, None, sampling)
+    for positions, body_positions in zip(trajectory.positions, trajectory.body_positions, strict=True):
+        garment.sample(positions)
+        body.sample(body_positions)
 
 
 class _Mesh:
@@ -114,10 +130,10 @@ class _Mesh:
 
 
 def _ints(imath: Any, values: np.ndarray) -> Any:
-    return imath.IntArrayFromBuffer(np.ascontiguousarray(values, dtype=np.int32))
+    return imath.IntArrayFromBuffer(np.array(values, dtype=np.int32))
 
 
 def _vectors(kind: str, values: np.ndarray) -> Any:
     import imath
 
-    return getattr(imath, f"{kind}ArrayFromBuffer")(np.ascontiguousarray(values, dtype=np.float32))
+    return getattr(imath, f"{kind}ArrayFromBuffer")(np.array(values, dtype=np.float32))
