@@ -52,7 +52,7 @@ def test_levels_and_the_papers_rows_stand_together() -> None:
     (table,) = level_table(summary, ("total", "ms"))
     assert isinstance(table, Table)
     assert table.head == [
-        "level", "model", "total loss [J]", "time a step [ms]", "energy / floor", "frames before divergence [%]",
+        "level", "model", "total loss [J]", "time a step [ms]", "energy / reference", "frames before divergence [%]",
         "penetration [%]", "diverged", "scenes",
     ]  # fmt: skip
     ours, *theirs = table.rows

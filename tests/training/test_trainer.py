@@ -31,7 +31,7 @@ from pb4u.training.recovery import TrainingFailedError
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.trainer import RoundEnd, Trainer
 from pb4u.training.validation import Score, Validation
-from pb4u.training.windows import Course
+from pb4u.training.windows import Rollout
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -137,7 +137,7 @@ def test_the_velocity_after_settling_is_the_chosen_one(variant: str) -> None:
     window, state = course.window, course.state
     moved = 1e-3 * torch.ones_like(state.positions)
     settled = State(state.positions + moved, moved * 3.0, state.frame + 1)
-    off = trainer.set_off(course, settled)
+    off = trainer.with_initial_velocity(course, settled)
     expected = {
         "skinned": window.timeline.skinned_velocity(1),
         "zero": torch.zeros_like(moved),
@@ -153,7 +153,9 @@ def test_slowed_garments_set_off_with_half_to_all_of_the_bodys_speed() -> None:
     window, state = course.window, course.state
     shares = []
     for number in range(20):
-        off = trainer.set_off(replace(course, number=number), State(state.positions, state.velocities, state.frame + 1))
+        off = trainer.with_initial_velocity(
+            replace(course, number=number), State(state.positions, state.velocities, state.frame + 1)
+        )
         share = float(off.velocities.norm() / window.timeline.skinned_velocity(1).norm())
         assert torch.allclose(off.velocities, share * window.timeline.skinned_velocity(1), atol=1e-6)
         shares.append(share)
@@ -180,7 +182,7 @@ def test_the_end_of_the_minutes_does_not_wait_for_a_round(monkeypatch: pytest.Mo
     trainer = Trainer(long, Budget(steps=None, minutes=10.0), ball_data(), ALONE, None, Listener())
     original, taken = Trainer.advance, [0]
 
-    def late(self: Trainer, course: Course) -> bool:
+    def late(self: Trainer, course: Rollout) -> bool:
         taken[0] += 1
         if taken[0] == 6:
             self.began -= 700.0
@@ -247,7 +249,7 @@ def test_interleaved_windows_take_turns_until_each_is_over(monkeypatch: pytest.M
     seen: list[tuple[int, int]] = []
     original = Trainer.advance
 
-    def noted(self: Trainer, course: Course) -> bool:
+    def noted(self: Trainer, course: Rollout) -> bool:
         seen.append((course.number, course.left))
         if course.number == 1:
             course.left = 1
@@ -292,7 +294,7 @@ def test_a_round_takes_no_more_steps_than_are_left() -> None:
 
 
 def test_further_passes_take_no_more_steps_than_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pb4u.simulation.step.FREED_MUCH", -float("inf"))
+    monkeypatch.setattr("pb4u.simulation.step.LARGE_DECREASE", -float("inf"))
     further = replace(TINY.network, conjugate=True, further_passes=2)
     trainer = made(replace(TINY, network=further, interleaved=4), 6)
     assert trainer.run() == "finished"
@@ -307,7 +309,7 @@ CARRIED = replace(
         blocks=1,
         layout=FeatureLayout(extra=(DESCENT, ADVANCE)),
         passes=2,
-        carried_shares=(0.5, 1.0),
+        warm_start_shares=(0.5, 1.0),
     ),
     after_settling="slowed",
     interleaved=2,

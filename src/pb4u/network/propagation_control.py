@@ -82,7 +82,7 @@ class FixedSteps:
 
 
 class RandomSteps:
-    """Random number of steps for training, drawn anew each time up to the K of the finest mesh (reference 7).
+    """Random number of steps for training, drawn again each time up to the K of the finest mesh (reference 7).
 
     Args:
         most: largest number drawn.

@@ -19,7 +19,7 @@ from pb4u.jobs.job import digest
 from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
 from pb4u.motion.library import motion_names, recording_file
 from pb4u.paper.protocols import PROTOCOLS, Protocol
-from pb4u.paper.reference_energies import FLOOR_LEAD_IN, stored_floor
+from pb4u.paper.reference_energies import REFERENCE_LEAD_IN, stored_reference
 from pb4u.paper.rollout import FPS, ModelRecord, RolloutJob, SceneRecord, Settings
 from pb4u.scene.catalogue import SEEDS, SceneName
 from pb4u.simulation.checkpoint import weights_file, weights_name
@@ -30,7 +30,7 @@ DRAWN_SEEDS = (2000, 10000)
 """First seed of the motions that drawn scenes have, and the first beyond: trainings use none of them."""
 
 REFINE = 5
-"""Solver iterations after a network's step where it runs as it comes, as in `pb4u simulate`."""
+"""Solver iterations after a network's step where it runs by default, as in `pb4u simulate`."""
 
 _SOLVER = ModelRecord("solver", "solver")
 
@@ -231,8 +231,8 @@ def _ways(model: ModelRecord, device: str) -> list[tuple[str, Settings]]:
     iterations = REFINE if looks_at(model.name, "refine") else 0
     as_it_comes = Settings(refine=iterations, contact=True, self_contact=True, device=place)
     if model.name == QUICK_SOLVER:
-        return [(", as it comes", as_it_comes)]
-    return [(", alone", Settings(device=place)), (", as it comes", as_it_comes)]
+        return [(", by default", as_it_comes)]
+    return [(", alone", Settings(device=place)), (", by default", as_it_comes)]
 
 
 def _drawn_scene(
@@ -265,7 +265,7 @@ def _check_numbers(request: EvaluationRequest) -> None:
     draws = bool(PROTOCOLS[request.protocol].scenes)
     if draws and (request.contact or request.refine or request.steps):
         raise InputError(
-            f"The protocol {request.protocol} runs networks alone and as they come: leave out --contact, --refine and "
+            f"The protocol {request.protocol} runs networks alone and by default: leave out --contact, --refine and "
             "--propagation-steps."
         )
     if not draws and request.scenes is not None:
@@ -350,8 +350,8 @@ def _floor(
     scene: SceneRecord, motion: _Motion, level: str, request: EvaluationRequest
 ) -> RolloutJob | dict[str, float] | None:
     name = motion.label if motion.seed is None else motion.source
-    if (scene.body, scene.lead_in) == ("woman", FLOOR_LEAD_IN) and "garment" not in dict(scene.digests):
-        stored = stored_floor(str(SceneName("test", scene.garment, name, motion.seed)), level, scene.frames)
+    if (scene.body, scene.lead_in) == ("woman", REFERENCE_LEAD_IN) and "garment" not in dict(scene.digests):
+        stored = stored_reference(str(SceneName("test", scene.garment, name, motion.seed)), level, scene.frames)
         if stored is not None:
             return stored
     return _solver_on(scene) if request.floors else None

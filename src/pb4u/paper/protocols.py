@@ -142,7 +142,7 @@ PROTOCOLS = {
             name="robustness",
             reproduces=(
                 "What happens in the hands of others: garments, body shapes, motions, materials and levels drawn by "
-                "seed, each network alone and as it comes."
+                "seed, each network alone and by default."
             ),
             models=("pb4u-wide", "quick-solver", "solver"),
             garments=tuple(PATTERNS),

@@ -215,7 +215,7 @@ def run(job: RolloutJob) -> Rollout:
         "ms_per_step": record.ms_per_step,
         "solver_iterations": sum(record.solver_iterations),
         "unsolved_steps": record.unsolved,
-        "steps_made_anew": record.made_anew,
+        "retried_steps": record.retried,
         "machine": _machine(job.settings.device),
         "notes": list(dict.fromkeys([*scene.notes, *(str(each.message) for each in caught)])),
         "metrics": {},

@@ -110,7 +110,7 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.simulation.control_simulator import GRADIENT_DESCENT, WARM_START, ControlSimulator
     from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
     from pb4u.simulation.simulator import SkinningSimulator
-    from pb4u.simulation.step_start import CarriedStart, FreeFlight
+    from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolverSimulator, SolverSimulator
 
     model = default_model() if str(run.model) == "auto" else str(run.model)
@@ -125,8 +125,8 @@ def simulator_of(run: Run) -> Simulator:
     if model == "skinning":
         return SkinningSimulator()
     if model == "solver":
-        # Where cloth stops cloth, what free flight leaves behind a fast limb would stay hooked on it.
-        start = FreeFlight() if run.self_contact is False else CarriedStart()
+        # Where cloth stops cloth, what free flight leaves behind a fast limb would stay caught on it.
+        start = FreeFlight() if run.self_contact is False else BodyMotionWarmStart()
         return SolverSimulator(contact=contact, first_frame=first_frame, potential=potential, start=start)
     if model == "quick-solver":
         return QuickSolverSimulator(run.refine, contact, first_frame, potential)

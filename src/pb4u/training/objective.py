@@ -115,8 +115,8 @@ class ProgressWeight(LossWeight):
 
     Where a pass lowers the energy by much more than `lift`, descending this is raising the logarithm of that decrease,
     of the terms that its search knows: it asks for the best direction alike far from the minimum and near it, in silk
-    and in leather. It is no logarithm elsewhere: a pass that raises the energy counts as one that frees nothing, with the
-    greatest weight of all, so that its loss pulls the hardest. For conjugate passes.
+    and in leather. It is no logarithm elsewhere: a pass that raises the energy counts as one that leaves it as it is,
+    with the greatest weight of all. For conjugate passes.
 
     Args:
         lift: height [m] to which the energy added to all would lift the garment, below which nothing is seen.
