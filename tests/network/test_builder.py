@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tests.network_scenes import COTTON, DT, moment, placed, sheet
+from tests.network_scenes import COTTON, DT, Moment, moment, placed, sheet
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
@@ -23,6 +23,7 @@ from pb4u.network.graph.features import (
 from pb4u.network.graph.garment_graph import garment_graph
 from pb4u.network.graph.graph import NodeType
 from pb4u.network.graph.world_edges import WorldEdgeRule
+from pb4u.paper.network_presets import NETWORKS
 from pb4u.scene.packed import pack
 
 
@@ -213,3 +214,31 @@ def test_edges_that_a_network_adds_carry_the_columns_of_mesh_edges():
     vector = at.state.positions[[12, 29, 0, 3]] - at.state.positions[[0, 3, 12, 29]]
     torch.testing.assert_close(coarse.features[:, :3], torch.nn.functional.normalize(vector))
     assert coarse.features.shape[1] == graph.edges["mesh"].features.shape[1]
+
+
+def test_the_literal_layout_has_no_absolute_length():
+    """Moved by 100 m, and at twice the size with twice the threshold, every edge looks the same."""
+    layout, rule = NETWORKS["literal"].layout, NETWORKS["literal"].world_edges
+    garment, shift = sheet(6, 5), torch.tensor([100.0, 0.0, -100.0], dtype=torch.float64)
+    at = moment([garment])
+    larger = replace(garment, vertices=2.0 * garment.vertices)
+    state = replace(at.state, positions=2.0 * at.state.positions)
+    double = Moment(pack([larger], dtype=torch.float64), state, placed(at.collider, lambda positions: 2.0 * positions))
+    here = built(at, layout, rule)
+    seen = built(at.shifted(shift), layout, rule), built(double, layout, replace(rule, radius=2.0 * rule.radius))
+    assert set(here.edges) == {"mesh", "body_to_garment", "garment_to_body"}
+    for other in seen:
+        for name, edges in here.edges.items():
+            assert torch.allclose(edges.features, other.edges[name].features, atol=1e-9), name
+
+
+def test_relative_world_edges_point_at_the_sender_and_reach_to_one():
+    at, names = moment([sheet(6, 5)]), ("direction", "relative_distance")
+    layout = FeatureLayout(world_edge=(*names, "relative_now"))
+    for edges in built(at, layout, WorldEdgeRule(radius=0.02, neighbours=64)).edges.values():
+        if edges.kind != "world":
+            continue
+        seen = columns(edges.features, layout.columns("world_edge"))
+        # The released columns are receiver - sender.
+        assert torch.allclose(-0.02 * seen["relative_distance"] * seen["direction"], seen["relative_now"])
+        assert 0.0 < float(seen["relative_distance"].min()) <= float(seen["relative_distance"].max()) <= 1.0

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from pb4u.errors import InputError
+from pb4u.paper.network_presets import NETWORKS
 from pb4u.paper.training_presets import TRAININGS, training_preset
 from pb4u.training.configuration import TrainingConfiguration, training_from_json, training_to_json, with_settings
+from pb4u.training.session import Request, train
 
 
 @pytest.mark.parametrize("name", TRAININGS)
@@ -75,3 +78,19 @@ def test_unknown_presets_and_foreign_records_are_refused() -> None:
         training_preset("smal")
     with pytest.raises(InputError, match="cannot be read"):
         training_from_json({"network": {"type": "Foreign"}})
+
+
+def test_fixed_steps_with_a_random_number_of_steps_are_refused_before_any_work(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(InputError, match=r"fixed number of propagation steps.*most_propagation_steps=0"):
+        train(Request(preset="comparison", settings=["network=literal_small_without_both"], out=out))
+    assert not out.exists()
+
+
+def test_the_literal_arms_differ_in_control_and_scaling_alone() -> None:
+    full, arms = NETWORKS["literal_small"], ("without_propagation_control", "without_update_scaling", "without_both")
+    changed = [NETWORKS[f"literal_small_{arm}"] for arm in arms]
+    assert all(replace(arm, control=full.control, scaling=full.scaling) == full for arm in changed)
+    assert [arm.control == full.control for arm in changed] == [False, True, False]
+    assert [arm.scaling == full.scaling for arm in changed] == [True, False, False]
+    assert training_preset("literal_small").most_propagation_steps == 0

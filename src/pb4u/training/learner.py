@@ -151,7 +151,7 @@ class Learner:
                 if square is None:
                     square = parts["root"][name].to(parameter).square()
                 self.optimiser.state[parameter] = {
-                    "step": parts["taken"][name].cpu().clone(),
+                    "step": parts["taken"][name].to(parameter.device, copy=True),
                     "exp_avg": parts["mean"][name].to(parameter, copy=True),
                     "exp_avg_sq": square.to(parameter, copy=True),
                 }
