@@ -35,8 +35,8 @@ class MovingAverage:
             step: number of the step, from 1.
         """
         decay = min(self.decay, (1.0 + step) / (10.0 + step))
-        for name, parameter in module.named_parameters():
-            self.values[name].lerp_(parameter, 1.0 - decay)
+        parameters = dict(module.named_parameters())
+        torch._foreach_lerp_(list(self.values.values()), [parameters[name] for name in self.values], 1.0 - decay)
 
     @torch.no_grad()
     def swap(self, module: nn.Module) -> None:
@@ -63,7 +63,8 @@ class Learner:
         torch.manual_seed(configuration.seed)
         self.model = AccelerationModel(configuration.network.network()).to(workers.device)
         self.network = workers.distributed(self.model)
-        self.optimiser = torch.optim.Adam(self.model.parameters(), lr=configuration.curriculum.learning_rate)
+        rate = configuration.curriculum.learning_rate
+        self.optimiser = torch.optim.Adam(self.model.parameters(), lr=rate, fused=True)
         self.average = MovingAverage(self.model, configuration.ema_decay)
         self.longest = configuration.gradient_norm
 
@@ -149,7 +150,7 @@ class Learner:
                 if square is None:
                     square = parts["root"][name].to(parameter).square()
                 self.optimiser.state[parameter] = {
-                    "step": parts["taken"][name].cpu().clone(),
+                    "step": parts["taken"][name].to(parameter.device, copy=True),
                     "exp_avg": parts["mean"][name].to(parameter, copy=True),
                     "exp_avg_sq": square.to(parameter, copy=True),
                 }

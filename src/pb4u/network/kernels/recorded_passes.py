@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from pb4u.collision.jit import COMPILES, compiled_with_free_sums
 from pb4u.network.graph.incidence import Incidence
@@ -139,6 +140,7 @@ class _Perceptron(torch.autograd.Function):
         return out
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> Gradients:
         values, *saved = ctx.saved_tensors
         further, on_values = [torch.zeros_like(weight) for weight in saved[:-4]], torch.empty_like(values)
@@ -165,6 +167,7 @@ class _EdgePass(torch.autograd.Function):
         return new, sums
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> Gradients:
         tensors, between = ctx.saved_tensors[:-4], tuple(_arrays(*ctx.saved_tensors[-4:]))
         latents, _, _, *layers = _arrays(*tensors)
@@ -205,6 +208,7 @@ class _Propagation(torch.autograd.Function):
         return state
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> Gradients:
         of_sender, of_receiver, second, _, last, _, scale, *_ = ctx.saved_tensors
         further = [torch.zeros_like(each) for each in ctx.saved_tensors]
@@ -225,13 +229,13 @@ class _Propagation(torch.autograd.Function):
             for share, of_end, d_end in zip(on_ends, (of_sender, of_receiver), (d_sender, d_receiver), strict=True):
                 d_end.addmm_(share.t(), state)
                 on.addmm_(share, of_end)
-        # What the steps left is large, and a second derivative is not for these passes.
+        # What the steps left is large.
         ctx.taken = None
         return None, None, None, None, on, *further
 
 
 def _between(values: Tensor, width: int) -> tuple[Tensor, ...]:
-    """What the derivative reads again: both hidden layers and the norm's output, (rows, width), and its (rows,) factors."""
+    """What the derivative reads: both hidden layers and the norm's output, (rows, width), and its (rows,) factors."""
     rows = len(values)
     return (*(values.new_empty(rows, width) for _ in range(3)), values.new_empty(rows))
 
