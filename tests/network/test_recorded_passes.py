@@ -30,14 +30,14 @@ def test_gradients_are_those_of_the_plain_layers(monkeypatch, dtype, tolerance):
     calls = []
     for user in USERS:
         records = user.records
-        monkeypatch.setattr(user, "records", lambda values, of=records: calls.append(of(values)) or calls[-1])
+        monkeypatch.setattr(user, "records", lambda *given, of=records: calls.append(of(*given)) or calls[-1])
     weighting = torch.randn(at.garments.vertex_count, 3, generator=torch.Generator().manual_seed(1)).to(dtype)
     result = model(graph, prepared)
     found = weights_gradients(model, (result * weighting).sum())
     assert calls
     assert all(calls), "the compiled passes were taken"
     for user in USERS:
-        monkeypatch.setattr(user, "records", lambda values: False)
+        monkeypatch.setattr(user, "records", lambda *given: False)
     plain = model(graph, prepared)
     expected = weights_gradients(model, (plain * weighting).sum())
 

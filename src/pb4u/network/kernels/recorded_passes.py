@@ -47,12 +47,18 @@ class Ends:
         return senders.numpy(), self.receivers.offsets.numpy()
 
 
-def records(values: Tensor) -> bool:
-    """Whether these passes take `values`: gradients are recorded, and a processor computes in float32 or float64."""
+def records(values: Tensor, weight: Tensor) -> bool:
+    """Whether these passes take `values`: gradients are recorded, and a processor computes in float32 or float64.
+
+    Args:
+        values: (rows, columns) that enter.
+        weight: of the layers that they meet, of any shape.
+    """
     return (
         COMPILES
         and torch.is_grad_enabled()
         and values.device.type == "cpu"
+        and values.dtype == weight.dtype
         and values.dtype in (torch.float32, torch.float64)
     )
 
