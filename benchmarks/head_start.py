@@ -71,8 +71,8 @@ class Race(Refinement):
             self.runs.append({name: self._run(start, step) for name, start in self.starts.items()})
         return self.usual.refine(step, predicted)
 
-    def pressed_out(self, step: TimeStep, state: State, contact: Contact) -> State:
-        return self.usual.pressed_out(step, state, contact)
+    def respond_with_cloth(self, step: TimeStep, state: State, contact: Contact) -> State:
+        return self.usual.respond_with_cloth(step, state, contact)
 
     def _run(self, start: StepMethod, step: TimeStep) -> Run:
         run = Run(time.process_time())
@@ -94,7 +94,7 @@ class RacingSimulator(SolverSimulator):
         starts = {FREE_FLIGHT: StepMethod()}
         for name in self.models:
             checkpoint = from_pretrained(name)
-            if checkpoint.model.network.carried_shares:
+            if checkpoint.model.network.warm_start_shares:
                 # What the network has to beat.
                 starts[f"{Path(name).stem}, its start alone"] = StepMethod(start_of(checkpoint.model.network))
             for passes in sorted({1, checkpoint.model.network.passes}):

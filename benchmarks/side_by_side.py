@@ -56,7 +56,7 @@ class Rival:
 
 RIVALS = {
     "skinning": Rival("bare skinning", {"name": "skinning"}),
-    "default": Rival("pb4u, as it comes", {"name": "auto"}),
+    "default": Rival("pb4u, by default", {"name": "auto"}),
     "network": Rival("network alone", {"name": "auto", "refine": 0, "contact": False}),
     "network_float32": Rival(
         "network alone, float32", {"name": "auto", "refine": 0, "contact": False, "precision": "float32"}
@@ -273,7 +273,7 @@ def page(found: dict[str, Any]) -> str:
         "every rival in a process of its own and in turn. Energies (without gravity, of our materials), strain, "
         "penetration and crossing triangles are `pb4u.measure`'s for all; Blender keeps its own stiffnesses.",
         "",
-        "As it comes is `pb4u simulate` without flags, the network alone `--refine 0 --contact off`: its energy is low "
+        "By default is `pb4u simulate` without flags, the network alone `--refine 0 --contact off`: its energy is low "
         "where it lies in the skin. Self-intersections and through the body are pairs of triangles that cross, a "
         "frame; others is the share of the processor that other programs took. What is missing was not run.",
         "",

@@ -164,7 +164,7 @@ def newton_curve(step: StepPotential, start: Tensor, iterations: int) -> tuple[l
 def quasi_newton_curve(
     step: StepPotential, start: Tensor, iterations: int, memory: int = 8
 ) -> tuple[list[float], list[float]]:
-    """L-BFGS with (mass / dt^2 + membrane Laplacian) factorised once; contacts are looked up every ten iterations."""
+    """L-BFGS with (mass / dt^2 + membrane Laplacian) factorised once; contacts are queried every ten iterations."""
     garments = step.step.garments
     factor = splu(csc_matrix(_laplacian(garments, step.step.dt)))
     x, began = start, time.process_time()

@@ -23,7 +23,7 @@ from pb4u.garment.library import LEVELS
 from pb4u.io.atomic_file import replace_file
 from pb4u.jobs.job import digest
 from pb4u.measures.metrics import ENERGIES, measure
-from pb4u.paper.reference_energies import ratio, stored_floor
+from pb4u.paper.reference_energies import ratio, stored_reference
 from pb4u.scene.catalogue import SEEDS, TRAINING_GARMENTS, catalogue_scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import weights_file
@@ -120,8 +120,8 @@ def result(model: str, clip: Clip, folder: Path) -> dict[str, Any] | None:
 
 
 def above_floor(clip: Clip, made: dict[str, Any]) -> str:
-    """Energy without gravity over the floor's."""
-    floor = stored_floor(clip.scene, "base", clip.frames) or stored_floor(clip.scene, "base", 30)
+    """Energy without gravity over the reference's."""
+    floor = stored_reference(clip.scene, "base", clip.frames) or stored_reference(clip.scene, "base", 30)
     return f"{ratio(made['energies'], floor):.2f}" if floor else "-"
 
 

@@ -17,7 +17,7 @@ import pb4u
 
 
 def main() -> None:
-    """Simulate the outfit as it comes, and tucked in."""
+    """Simulate the outfit in its order, and tucked in."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--garments", nargs="+", default=["trousers", "tanktop", "cardigan"])
     parser.add_argument("--tuck", default="tanktop")

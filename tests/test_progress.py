@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 from tests.simulation.ball_scene import ball_scene
 
-from pb4u.progress import Estimate, unheard
+from pb4u.progress import Estimate, no_progress
 from pb4u.simulation.simulator import SkinningSimulator
 
 
@@ -51,7 +51,7 @@ def test_a_simulation_from_python_shows_a_bar_on_a_terminal_alone(monkeypatch: p
     scene = ball_scene()
     for stream, quiet, seen in ((Terminal(), False, True), (Terminal(), True, False), (io.StringIO(), False, False)):
         monkeypatch.setattr(sys, "stderr", stream)
-        SkinningSimulator().simulate(scene, *([unheard] if quiet else []))
+        SkinningSimulator().simulate(scene, *([no_progress] if quiet else []))
         assert ("skinning" in stream.getvalue()) is seen
 
 

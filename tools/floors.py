@@ -16,7 +16,7 @@ from pathlib import Path
 
 from pb4u.garment.library import LEVELS
 from pb4u.measures.metrics import ENERGIES, measure
-from pb4u.paper.reference_energies import FLOORS_FILE
+from pb4u.paper.reference_energies import REFERENCE_FILE
 from pb4u.scene.catalogue import catalogue_scene, scene_names
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord
@@ -45,7 +45,7 @@ def main() -> None:
     parser.add_argument("--recordings", type=Path)
     parser.add_argument("--frames", type=int, default=30)
     options = parser.parse_args()
-    floors = json.loads(FLOORS_FILE.read_text()) if FLOORS_FILE.exists() else {}
+    floors = json.loads(REFERENCE_FILE.read_text()) if REFERENCE_FILE.exists() else {}
     for level in options.levels.split(","):
         names = scene_names("test", recordings=options.recordings is not None)
         if options.only:
@@ -59,9 +59,9 @@ def main() -> None:
                 continue
             began = time.perf_counter()
             known[str(options.frames)] = floor_of(str(name), LEVELS[level], options.frames, options.recordings)
-            beside = FLOORS_FILE.with_suffix(".part")
+            beside = REFERENCE_FILE.with_suffix(".part")
             beside.write_text(json.dumps(dict(sorted(floors.items())), indent=1) + "\n")
-            os.replace(beside, FLOORS_FILE)
+            os.replace(beside, REFERENCE_FILE)
             print(f"{name}@{level}: {time.perf_counter() - began:.0f} s", flush=True)
 
 

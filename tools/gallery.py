@@ -3,7 +3,7 @@
 python tools/gallery.py [--models skinning,pb4u-wide,solver] [--triangles 2500,11000] [--garments dress,skirt]
 
 A model is a name or a checkpoint's path. Pictures are kept in --cells as they are drawn, so that a run that was
-stopped goes on where it was; a picture is drawn anew when its scene, its size or its model's weights changed.
+stopped goes on where it was; a picture is drawn again when its scene, its size or its model's weights changed.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ def draw(runs: list[Path]) -> plt.Figure:
         means = np.convolve(stretch, np.full(SMOOTHED, 1 / SMOOTHED), "valid")
         axes[0].semilogy(steps[SMOOTHED - 1 :], means, label=run.name)
         scored = [line for line in lines(run) if "validation" in line]
-        for axis, key, factor in ((axes[1], "energy_without_gravity", 1.0), (axes[2], "survived", 100.0)):
-            # Earlier versions wrote an energy with gravity, which is another quantity.
+        for axis, key, factor in ((axes[1], "excess_height", 1e3), (axes[2], "survived", 100.0)):
+            # Earlier versions wrote energies alone.
             known = [line for line in scored if line["validation"].get(key) is not None]
             values = [factor * line["validation"][key] for line in known]
             axis.plot([line["step"] for line in known], values, marker="o", markersize=4)

@@ -1,7 +1,7 @@
 """Simulate garments with pb4u from Blender: the panel "pb4u" in the sidebar of the 3D view.
 
 Blender needs nothing but this folder. The simulation is the `pb4u` command of a Python environment of its own, which
-reads the scene from files and writes frames that are played on the artist's meshes as they come.
+reads the scene from files and writes frames that are played on the artist's meshes as they are computed.
 """
 
 import bpy

@@ -1,4 +1,4 @@
-"""A simulation that runs beside Blender: its files, its process, and its frames on the artist's meshes as they come."""
+"""A simulation that runs beside Blender: its files, its process, and its frames as they are computed."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ _HOMES = {
     "measure": "pb4u.measures.metrics:measure",
     "read_garment": "pb4u.garment.garment_file:read_garment",
     "read_pattern": "pb4u.pattern.garmentcode:read_pattern",
-    "unheard": "pb4u.progress:unheard",
+    "no_progress": "pb4u.progress:no_progress",
 }
 
 __all__ = [
@@ -97,9 +97,9 @@ __all__ = [
     "load_simulator",
     "make_scene",
     "measure",
+    "no_progress",
     "read_garment",
     "read_pattern",
-    "unheard",
 ]
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ if TYPE_CHECKING:
     from pb4u.pattern.dressing import dress
     from pb4u.pattern.garmentcode import read_pattern
     from pb4u.pattern.pattern import Panel, Pattern, Seam
-    from pb4u.progress import Progress, unheard
+    from pb4u.progress import Progress, no_progress
     from pb4u.run import Run, WornGarment
     from pb4u.scene.assembly import make_scene
     from pb4u.scene.scene import DressedGarment, Scene

@@ -21,7 +21,7 @@ _LEAST_SECONDS_OF_MANY = 20.0
 """The same time [s] where parts differ: garments and rollouts of all kinds come in turn."""
 
 
-def unheard(done: int, total: int) -> None:
+def no_progress(done: int, total: int) -> None:
     """Ignore a progress report.
 
     Args:
@@ -38,7 +38,7 @@ def progress_bar(label: str) -> Iterator[Progress]:
         label: what is being done.
     """
     if not sys.stderr.isatty():
-        yield unheard
+        yield no_progress
         return
     from rich import progress
     from rich.console import Console
@@ -59,7 +59,7 @@ def shown(progress: Progress | None, label: str) -> AbstractContextManager[Progr
     """The progress that a caller gave, or a bar where none was given.
 
     Args:
-        progress: what hears of it; `unheard` for none.
+        progress: what hears of it; `no_progress` for none.
         label: what is being done.
     """
     return progress_bar(label) if progress is None else nullcontext(progress)
@@ -111,10 +111,10 @@ class Estimate:
         each = self._quickest if self._alike else seconds / parts
         left = each * (total - done)
         if left > _LONG:
-            self._say(f"{total - done} more {self._part}s take about {told_time(left)}, {each:.2g} s each.")
+            self._say(f"{total - done} more {self._part}s take about {format_duration(left)}, {each:.2g} s each.")
 
 
-def told_time(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """A stretch of time in words, to a minute or a tenth of an hour.
 
     Args:

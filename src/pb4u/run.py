@@ -379,10 +379,10 @@ class Entry:
 @lru_cache
 def described(record: type) -> Mapping[str, Entry]:
     """The fields of `Run` or `WornGarment` that have a flag, by name."""
-    texts = _texts(record)
+    texts, hints = _texts(record), get_type_hints(record, include_extras=True)
     found = {}
     for each in fields(record):
-        hint = get_type_hints(record, include_extras=True)[each.name]
+        hint = hints[each.name]
         if get_origin(hint) is not Annotated:
             continue
         kinds, flag = get_args(hint)[0], get_args(hint)[1]

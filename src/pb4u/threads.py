@@ -54,7 +54,7 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def of_parts(function: Callable[[Part], Result], parts: Sequence[Part]) -> list[Result]:
+def parallel_map(function: Callable[[Part], Result], parts: Sequence[Part]) -> list[Result]:
     """`function` of each of the `parts`, in their order, whatever thread took which.
 
     Threads are begun anew: a pool kept from call to call would save 0.05 ms, and not the time to wake a processor.
@@ -89,7 +89,7 @@ def of_parts(function: Callable[[Part], Result], parts: Sequence[Part]) -> list[
     return [results[number] for number in range(len(parts))]
 
 
-def while_the_next_is_made(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+def prefetch(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """`function` of each of the `items`, in their order, each on another thread while the next item is made.
 
     With one thread alone each is made before the next item. Where making an item ends in an error or an interrupt, the

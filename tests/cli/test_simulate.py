@@ -70,7 +70,7 @@ def test_writes_trajectory_objs_and_report_by_the_contract(pb4u: Callable, tmp_p
     assert set(report["metrics"]) == {*ENERGIES, *GEOMETRY, "limbs_through_cloth"}
     assert set(GEOMETRY) == {
         "strain_p95", "strain_max", "penetration_percent", "penetration_depth_max", "visible_skin_percent",
-        "self_intersections", "body_intersections",
+        "self_intersections", "body_intersections", "body_intersections_pinched",
     }  # fmt: skip
     assert all(len(entry["per_frame"]) == 3 for entry in report["metrics"].values())
     assert report["diverged"] is False

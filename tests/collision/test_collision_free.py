@@ -161,8 +161,10 @@ def test_free_shares_are_no_longer_than_those_of_the_ipc_toolkit() -> None:
         share = free_shares(pairs, np.zeros(1), points, moves)[0]
         find = detection.point_triangle_ccd if vertex_face else detection.edge_edge_ccd
         collides, time = find(*points, *(points + moves), min_distance=0.0, tmax=1.0)
-        assert share < 1.0 if collides else True
-        if collides:
+        if collides and share == 1.0:
+            # A move may end nearer than the toolkit stops it, not on the other side.
+            assert nearest_on_the_way(points, moves, vertex_face, 1.0) > 0.0
+        elif collides:
             hits += 1
             ratios.append(share / time)
             assert nearest_on_the_way(points, moves, vertex_face, share) > 0.0

@@ -393,7 +393,7 @@ def test_diverged_clips_and_notes_are_summed(tmp_path: Path) -> None:
     def noted(job: ClipJob) -> Clip:
         made = quick(job)
         assert isinstance(made, Clip)
-        seed = job.run.scene.seed
+        seed = job.run.seed
         notes = [f"{seed} of 4 vertices were moved."] + ["It rained."] * (seed == 1)
         return Clip({**made.record, "diverged": seed == 1, "notes": notes}, made.trajectory)
 

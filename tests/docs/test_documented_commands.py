@@ -2,7 +2,7 @@
 
 What stands in `console` blocks, and every Python snippet, is run, on meshes of a few hundred triangles:
 `made_small` and `small_scenes` say how. What stands in `sh` blocks takes minutes, accelerators or absent files:
-its verbs, flags and values are parsed, its scripts and extras looked up, and it is not run. Other files are read.
+its verbs, flags and values are parsed, its scripts and extras queried, and it is not run. Other files are read.
 """
 
 from __future__ import annotations

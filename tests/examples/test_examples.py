@@ -14,6 +14,7 @@ import pytest
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
+import pb4u
 from pb4u.collision.crossings import self_crossings
 from pb4u.geometry.obj_file import read_obj
 from pb4u.scene.trajectory import Trajectory
@@ -198,3 +199,11 @@ def test_reef_knot(example: Run, tmp_path: Path) -> None:
     assert 0.0 < reach(trajectory.positions[-1]) < 0.1, "drawn tight, and it holds"
     example("13_reef_knot.py", *small, "--self-contact", "off", "--out", "undone")
     assert reach(Trajectory.open(tmp_path / "undone.npz").positions[-1]) < -0.1, "else nothing would hold it"
+
+
+def test_sew_a_skirt() -> None:
+    names = runpy.run_path(str(EXAMPLES / "14_sew_a_skirt.py"), run_name="example")
+    pattern = names["skirt"]()
+    assert len(pattern.panels) == len(pattern.seams) == 4
+    dressed = pb4u.dress(pattern, pb4u.load_body("woman"), triangles=600)
+    assert dressed.crossings == 0

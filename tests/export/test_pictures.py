@@ -14,6 +14,7 @@ from PIL import Image
 from pb4u.errors import InputError, Pb4uError
 from pb4u.export.picture import render, write_mp4
 from pb4u.export.registry import export
+from pb4u.export.video_writer import open_video
 from pb4u.export.view import SIDES, View
 from pb4u.scene.trajectory import Trajectory
 
@@ -202,3 +203,12 @@ def test_an_ffmpeg_that_fails_is_told(trajectory: Trajectory, tmp_path: Path, mo
     give_ffmpeg(tmp_path, monkeypatch, fails=True)
     with pytest.raises(Pb4uError, match="no space left"):
         write_mp4(trajectory, tmp_path / "t.mp4", view=View(width=64, height=96))
+
+
+def test_the_ffmpeg_extra_writes_h264(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("imageio_ffmpeg", reason='the "ffmpeg" extra is not installed')
+    monkeypatch.setattr("pb4u.export.video_writer.shutil.which", lambda name: None)
+    with open_video(tmp_path / "a.mp4", 25.0, (64, 64)) as video:
+        video.write(np.zeros((64, 64, 3), dtype=np.uint8))
+    assert video.codec.startswith("H.264")
+    assert b"avc1" in (tmp_path / "a.mp4").read_bytes()

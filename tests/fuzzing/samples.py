@@ -64,7 +64,7 @@ from pb4u.pattern.files import read_dressed, write_dressed
 from pb4u.pattern.garmentcode import read_pattern, record_of
 from pb4u.pattern.mesh import mesh_pattern
 from pb4u.pattern.pattern import Pattern
-from pb4u.progress import unheard
+from pb4u.progress import no_progress
 from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import load_checkpoint, save_checkpoint, weights_file
@@ -415,7 +415,7 @@ def _trajectories(folder: Path) -> Iterator[Sample]:
     whole = made.save(folder / "whole.npz").read_bytes()
     yield Sample("trajectory", {"t.npz": whole}, (exported,), converted)
     yield Sample("trajectory in half precision", {"t.npz": made.encode(half=True)}, (exported,), converted)
-    write_result(made, folder / "result.pkl", unheard)
+    write_result(made, folder / "result.pkl", no_progress)
     yield Sample("result of the released code", {"t.pkl": (folder / "result.pkl").read_bytes()}, (exported,), converted)
     long = make_trajectory(frames=3, vertices=700).save(folder / "long.npz").read_bytes()
     yield Sample("trajectory that is mapped", {"t.npz": long}, (Trajectory.open,), converted)

@@ -303,7 +303,7 @@ def changed_checkpoint(path: Path, change: Callable[[dict], None]) -> Path:
     [
         ("width", -1), ("width", 0), ("width", "wide"), ("width", 10**6), ("width", 10**7), ("width", 1000),
         ("width", 64.5), ("width", True), ("width", None), ("width", [64]), ("width", 10**17), ("blocks", 10**8),
-        ("blocks", -1), ("blocks", 1000), ("passes", 10**9), ("layout", 3), ("carried_shares", "all"),
+        ("blocks", -1), ("blocks", 1000), ("passes", 10**9), ("layout", 3), ("warm_start_shares", "all"),
     ],
 )  # fmt: skip
 def test_a_network_that_the_weights_are_not_of_is_never_built(field: str, value: object, tmp_path: Path) -> None:

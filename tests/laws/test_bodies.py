@@ -166,5 +166,5 @@ def test_two_bodies_that_close_on_cloth_are_let_through_it() -> None:
     )
     assert record.failed_at is None
     lengths = (states[-1].positions[torch.from_numpy(garment.topology.edges)].diff(dim=1)).norm(dim=2)[:, 0].numpy()
-    assert (lengths / garment.edge_lengths).max() < 2.0
+    assert (lengths / garment.edge_lengths).max() < 3.0
     assert np.abs(states[-1].positions.numpy() - garment.vertices).max() < 0.3

@@ -62,13 +62,13 @@ def test_what_stands_still_is_not_searched_for_again() -> None:
     surface = TriangleSurface(np.asarray(mesh.faces), len(mesh.vertices)).at(np.asarray(mesh.vertices))
     points = np.random.default_rng(0).uniform(-0.6, 0.6, (300, 3))
     found = Found.nothing(len(points))
-    assert surface.look_up(points, found) == 300
-    assert surface.look_up(points, found) == 0
+    assert surface.update_closest(points, found) == 300
+    assert surface.update_closest(points, found) == 0
     far = int((found.distances - 2e-3 * np.sqrt(3.0) >= 0.05).sum())
     assert 0 < far < 300
-    assert surface.look_up(points + 2e-3, found, within=0.05) == 300 - far
-    assert surface.look_up(points + 2.5e-3, found, patience=1e-3) == far
-    assert surface.look_up(points + 3e-3, found) == 300
+    assert surface.update_closest(points + 2e-3, found, within=0.05) == 300 - far
+    assert surface.update_closest(points + 2.5e-3, found, patience=1e-3) == far
+    assert surface.update_closest(points + 3e-3, found) == 300
 
 
 def test_by_the_border_of_an_open_body_nothing_counts_as_out_of_reach() -> None:
@@ -91,7 +91,7 @@ def test_a_bound_that_nothing_lies_within_loses_no_face(distance: float) -> None
     surface = TriangleSurface(np.asarray(mesh.faces), len(mesh.vertices)).at(np.asarray(mesh.vertices))
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (200, 3))
     found, exact = Found.nothing(200, points + [distance, 0.0, 0.0]), surface.nearest(points)
-    assert surface.look_up(points, found) == 200
+    assert surface.update_closest(points, found) == 200
     np.testing.assert_allclose(found.distances, exact.signed_distance.numpy(), rtol=0, atol=1e-12)
 
 
@@ -101,14 +101,14 @@ def test_only_nearer_faces_are_taken_and_only_those_asked_for() -> None:
     surface = TriangleSurface(faces, len(vertices))
     points = np.random.default_rng(2).uniform(-0.4, 0.4, (400, 3))
     found = Found.nothing(400)
-    surface.at(vertices).look_up(points, found)
+    surface.at(vertices).update_closest(points, found)
     dented = (vertices[:, 1] > 0.1)[:, None]
     vertices[dented[:, 0]] *= 1.3
     went = dented[faces, 0].any(axis=1)
     exact = surface.at(vertices).nearest(points)
     on_others = ~went[found.triangle]
     before = found.copy()
-    surface.at(vertices).look_up_nearer(points, found, went)
+    surface.at(vertices).update_if_nearer(points, found, went)
     np.testing.assert_allclose(found.distances[on_others], exact.signed_distance.numpy()[on_others], rtol=0, atol=1e-12)
     changed = found.triangle != before.triangle
     assert (on_others & changed).any()

@@ -32,7 +32,7 @@ from pb4u.simulation.penetration_response import Contact, ContactResponse, NoCon
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement, SolverRefinement
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
-from pb4u.simulation.step_start import CarriedStart, FreeFlight, StepStart
+from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight, StepStart
 from pb4u.simulation.stepwise_simulator import StepwiseSimulator
 from pb4u.simulation.timeline import Timeline
 
@@ -61,7 +61,7 @@ def touching(seed: int = 0, gap: float = 1e-3) -> tuple[StepPotential, torch.Ten
 
 
 def fixed(step: StepPotential, x: torch.Tensor) -> StepPotential:
-    """The potential with the pairs looked up once, as a solver iteration sees it."""
+    """The potential with the pairs queried once, as a solver iteration sees it."""
     return step.with_cloth(step.potential.self_contact.pairs(step.step.garments, x, None, step.step.state.positions))
 
 
@@ -347,18 +347,20 @@ def methods(potential: IncrementalPotential) -> dict[str, Parts]:
             FreeFlight(), NoNetwork(), ImplicitSteps(2, potential=potential), NoContact(), AsPlaced(),
         ),
         "network alone": (
-            CarriedStart((0.5, 1.0)), Careless(), NoRefinement(potential.self_contact), ContactResponse(),
+            BodyMotionWarmStart((0.5, 1.0)), Careless(), NoRefinement(potential.self_contact), ContactResponse(),
             OneLongStep(),
         ),
         "network and one": (
-            CarriedStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=potential), ContactResponse(),
+            BodyMotionWarmStart((0.5, 1.0)), Careless(), SolverRefinement(1, potential=potential), ContactResponse(),
             Settled(potential=potential),
         ),
         "network and five": (
-            CarriedStart((0.5, 1.0)), Careless(), SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+            BodyMotionWarmStart((0.5, 1.0)), Careless(),
+            SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
         ),
         "quick solver": (
-            CarriedStart((0.5, 1.0)), NoNetwork(), SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
+            BodyMotionWarmStart((0.5, 1.0)), NoNetwork(),
+            SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
         ),
     }  # fmt: skip
 

@@ -21,7 +21,7 @@ from pb4u.simulation.stepwise_simulator import SolverSimulator
 from pb4u.simulation.timeline import Timeline
 
 LIKE = Pb4uConfiguration(
-    width=4, blocks=0, passes=2, conjugate=True, further_passes=8, carried_shares=(0.25, 0.5, 0.75, 1.0)
+    width=4, blocks=0, passes=2, conjugate=True, further_passes=8, warm_start_shares=(0.25, 0.5, 0.75, 1.0)
 )
 
 

@@ -34,7 +34,7 @@ def test_the_literal_network_departs_in_nothing() -> None:
         ({"control": FixedSteps(5)}, "does not follow the resolution"),
         ({"scaling": NoScaling()}, "not scaled"),
         ({"passes": 2}, "2 times in a step"),
-        ({"carried_shares": (0.5,)}, "warm start"),
+        ({"warm_start_shares": (0.5,)}, "warm start"),
         ({"world_edges": replace(SMALL.world_edges, neighbours=1)}, "nearest of the body"),
         ({"layout": replace(SMALL.layout, world_edge=("relative_now",))}, "world edge feature relative_now"),
     ],

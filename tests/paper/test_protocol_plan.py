@@ -14,7 +14,7 @@ from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation_control import FixedSteps
 from pb4u.paper.protocol_plan import EvaluationRequest, plan
 from pb4u.paper.protocols import PROTOCOLS
-from pb4u.paper.reference_energies import stored_floor
+from pb4u.paper.reference_energies import stored_reference
 from pb4u.paper.rollout import RolloutJob
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 
@@ -76,7 +76,7 @@ def test_floors_are_the_runs_own_solver_then_stored_then_a_job_or_absent() -> No
     assert {str(case.floor) for case in own.cases} == {str(own.jobs[1])}
 
     stored = plan(replace(SMALL, levels=("base", "400"), frames=30))
-    assert stored.cases[0].floor == stored_floor("test/tshirt/walk-2000", "base", 30)
+    assert stored.cases[0].floor == stored_reference("test/tshirt/walk-2000", "base", 30)
     assert isinstance(stored.cases[1].floor, RolloutJob)
     for change in ({"frames": 29}, {"lead_in": 0}, {"bodies": ("man",)}, {"motions": ("walk-7",)}):
         (case,) = plan(replace(SMALL, **{"levels": ("base",), "frames": 30, **change})).cases

@@ -12,8 +12,8 @@ from tests.paper.test_protocol_plan import SMALL
 from pb4u.paper.page import Plot, Remark, Table, as_html, as_markdown
 from pb4u.paper.plots import across_levels
 from pb4u.paper.protocol_plan import plan
-from pb4u.paper.summary import Row, Spread, Summary, spread
-from pb4u.paper.tables import level_table, terms_tables, with_spread
+from pb4u.paper.summary import Row, Spread, Summary, spread, wilson
+from pb4u.paper.tables import controls_tables, level_table, terms_tables, with_spread
 
 
 def result(total: float | None, ms: float = 5.0, diverged: bool = False) -> dict[str, Any]:
@@ -52,12 +52,12 @@ def test_levels_and_the_papers_rows_stand_together() -> None:
     (table,) = level_table(summary, ("total", "ms"))
     assert isinstance(table, Table)
     assert table.head == [
-        "level", "model", "total loss [J]", "time a step [ms]", "energy / floor", "frames before divergence [%]",
+        "level", "model", "total loss [J]", "time a step [ms]", "energy / reference", "frames before divergence [%]",
         "penetration [%]", "diverged", "scenes",
     ]  # fmt: skip
     ours, *theirs = table.rows
     assert ours[:5] == ["12K", "skinning", "2.00e+00 ± 1.00e+00", "6.0 ± 1.0", "3"]
-    assert ours[5:] == ["67 ± 33", "2 ± 0", "1 of 2", "2, 1 missing"]
+    assert ours[5:] == ["67 ± 33", "2 ± 0", "1 of 2 (9 to 91 %)", "2, 1 missing"]
     assert theirs[0] == ["12K", "MGN (paper, other data)", "-4.22e-01", "46.4", "", "", "", "", ""]
     assert table.their_rows == frozenset(range(1, 6))
 
@@ -73,7 +73,28 @@ def test_terms_stand_in_rows_and_the_papers_models_in_columns_set_apart() -> Non
     rows = {row[0]: row[1] for row in known.rows}
     assert rows["total loss [J]"] == "-"
     assert rows["deepest penetration [mm]"] == "12.0"
-    assert (rows["diverged"], rows["scenes"]) == ("0 of 1", "1")
+    assert (rows["diverged"], rows["scenes"]) == ("0 of 1 (0 to 79 %)", "1")
+
+
+def test_controls_stand_in_rows_with_what_lies_below_the_reference() -> None:
+    excess = {"excess_height": {"per_frame": [2e-4, -1e-4, 3e-4], "mean": 1.3e-4, "below_reference": 1}}
+    with_excess = result(1.0)
+    with_excess["metrics"] = with_excess["metrics"] | excess | {"distance_to_reference": {"mean": 0.0215}}
+    summary = summary_of({("11K", "walk"): with_excess}, protocol="controls", levels=("11K",), motions=("walk",))
+    whole, parts = controls_tables(summary)
+    assert isinstance(whole, Table)
+    assert isinstance(parts, Table)
+    row = dict(zip(whole.head, whole.rows[0], strict=True))
+    assert (row["excess height [mm]"], row["distance from the solver's [mm]"]) == ("0.2", "21.5")
+    assert (row["states below the reference"], row["diverged"]) == ("1 of 3", "0 of 1 (0 to 79 %)")
+    assert parts.rows[0][1:] == ["0.2"]
+    assert "excess height [mm]" in [row[0] for table in terms_tables(summary) for row in table.rows]
+
+
+def test_the_interval_of_a_share_is_wilsons() -> None:
+    assert wilson(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
+    assert wilson(5, 10) == pytest.approx((0.2366, 0.7634), abs=1e-4)
+    assert wilson(10, 10) == pytest.approx((0.7225, 1.0), abs=1e-4)
 
 
 def test_one_level_has_no_course_over_levels() -> None:

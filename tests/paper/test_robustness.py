@@ -44,7 +44,7 @@ def test_each_network_runs_alone_and_as_it_comes_each_beside_its_own_floor() -> 
     planned = plan(replace(REQUEST, scenes=1))
     alone, as_it_comes, solver, solver_comes = planned.cases
     assert planned.protocol.models == (
-        "pb4u-small, alone", "pb4u-small, as it comes", "solver, alone", "solver, as it comes"
+        "pb4u-small, alone", "pb4u-small, by default", "solver, alone", "solver, by default"
     )  # fmt: skip
     assert alone.job.settings == Settings()
     assert as_it_comes.job.settings == Settings(refine=REFINE, contact=True, self_contact=True)
@@ -123,13 +123,21 @@ def test_failures_are_counted_and_named_with_what_makes_them_again() -> None:
     summary = Summary(planned, rows, (), lambda job: Path("absent"))
     (whole,) = robustness_table(summary)
     assert isinstance(whole, Table)
-    assert list(whole.rows[0][1:8]) == ["4", "1 (25.0 %)", "1 (25.0 %)", "3 (75.0 %)", "1.30", "3.73", "4.00"]
+    assert list(whole.rows[0][1:8]) == [
+        "4",
+        "1 of 4 (5 to 70 %)",
+        "1 of 4 (5 to 70 %)",
+        "3 of 4 (30 to 95 %)",
+        "1.30",
+        "3.73",
+        "4.00",
+    ]
     # Of the solver nothing is done yet.
     assert set(whole.rows[2][5:]) == {"-"}
     (failures,) = failure_table(summary)
     assert isinstance(failures, Table)
     assert [(row[0], row[3]) for row in failures.rows] == [
-        ("1", "diverged in frame 7"), ("2", "slid from frame 12, 20 cm"), ("3", "4.0 times the floor's energy")
+        ("1", "diverged in frame 7"), ("2", "slid from frame 12, 20 cm"), ("3", "4.0 times the reference energy")
     ]  # fmt: skip
     scene = alone[1].job.scene
     for part in (f"--garment {scene.garment} ", f"--seed {scene.seed} ", f"--body-shape height={scene.shape[0][1]:g} "):

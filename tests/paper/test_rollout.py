@@ -31,6 +31,7 @@ JOB = RolloutJob(SCENE, ModelRecord("solver", "solver"), Settings())
                 {"propagation_steps": 3}, {"refine": 1}, {"contact": True}, {"self_contact": True}, {"device": "cuda"},
             )
         ),
+        replace(JOB, excess=True),
         replace(JOB, model=ModelRecord("skinning", "skinning")),
         replace(JOB, model=ModelRecord("solver", "solver", "digest")),
     ],
@@ -63,3 +64,15 @@ def test_a_file_counts_by_its_content_and_not_by_its_place(tmp_path: Path) -> No
 def test_a_job_names_itself_in_plain_words() -> None:
     job = RolloutJob(SCENE, ModelRecord("/a/best.safetensors", "best", "0"), Settings(propagation_steps=5))
     assert str(job) == "best on tshirt woman walk at 400 triangles, K 5"
+
+
+def test_excess_is_measured_on_states_that_all_models_share() -> None:
+    def metrics(model: str) -> dict:
+        job = RolloutJob(replace(SCENE, frames=4, lead_in=2), ModelRecord(model, model), Settings(), excess=True)
+        return rollout.run(job).result["metrics"]
+
+    start, descent = metrics("warm-start"), metrics("gradient-descent")
+    assert start["excess_height"]["states"] == descent["excess_height"]["states"] == 1
+    assert 0.0 < descent["excess_height"]["mean"] < start["excess_height"]["mean"]
+    assert len(start["distance_to_reference"]["per_frame"]) == 4
+    assert 0.0 < start["distance_to_reference"]["mean"] < 0.2

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from ball_scene import ball_scene
-from test_hooked import pierced
+from test_pierced_edges import pierced
 
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import area_weighted_normals

@@ -59,5 +59,5 @@ def test_new_options_go_through_a_scene_file(tmp_path):
 
 
 def test_a_rate_that_nothing_is_recorded_at_is_refused():
-    with pytest.raises(InputError, match="between 1 and 1000 frames per second, not 0"):
+    with pytest.raises(InputError, match=r"recorded_fps must be a number from 1 to 1,000, not 0\.0"):
         make_scene("tshirt", motion="walk", recorded_fps=0.0)

@@ -124,8 +124,8 @@ def test_further_passes_are_made_while_much_is_freed(heights: tuple[float, ...],
 def test_what_a_pass_freed_is_told_as_a_height() -> None:
     at, search = sheets(10), ConjugatePass()
     start, after = energies_after(at, StepMethod(network=JacobiPass(1), search=search))
-    assert search.freed_height(at.garments) == pytest.approx((start - after) / weight(at), rel=1e-3)
-    assert WholePass().freed_height(at.garments) == 0.0
+    assert search.decrease_height(at.garments) == pytest.approx((start - after) / weight(at), rel=1e-3)
+    assert WholePass().decrease_height(at.garments) == 0.0
 
 
 def test_whole_passes_tell_nothing_that_further_ones_could_be_asked_by() -> None:

@@ -9,7 +9,7 @@ from shapes import at_rest, capsule, collider, packed, sheet, time_step
 
 from pb4u.physics.contact.contact_set import nearest_planes
 from pb4u.physics.time_step import TimeStep
-from pb4u.simulation.pierced_edges import newly_hooked
+from pb4u.simulation.pierced_edges import newly_pierced
 
 RADIUS, STRETCH = 0.035, 1.6
 
@@ -33,7 +33,7 @@ def test_a_bar_that_ends_between_vertices_hooks_the_edges_across_it() -> None:
     assert surface is not None
     middles = surface.nearest(x[step.garments.edges].mean(1))
     deep = middles.signed_distance < -0.5 * step.garments.mean_edge_lengths[0]
-    assert newly_hooked(step, x) == int(deep.sum()) > 5
+    assert newly_pierced(step, x) == int(deep.sum()) > 5
 
 
 def test_what_an_earlier_look_up_at_the_pose_found_farther_away_hides_nothing() -> None:
@@ -41,15 +41,15 @@ def test_what_an_earlier_look_up_at_the_pose_found_farther_away_hides_nothing() 
     asked_before, _ = pierced(-0.08, 0.0, stretch=2.0)
     assert asked_before.bodies is not None
     nearest_planes(asked_before.bodies.following, asked_before.garments, x + torch.tensor([0.2, 0.0, 0.0]))
-    assert newly_hooked(asked_before, x) == newly_hooked(step, x) > 5
+    assert newly_pierced(asked_before, x) == newly_pierced(step, x) > 5
 
 
 @pytest.mark.parametrize(("first", "last"), [(-0.08, -0.04), (0.0, 0.0)])
 def test_a_bar_that_stays_before_the_sheet_or_was_through_it_hooks_nothing_new(first: float, last: float) -> None:
     step, x = pierced(first, last)
-    assert newly_hooked(step, x) == 0
+    assert newly_pierced(step, x) == 0
 
 
 def test_without_a_body_nothing_is_hooked() -> None:
     cloth = packed(sheet(3, 3))
-    assert newly_hooked(time_step(cloth), cloth.rest_positions) == 0
+    assert newly_pierced(time_step(cloth), cloth.rest_positions) == 0

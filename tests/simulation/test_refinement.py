@@ -1,4 +1,4 @@
-"""A prediction refined by the solver, and made anew where iterations do not mend it."""
+"""A prediction refined by the solver, and made again where iterations do not mend it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from ball_scene import ball_scene
-from test_hooked import pierced
+from test_pierced_edges import pierced
 
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -18,7 +18,7 @@ from pb4u.scene.state import State
 from pb4u.simulation import refinement
 from pb4u.simulation.first_frame import Settled
 from pb4u.simulation.penetration_response import ContactResponse
-from pb4u.simulation.pierced_edges import newly_hooked
+from pb4u.simulation.pierced_edges import newly_pierced
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SafeguardedRefinement, SolverRefinement
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
@@ -79,21 +79,21 @@ def test_a_prediction_that_iterations_leave_hooked_is_made_anew() -> None:
     made: list[int] = []
     step, _ = pierced(-0.08, 0.0)
     refined = SolverRefinement(1, potential=POTENTIAL).refine(step, step.state)
-    assert newly_hooked(step, refined.positions) > 0
+    assert newly_pierced(step, refined.positions) > 0
     result = SafeguardedRefinement(1, POTENTIAL, lambda: made.append(1)).refine(step, step.state)
     assert made == [1]
-    assert newly_hooked(step, result.positions) == 0
+    assert newly_pierced(step, result.positions) == 0
 
 
 def test_what_a_push_leaves_inside_the_body_is_pressed_out_and_gains_no_speed() -> None:
     step, contact = first_step(speed=0.3), ContactResponse()
     settled = SolverRefinement(potential=POTENTIAL).refine(step, left_behind(step))
     refinement, centre = SolverRefinement(5, potential=POTENTIAL), step.bodies.following.positions.mean(0)
-    assert refinement.pressed_out(step, settled, contact) is settled, "nothing is inside"
+    assert refinement.respond_with_cloth(step, settled, contact) is settled, "nothing is inside"
     inside = replace(settled, positions=settled.positions + 0.04 * (centre - settled.positions))
     depth = contact.depth(step, inside.positions)
     assert depth > 5e-3
-    pressed = refinement.pressed_out(step, inside, contact)
+    pressed = refinement.respond_with_cloth(step, inside, contact)
     assert contact.depth(step, pressed.positions) < 0.2 * depth
     assert pressed.velocities is inside.velocities
-    assert NoRefinement().pressed_out(step, inside, contact) is inside
+    assert NoRefinement().respond_with_cloth(step, inside, contact) is inside

@@ -19,7 +19,7 @@ from pb4u.scene.packed import ColliderFrame, pack, pack_colliders
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import CarriedStart, FreeFlight, start_of
+from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight, start_of
 
 SHARES = (0.25, 0.5, 0.75, 1.0)
 DT = 1.0 / 30.0
@@ -72,7 +72,7 @@ def test_the_papers_start_is_free_flight() -> None:
 def test_a_start_has_least_potential_of_all_that_may_be_chosen() -> None:
     moved = []
     for at in (sheets_on_balls(0.2), sheet_on_a_rising_ball(0.005), sheet_on_a_rising_ball(0.03)):
-        start = CarriedStart(SHARES).accelerations(at)
+        start = BodyMotionWarmStart(SHARES).accelerations(at)
         moved.append(float(start.norm(dim=1).max()))
         chosen = energies_at(at, start)
         # The start is chosen with the body's tangent planes; twice-looked-up contacts may differ in the last digits.
@@ -84,7 +84,7 @@ def test_a_start_has_least_potential_of_all_that_may_be_chosen() -> None:
 
 def test_cloth_drawn_into_the_body_is_carried() -> None:
     rising = sheet_on_a_rising_ball(0.03)
-    start = CarriedStart(SHARES).accelerations(rising)
+    start = BodyMotionWarmStart(SHARES).accelerations(rising)
     assert float(start[:, 1].min()) >= 0.25 * 0.03
     assert float(energies_at(rising, start)) < float(energies_at(rising, torch.zeros_like(start)))
 
@@ -93,7 +93,7 @@ def test_what_the_body_overruns_is_lifted_where_nothing_carries_it() -> None:
     at = sheets_on_balls(0.0, 0.0)
     rises = (at.collider.colliders.vertex_world == 1)[:, None] * torch.tensor([0.0, 0.02, 0.0]).double()
     at = replace(at, collider=risen(at.collider, rises))
-    start = CarriedStart(SHARES).accelerations(at)
+    start = BodyMotionWarmStart(SHARES).accelerations(at)
     first = at.garments.vertex_garment == 0
     assert not start[first].any()
     potential = IncrementalPotential().of(at)
@@ -113,7 +113,7 @@ def test_every_garment_of_a_pack_has_its_own_share() -> None:
     # What would carry the first garment away is of no use to it.
     carried = carried + (both.garments.vertex_garment == 0)[:, None] * torch.tensor([0.1, 0.1, 0.0]).double()
     at = replace(both, collider=risen(both.collider, rises), skinned_motion=carried)
-    start = CarriedStart(SHARES).accelerations(at)
+    start = BodyMotionWarmStart(SHARES).accelerations(at)
     first = at.garments.vertex_garment == 0
     assert not start[first].any()
     assert float(start[~first, 1].min()) > 0.0
@@ -121,7 +121,7 @@ def test_every_garment_of_a_pack_has_its_own_share() -> None:
 
 def test_pinned_vertices_are_left_to_their_pins() -> None:
     at = sheet_on_a_rising_ball(0.03, pinned=True)
-    start = CarriedStart((1.0,)).accelerations(at)
+    start = BodyMotionWarmStart((1.0,)).accelerations(at)
     assert start.any()
     assert not start[at.garments.pinned].any()
 
@@ -133,9 +133,9 @@ def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
     for parameter in model.network.decoder.parameters():
         torch.nn.init.zeros_(parameter)
     at = sheet_on_a_rising_ball(0.03)
-    assert CarriedStart(SHARES).accelerations(at).any()
+    assert BodyMotionWarmStart(SHARES).accelerations(at).any()
     prepared = model.prepare(pack(at.garments.garments, torch.float32))
-    expected = integrate(at, CarriedStart(SHARES).accelerations(at))
+    expected = integrate(at, BodyMotionWarmStart(SHARES).accelerations(at))
     method = StepMethod(start_of(model.network), NetworkPass(model, prepared, model.network.passes))
     assert torch.allclose(take(at, method).positions, expected.positions)
 
@@ -144,4 +144,4 @@ def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
 @pytest.mark.parametrize("shares", [(0.0,), (-0.5,), (0.5, 1.5)])
 def test_shares_beyond_the_bodys_motion_are_refused(network: NetworkConfiguration, shares: tuple[float, ...]) -> None:
     with pytest.raises(InputError, match="Shares of the body's motion"):
-        replace(network, carried_shares=shares)
+        replace(network, warm_start_shares=shares)

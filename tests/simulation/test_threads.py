@@ -14,7 +14,7 @@ from ball_scene import ball_scene
 
 import pb4u
 import pb4u.threads
-from pb4u.threads import while_the_next_is_made
+from pb4u.threads import prefetch
 
 THREADS = 2
 
@@ -86,7 +86,7 @@ def test_items_come_out_in_order_one_behind_the_next(count: int, monkeypatch: py
             made.append(item)
             yield item
 
-    results = while_the_next_is_made(lambda item: (item, current_thread()), items())
+    results = prefetch(lambda item: (item, current_thread()), items())
     for item, (result, thread) in enumerate(results):
         assert result == item
         assert made == list(range(min(item + count, 5)))
@@ -96,7 +96,7 @@ def test_items_come_out_in_order_one_behind_the_next(count: int, monkeypatch: py
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_failure_behind_is_raised_where_its_result_is_asked_for(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     use_threads(count, monkeypatch)
-    results = while_the_next_is_made(lambda item: 1 // item, iter([1, 0, 1]))
+    results = prefetch(lambda item: 1 // item, iter([1, 0, 1]))
     assert next(results) == 1
     with pytest.raises(ZeroDivisionError):
         next(results)
@@ -110,7 +110,7 @@ def test_an_interrupt_comes_after_what_was_made(count: int, monkeypatch: pytest.
         yield from range(3)
         raise KeyboardInterrupt
 
-    results = while_the_next_is_made(lambda item: item, items())
+    results = prefetch(lambda item: item, items())
     assert [next(results) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(KeyboardInterrupt):
         next(results)
@@ -125,7 +125,7 @@ def test_a_run_that_is_given_up_makes_no_further_item(monkeypatch: pytest.Monkey
             made.append(item)
             yield item
 
-    results = while_the_next_is_made(lambda item: item, items())
+    results = prefetch(lambda item: item, items())
     assert next(results) == 0
     results.close()  # type: ignore[attr-defined]
     assert made == [0, 1]

@@ -29,7 +29,7 @@ def test_settings_replace_fields_of_every_kind() -> None:
             "data.garments=tshirt,dress",
             "data.triangles=1200",
             "network.width=64",
-            "network.carried_shares=0.5,1",
+            "network.warm_start_shares=0.5,1",
             "data.motions=()",
             "after_settling=zero",
         ],
@@ -40,7 +40,7 @@ def test_settings_replace_fields_of_every_kind() -> None:
     assert changed.curriculum.window_length(0.6) == 2
     assert changed.data.garments == ("tshirt", "dress")
     assert changed.data.triangles == (1200,)
-    assert replace(TrainingConfiguration().network, width=64, carried_shares=(0.5, 1)) == changed.network  # type: ignore[type-var]
+    assert replace(TrainingConfiguration().network, width=64, warm_start_shares=(0.5, 1)) == changed.network  # type: ignore[type-var]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +31,7 @@ from pb4u.training.recovery import TrainingFailedError
 from pb4u.training.run_folder import NotSavedError, RunFolder
 from pb4u.training.trainer import RoundEnd, Trainer
 from pb4u.training.validation import Score, Validation
-from pb4u.training.windows import Course
+from pb4u.training.windows import Rollout
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -136,7 +137,7 @@ def test_the_velocity_after_settling_is_the_chosen_one(variant: str) -> None:
     window, state = course.window, course.state
     moved = 1e-3 * torch.ones_like(state.positions)
     settled = State(state.positions + moved, moved * 3.0, state.frame + 1)
-    off = trainer.set_off(course, settled)
+    off = trainer.with_initial_velocity(course, settled)
     expected = {
         "skinned": window.timeline.skinned_velocity(1),
         "zero": torch.zeros_like(moved),
@@ -152,7 +153,9 @@ def test_slowed_garments_set_off_with_half_to_all_of_the_bodys_speed() -> None:
     window, state = course.window, course.state
     shares = []
     for number in range(20):
-        off = trainer.set_off(replace(course, number=number), State(state.positions, state.velocities, state.frame + 1))
+        off = trainer.with_initial_velocity(
+            replace(course, number=number), State(state.positions, state.velocities, state.frame + 1)
+        )
         share = float(off.velocities.norm() / window.timeline.skinned_velocity(1).norm())
         assert torch.allclose(off.velocities, share * window.timeline.skinned_velocity(1), atol=1e-6)
         shares.append(share)
@@ -162,7 +165,7 @@ def test_slowed_garments_set_off_with_half_to_all_of_the_bodys_speed() -> None:
 
 def test_flat_validation_ends_a_training(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = made(replace(TINY, validate_every=2, patience=2), 200)
-    monkeypatch.setattr(trainer.validation, "score", lambda model: Score(1.0, 1.0, 0.1))
+    monkeypatch.setattr(trainer.validation, "score", lambda model: Score(1.0, 1.0, 0.1, 1.0))
     assert trainer.run() == "flat"
     assert trainer.counters.step < 20
 
@@ -179,7 +182,7 @@ def test_the_end_of_the_minutes_does_not_wait_for_a_round(monkeypatch: pytest.Mo
     trainer = Trainer(long, Budget(steps=None, minutes=10.0), ball_data(), ALONE, None, Listener())
     original, taken = Trainer.advance, [0]
 
-    def late(self: Trainer, course: Course) -> bool:
+    def late(self: Trainer, course: Rollout) -> bool:
         taken[0] += 1
         if taken[0] == 6:
             self.began -= 700.0
@@ -190,11 +193,27 @@ def test_the_end_of_the_minutes_does_not_wait_for_a_round(monkeypatch: pytest.Mo
     assert taken[0] == 6
 
 
-def test_better_means_more_frames_survived_then_less_energy() -> None:
-    assert Score(1.0, 9.0, 0.1).beats(Score(0.9, 1.0, 0.1))
-    assert Score(1.0, 0.9, 0.1).beats(Score(1.0, 1.0, 0.1), 0.005)
-    assert not Score(1.0, 0.999, 0.1).beats(Score(1.0, 1.0, 0.1), 0.005)
-    assert not Score(0.5, 0.0, 0.1).beats(Score(1.0, 5.0, 0.1))
+def test_better_means_more_frames_survived_then_less_excess() -> None:
+    def score(survived: float, excess: float, energy: float = 1.0) -> Score:
+        return Score(survived, excess, 0.1, energy)
+
+    assert score(1.0, 9.0).beats(score(0.9, 1.0))
+    assert score(1.0, 0.9, energy=9.0).beats(score(1.0, 1.0), 0.005)
+    assert not score(1.0, 0.999).beats(score(1.0, 1.0), 0.005)
+    assert not score(1.0, 1.0, energy=0.0).beats(score(1.0, 1.0))
+    assert not score(0.5, 0.0).beats(score(1.0, 5.0))
+    assert score(1.0, 1.0).beats(score(1.0, math.inf))
+
+
+def test_a_score_has_what_steps_leave_above_their_minima() -> None:
+    trainer = made(TINY, 2)
+    model = trainer.model.eval()
+    usual = trainer.validation.score(model)
+    with torch.no_grad():
+        model.network.decoder.last.weight.mul_(30.0)
+    worse = trainer.validation.score(model)
+    assert 0.0 < usual.excess_height < worse.excess_height
+    assert [len(reference.shared) for reference in trainer.validation.references] == [2, 2]
 
 
 def test_a_score_is_of_what_resists_and_not_of_how_low_cloth_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,10 +231,11 @@ def test_a_score_is_of_what_resists_and_not_of_how_low_cloth_hangs(monkeypatch: 
 
 
 def test_a_best_score_of_earlier_versions_is_not_compared_with() -> None:
-    counters = Counters(step=5, best=Score(1.0, 0.2, 0.1))
+    counters = Counters(step=5, best=Score(1.0, 0.2, 0.1, 0.3))
     assert Counters.from_json(counters.to_json()) == counters
-    earlier = counters.to_json() | {"best": {"survived": 1.0, "energy": -0.25, "strain": 0.1}}
-    assert Counters.from_json(earlier) == replace(counters, best=None)
+    for name in ("energy", "energy_without_gravity"):
+        earlier = counters.to_json() | {"best": {"survived": 1.0, name: 0.25, "strain": 0.1}}
+        assert Counters.from_json(earlier) == replace(counters, best=None)
 
 
 def test_the_network_may_be_any_configuration() -> None:
@@ -229,7 +249,7 @@ def test_interleaved_windows_take_turns_until_each_is_over(monkeypatch: pytest.M
     seen: list[tuple[int, int]] = []
     original = Trainer.advance
 
-    def noted(self: Trainer, course: Course) -> bool:
+    def noted(self: Trainer, course: Rollout) -> bool:
         seen.append((course.number, course.left))
         if course.number == 1:
             course.left = 1
@@ -274,7 +294,7 @@ def test_a_round_takes_no_more_steps_than_are_left() -> None:
 
 
 def test_further_passes_take_no_more_steps_than_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pb4u.simulation.step.FREED_MUCH", -float("inf"))
+    monkeypatch.setattr("pb4u.simulation.step.LARGE_DECREASE", -float("inf"))
     further = replace(TINY.network, conjugate=True, further_passes=2)
     trainer = made(replace(TINY, network=further, interleaved=4), 6)
     assert trainer.run() == "finished"
@@ -289,7 +309,7 @@ CARRIED = replace(
         blocks=1,
         layout=FeatureLayout(extra=(DESCENT, ADVANCE)),
         passes=2,
-        carried_shares=(0.5, 1.0),
+        warm_start_shares=(0.5, 1.0),
     ),
     after_settling="slowed",
     interleaved=2,

@@ -28,8 +28,8 @@ app = typer.Typer(
     epilog="Add --debug to any command to see where an error came from. Lengths are metres, times seconds.",
     no_args_is_help=True,
     add_completion=False,
-    # Its tables cut the names of flags, and its markup takes [fixed] for a style.
-    rich_markup_mode=None,
+    # The usual markup takes [fixed] for a style and leaves it out.
+    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
 for verb in (

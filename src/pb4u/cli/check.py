@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from pb4u.cli.console import (
@@ -144,7 +143,9 @@ def _made(name: str, figure: Any, triangles: int | None) -> Any:
     if entry is None:
         return None
     garment = read_dictionary_garment(entry, MATERIALS["default"])
-    return replace(garment, vertices=garment.vertices + np.array([0.0, getattr(figure, "lift", 0.0), 0.0]))
+    raised = garment.vertices.copy()
+    raised[:, 1] += getattr(figure, "lift", 0.0)
+    return replace(garment, vertices=raised)
 
 
 def _check_fix(fix: Path, given: str | None) -> None:

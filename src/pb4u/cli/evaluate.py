@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 def evaluate(
     protocol: Annotated[
-        str, typer.Option(metavar="NAME", help="resolution, unseen, depth, efficiency, ablation or robustness.")
+        str,
+        typer.Option(metavar="NAME", help="resolution, unseen, depth, efficiency, ablation, controls or robustness."),
     ] = "resolution",
     models: Annotated[
         str | None,
@@ -60,6 +61,13 @@ def evaluate(
         Literal["run", "stored"],
         typer.Option(help="run the solver on scenes whose floor is not stored, or take what is stored."),
     ] = "run",
+    measure: Annotated[
+        Literal["excess"] | None,
+        typer.Option(
+            help="Also measure excess, what single steps leave above their minimum, and the distance from the solver's "
+            "rollout: two solves a frame for each scene. `controls` always does."
+        ),
+    ] = None,
     scenes: Annotated[int | None, typer.Option(help="Scenes that robustness draws. Default: 64.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the scenes that robustness draws.")] = 0,
     workers: Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")] = 1,
@@ -100,6 +108,7 @@ def evaluate(
         bodies=_names(bodies), levels=_names(levels), steps=_counts(propagation_steps), frames=frames, lead_in=lead_in,
         recordings=recordings, refine=refine, contact=contact == "on", device=device,
         floors=floors == "run", scenes=scenes, seed=seed,
+        excess=measure is not None,
     )  # fmt: skip
 
     def pool() -> WorkerPool:

@@ -73,7 +73,7 @@ def collision_free(
         before: (vertices, 3) float64 [m] that cross nowhere.
         wanted: (vertices, 3) float64 [m].
         masses: (vertices,) [kg]; infinite for vertices that give way to no impulse.
-        known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were looked up already.
+        known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were queried already.
     """
     return past_obstacles(tree, before, wanted, masses, known)[0]
 
@@ -136,7 +136,7 @@ def past_obstacles(
             stopped = (gaps[touching], shares[touching])
             _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, fastest)
         else:
-            moves = _together(moves, hit.corners, joined, masses)
+            moves = _merge_touching(moves, hit.corners, joined, masses)
             moves[firm] = previous[firm]
         changed = (moves != previous).any(axis=1)[pairs.corners].any(axis=1)
         shares[changed] = free_shares(pairs.chosen(changed), gaps[changed], before, moves)
@@ -148,8 +148,8 @@ def past_obstacles(
     moves[: tree.first_obstacle] *= free[tree.vertex_world[: tree.first_obstacle], None]
     if closing:
         pairs, gaps = _met(tree, before, moves, passed, pairs)
-        hit = pairs.corners[free_shares(pairs, gaps, before, moves) < 1.0]
-        passed = passed | _met_by_obstacles(hit, tree.first_obstacle, len(moves))
+        met = pairs.corners[free_shares(pairs, gaps, before, moves) < 1.0]
+        passed = passed | _met_by_obstacles(met, tree.first_obstacle, len(moves))
     return before + moves, passed
 
 
@@ -287,7 +287,7 @@ def _root(joined: np.ndarray, vertex: int) -> int:
 
 
 @compiled
-def _together(moves: np.ndarray, corners: np.ndarray, joined: np.ndarray, masses: np.ndarray) -> np.ndarray:
+def _merge_touching(moves: np.ndarray, corners: np.ndarray, joined: np.ndarray, masses: np.ndarray) -> np.ndarray:
     """Moves (vertices, 3) with vertices of touching pairs moved alike; `joined` (vertices,) is their forest.
 
     What is joined keeps its momentum, or goes where its vertices of infinite mass go on average.

@@ -40,7 +40,7 @@ def crossings(
     """
     from igl.predicates import find_intersections
 
-    # Most of a body is far from a garment, and the search tree of both is made anew for every frame.
+    # Most of a body is far from a garment, and the search tree of both is retried for every frame.
     corners = other_vertices[other_faces]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     near = np.flatnonzero(((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1))

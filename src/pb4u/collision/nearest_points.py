@@ -30,10 +30,10 @@ class Found(NamedTuple):
     """What was found for some points; arrays that a search writes into.
 
     Args:
-        at: (points, 3) [m] where each point was when it was looked up; not a number for one that never was.
+        at: (points, 3) [m] where each point was when it was queried; not a number for one that never was.
         triangle: (points,) int64 face.
         barycentric: (points, 3) coordinates of the nearest point in that face.
-        positions: (points, 3) nearest points [m]; of a point that never was looked up any point of the surface that is
+        positions: (points, 3) nearest points [m]; of a point that never was queried any point of the surface that is
             near, which bounds the search, or not a number.
         normals: (points, 3) unit direction in which the signed distance grows.
         distances: (points,) signed [m], at `at`.
@@ -50,7 +50,7 @@ class Found(NamedTuple):
 
     @staticmethod
     def nothing(count: int, near: np.ndarray | None = None) -> Found:
-        """Of `count` points that were never looked up; `near` (points, 3) [m] are points of the surface, if known."""
+        """Of `count` points that were never queried; `near` (points, 3) [m] are points of the surface, if known."""
         return Found(
             at=np.full((count, 3), np.nan),
             triangle=np.zeros(count, dtype=np.int64),
@@ -99,7 +99,7 @@ class Searched(NamedTuple):
 
 
 @compiled
-def look_up(
+def update_closest(
     surface: Searched,
     names: np.ndarray,
     points: np.ndarray,
@@ -125,7 +125,7 @@ def look_up(
             moved += (points[row, axis] - at[row, axis]) ** 2
             bound += (points[row, axis] - positions[row, axis]) ** 2
         moved = np.sqrt(moved)
-        # Of a point that was never looked up neither is true.
+        # Of a point that was never queried neither is true.
         if moved <= patience or distances[row] - moved >= within:
             continue
         searched += 1

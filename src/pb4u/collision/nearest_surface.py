@@ -16,12 +16,12 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.jit import COMPILES
-from pb4u.collision.nearest_points import Found, Searched, look_up
+from pb4u.collision.nearest_points import Found, Searched, update_closest
 from pb4u.collision.wide_tree import WideTree
 from pb4u.errors import InputError
 from pb4u.geometry.closest_point import closest_barycentric
 from pb4u.geometry.topology import Topology
-from pb4u.threads import of_parts
+from pb4u.threads import parallel_map
 
 # Faces with the nearest centres among which the nearest face is looked for; more are tried where it is not certain.
 _CANDIDATES = 32
@@ -217,7 +217,7 @@ class PosedSurface:
             raise InputError("A position is not finite (NaN or infinite); look at the file or arrays of the garment.")
         if self.compiled:
             found = Found.nothing(len(queried))
-            self.look_up(queried.numpy(), found)
+            self.update_closest(queried.numpy(), found)
             _, original, barycentric, position, normal, distance, beyond = (torch.from_numpy(v) for v in found)
         else:
             triangle, barycentric, position, normal, distance, beyond = self._nearest_by_candidates(queried)
@@ -237,10 +237,10 @@ class PosedSurface:
 
     @property
     def compiled(self) -> bool:
-        """Whether `look_up` answers here."""
+        """Whether `update_closest` answers here."""
         return COMPILES and self.vertices.device.type == "cpu"
 
-    def look_up(
+    def update_closest(
         self,
         points: np.ndarray,
         found: Found,
@@ -248,7 +248,7 @@ class PosedSurface:
         patience: float = 0.0,
         names: np.ndarray | None = None,
     ) -> int:
-        """Bring what was found at this pose up to date; see `nearest_points.look_up`.
+        """Bring what was found at this pose up to date; see `nearest_points.update_closest`.
 
         Args:
             points: (points, 3) [m].
@@ -266,9 +266,11 @@ class PosedSurface:
         far = within if self.surface.closed else np.inf
         starts = range(0, max(len(asked), 1), _POINTS_PER_PART)
         parts = [(asked[k : k + _POINTS_PER_PART], found.rows(k, k + _POINTS_PER_PART)) for k in starts]
-        return sum(of_parts(lambda part: look_up(searched, called, part[0], far, patience, False, part[1]), parts))
+        return sum(
+            parallel_map(lambda part: update_closest(searched, called, part[0], far, patience, False, part[1]), parts)
+        )
 
-    def look_up_nearer(self, points: np.ndarray, found: Found, among: np.ndarray | None = None) -> None:
+    def update_if_nearer(self, points: np.ndarray, found: Found, among: np.ndarray | None = None) -> None:
         """Bring up to date what was found where a face is nearer than that.
 
         Args:
@@ -280,7 +282,7 @@ class PosedSurface:
         if among is not None:
             fitted = self.surface.tree(searched.vertices).fitted(searched.vertices, searched.faces, among)
             searched = searched._replace(corners=fitted[0], boxes=fitted[1])
-        look_up(searched, self.surface.names, np.ascontiguousarray(points), np.inf, -1.0, True, found)
+        update_closest(searched, self.surface.names, np.ascontiguousarray(points), np.inf, -1.0, True, found)
 
     def _nearest_by_candidates(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
         """What `nearest_points` gives, by tensors alone."""

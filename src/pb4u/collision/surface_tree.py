@@ -33,7 +33,7 @@ from pb4u.collision.element_pairs import (
     rest_distances,
 )
 from pb4u.collision.jit import compiled
-from pb4u.threads import of_parts
+from pb4u.threads import parallel_map
 
 _ROOM = 0.08
 """How far a vertex may go, in mean edge lengths at rest, before what is near it is searched again."""
@@ -203,7 +203,7 @@ class SurfaceTree:
         asked = (among, *asked_for(tree, self.faces, self.edges, among))
         whole = np.count_nonzero(among) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
-        found = of_parts(lambda part: _search(boxes, tree, elements, asked, part), parts)
+        found = parallel_map(lambda part: _search(boxes, tree, elements, asked, part), parts)
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         found.append(_search_around(boxes, elements, asked, *self._around))
         vertex_faces, edge_edges = (np.concatenate(pairs) for pairs in zip(*found, strict=True))

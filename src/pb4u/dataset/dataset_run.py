@@ -17,7 +17,7 @@ from pb4u.dataset.planning import Footprint, expected_seconds, footprints, plan_
 from pb4u.errors import InputError, Pb4uError
 from pb4u.jobs.job_queue import make_all, still_to_do
 from pb4u.jobs.worker_pool import WorkerPool
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.run import Run
 
 _SPARE = 64 * 2**20
@@ -38,7 +38,7 @@ def make_dataset(
     retry: bool = False,
     plan_only: bool = False,
     say: Callable[[str], None] = lambda sentence: None,
-    progress: Callable[[str], AbstractContextManager[Progress]] = lambda label: nullcontext(unheard),
+    progress: Callable[[str], AbstractContextManager[Progress]] = lambda label: nullcontext(no_progress),
 ) -> dict[str, Any]:
     """Make the clips of many runs into a folder, going on where an earlier run stopped, and write its index.
 
@@ -81,7 +81,7 @@ def make_dataset(
             done = sum(folder.result(job) is not None for job in jobs)
             return f"Stopped with {done} of {len(jobs)} clips done; the same command goes on."
 
-        with progress(f"{len(missing)} clips") if missing else nullcontext(unheard) as show:
+        with progress(f"{len(missing)} clips") if missing else nullcontext(no_progress) as show:
             make_all(missing, pool, folder.take, show, stopped)
         try:
             folder.pack(jobs)

@@ -97,9 +97,7 @@ def _schema() -> pyarrow.Schema:
         "body_shape": pa.map_(text, number),
         "crop": pa.list_(whole),
         **dict.fromkeys(("seed", "lead_in", "frames_asked", "frames", "triangles", "vertices"), whole),
-        **dict.fromkeys(
-            ("propagation_steps", "refine", "solver_iterations", "unsolved_steps", "steps_made_anew"), whole
-        ),
+        **dict.fromkeys(("propagation_steps", "refine", "solver_iterations", "unsolved_steps", "retried_steps"), whole),
         **dict.fromkeys(("failed_at", "diverged_at", "bytes"), whole),
         **dict.fromkeys(("contact", "self_contact", "half", "diverged"), switch),
         **dict.fromkeys(("fps", "arms_away", "mean_edge_length", "ms_per_step", "seconds"), number),

@@ -21,7 +21,7 @@ from pb4u.errors import InputWarning
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.shading import SKIN, garment_colours
 from pb4u.export.shape_basis import fit_shapes
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.scene.trajectory import Trajectory
 
 _TOLERANCE = 1e-3
@@ -32,7 +32,7 @@ _FLOAT, _UNSIGNED_INT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
-def write_glb(trajectory: Trajectory, path: Path, progress: Progress = unheard, body: bool = True) -> None:
+def write_glb(trajectory: Trajectory, path: Path, progress: Progress = no_progress, body: bool = True) -> None:
     """Write one GLB file; vertices keep their order, copies with a second UV at a seam follow after the last.
 
     The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning tells where

@@ -17,7 +17,7 @@ import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.export.finite_frames import held_frames
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.scene.trajectory import Trajectory
 
 SIGNATURE = "# Written by pb4u"
@@ -64,7 +64,7 @@ def _is_frame(mesh: Path, number: int) -> bool:
     return head is not None and int(head.group(1)) == number
 
 
-def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
+def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write every frame of the garment, vertex order, polygons and UVs kept; metres, Y up.
 
     Args:
@@ -100,7 +100,7 @@ def check_companion(path: Path) -> None:
         raise InputError(f"{mesh} exists and is not from pb4u, and {path.name} needs that name: choose another name.")
 
 
-def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
+def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write PC2, little-endian: header (magic, version 1, points, first frame, sampling 1, samples), then the vertices.
 
     Args:
@@ -122,7 +122,7 @@ def pc2_header(points: int, samples: int) -> bytes:
     return struct.pack("<12siiffi", b"POINTCACHE2\0", 1, points, 0.0, 1.0, samples)
 
 
-def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
+def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write MDD (LightWave), big-endian: samples, points, the time of each sample [s], then the vertices.
 
     Args:

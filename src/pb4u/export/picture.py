@@ -17,7 +17,7 @@ from pb4u.export.shading import SKIN, face_colours
 from pb4u.export.video_writer import open_video
 from pb4u.export.view import View
 from pb4u.geometry.triangle_mesh import vertex_normals
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.scene.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def _open_renderer(trajectory: Trajectory, view: View, frames: Sequence[int]) ->
 
 
 def write_still(
-    trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None, frames: int = 5
+    trajectory: Trajectory, path: Path, progress: Progress = no_progress, view: View | None = None, frames: int = 5
 ) -> None:
     """Write a PNG or JPEG strip.
 
@@ -270,7 +270,7 @@ def write_still(
 def write_gif(
     trajectory: Trajectory,
     path: Path,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
     view: View | None = None,
     highest_fps: float = 15.0,
 ) -> None:
@@ -316,7 +316,7 @@ def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float, highest_fps
     kept[0].save(path, save_all=True, append_images=kept[1:], duration=duration, loop=0)
 
 
-def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = unheard, view: View | None = None) -> str:
+def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = no_progress, view: View | None = None) -> str:
     """Write an MP4 at the trajectory's own frame rate: H.264 where an encoder of this machine makes it, or VP9.
 
     Args:

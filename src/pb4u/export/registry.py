@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError
 from pb4u.io.atomic_file import move_into_place, working_folder
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from pb4u.export.view import View
@@ -69,6 +69,9 @@ FORMATS = (
         "pb4u.export.mesh_sequence:write_mdd",
         "pb4u.export.mesh_sequence:check_companion",
         "pb4u.export.mesh_sequence:cache_files",
+    ),
+    Format(
+        (".abc",), "ABC (Alembic) is exact", "pb4u.export.alembic:write_alembic", "pb4u.export.alembic:check_alembic"
     ),
     Format((".usdc", ".usda", ".usdz"), "USD is exact", "pb4u.export.usd:write_usd", "pb4u.export.usd:check_usd"),
     Format(
@@ -219,7 +222,7 @@ def export(
     seen = {"view": view} if form.drawn else {}
     try:
         with working_folder(path) as folder:
-            told = writer(shown, folder / path.name, progress or unheard, **seen)
+            told = writer(shown, folder / path.name, progress or no_progress, **seen)
             for written in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
                 move_into_place(written, path.with_name(written.name))
         for stale in _function(form.stale)(path, shown.frame_count) if form.stale else ():

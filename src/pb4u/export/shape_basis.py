@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pb4u.export.shading import unit_normals
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 
 _SAMPLED_VERTICES = 3000
 """Vertices that the principal directions are taken from; more do not change them."""
@@ -42,7 +42,7 @@ class ShapeBasis:
 
 
 def fit_shapes(
-    positions: np.ndarray, faces: np.ndarray, tolerance: float, most: int, progress: Progress = unheard
+    positions: np.ndarray, faces: np.ndarray, tolerance: float, most: int, progress: Progress = no_progress
 ) -> ShapeBasis:
     """The shortest basis that keeps every vertex of every frame within `tolerance` [m], of at most `most` shapes.
 

@@ -13,7 +13,7 @@ from pb4u.errors import MissingExtraError
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.shading import CLOTH, SKIN, garment_colours, unit_normals
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import Polygons
 from pb4u.scene.trajectory import Trajectory
 
@@ -39,7 +39,7 @@ def check_usd(path: Path) -> None:
         raise MissingExtraError("usd", f"Writing {path.suffix}") from error
 
 
-def write_usd(trajectory: Trajectory, path: Path, progress: Progress = unheard) -> None:
+def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write one USD stage: /Scene with the meshes Garment and Body, no transforms; metres, Y up, one time code a frame.
 
     Points, normals and extent are sampled at every frame; the author's polygons stay polygons; UVs are the

@@ -57,14 +57,28 @@ def open_video(path: Path, fps: float, size: tuple[int, int]) -> VideoWriter:
         MissingExtraError: neither an ffmpeg with an encoder for H.264 nor the "render" extra is there.
         Pb4uError: no encoder can write the file.
     """
-    ffmpeg = shutil.which("ffmpeg")
+    ffmpeg = _ffmpeg()
     if ffmpeg is not None and (encoder := _working_encoder(ffmpeg, fps, size)) is not None:
         return FfmpegWriter(ffmpeg, encoder, path, fps, size)
     # On macOS and Windows OpenCV hands H.264 to the system's own encoder.
     if _opencv_encodes(_H264, fps, size):
         return OpenCvWriter(path, fps, size, _H264, "H.264, by OpenCV")
-    told = f"{ffmpeg} has no encoder for it that works" if ffmpeg is not None else "there is no ffmpeg to encode it"
+    has = 'pip install "pb4u[ffmpeg]" brings H.264'
+    told = f"{ffmpeg} has no encoder for it that works" if ffmpeg is not None else has
     return OpenCvWriter(path, fps, size, _VP9, f"VP9, which some players do not know; not H.264: {told}")
+
+
+def _ffmpeg() -> str | None:
+    """The ffmpeg of this machine, else that of the "ffmpeg" extra; None where there is neither."""
+    installed = shutil.which("ffmpeg")
+    if installed is not None:
+        return installed
+    try:
+        import imageio_ffmpeg
+
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        return None
 
 
 class OpenCvWriter(VideoWriter):

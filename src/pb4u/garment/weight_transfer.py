@@ -49,7 +49,7 @@ def borrow_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
     weights = _nearest_skin(
         garment, area_weighted_normals(body.vertices, body.faces)[allowed], distances, nearest, skin_weights
     )
-    if loose or _torn_edges(garment, weights) > _TEARING_EDGES:
+    if loose or _splitting_edges(garment, weights) > _TEARING_EDGES:
         loose = True
         weights = _gaussian_mean(garment.vertices, distances[:, 0], tree, skin_weights)
     reach = 0.02 + distances[:, 0] if loose else 0.007 + 0.75 * distances[:, 0]
@@ -127,7 +127,7 @@ def _gaussian_mean(vertices: np.ndarray, sigma: np.ndarray, tree: cKDTree, skin_
     return mean
 
 
-def _torn_edges(garment: Garment, weights: np.ndarray) -> int:
+def _splitting_edges(garment: Garment, weights: np.ndarray) -> int:
     """Number of edges whose two ends mostly follow different bones."""
     a, b = garment.topology.edges.T
     return int((np.abs(weights[a] - weights[b]).sum(axis=1) > 1.0).sum())

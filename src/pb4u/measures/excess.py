@@ -23,11 +23,11 @@ from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import free_flight, implicit_steps, substep_count
 from pb4u.physics.solver.newton_solver import Solver
 from pb4u.physics.time_step import DivergedError, TimeStep, integrate
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.step import StepMethod, predictions, take
-from pb4u.simulation.step_start import CarriedStart
+from pb4u.simulation.step_start import BodyMotionWarmStart
 from pb4u.simulation.timeline import Timeline
 
 BEATEN_BY = 1e-6
@@ -107,7 +107,7 @@ def usual_starts(step: TimeStep, pinned: Tensor | None = None) -> list[Tensor]:
     """
     if step.skinned_motion is None:
         step = replace(step, skinned_motion=_motion_of_the_body(step))
-    starts = [free_flight(step), integrate(step, CarriedStart().accelerations(step)).positions]
+    starts = [free_flight(step), integrate(step, BodyMotionWarmStart().accelerations(step)).positions]
     if pinned is None:
         return starts
     return [torch.where(step.garments.pinned[:, None], pinned, start) for start in starts]
@@ -123,7 +123,7 @@ def _motion_of_the_body(step: TimeStep) -> Tensor:
     return torch.where(planes.touchable[:, None], motion, still)
 
 
-def excess_heights(trajectory: Trajectory, progress: Progress = unheard) -> list[float]:
+def excess_heights(trajectory: Trajectory, progress: Progress = no_progress) -> list[float]:
     """Excess height [m] of every frame over the minimum of the step that led to it; three solves a frame.
 
     The minimum is the lowest that the solver reaches from the frame itself, from free flight and from the body's
@@ -284,7 +284,7 @@ class Reference:
 
 
 def _carried(step: TimeStep) -> Tensor:
-    return integrate(step, CarriedStart().accelerations(step)).positions
+    return integrate(step, BodyMotionWarmStart().accelerations(step)).positions
 
 
 def _is_shared(number: int, lead_in: int, every: int) -> bool:

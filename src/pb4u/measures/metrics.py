@@ -24,7 +24,7 @@ from pb4u.measures.limbs import Bones, limbs_through_cloth
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.scene.packed import ColliderFrame, PackedGarments, pack, pack_colliders
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
@@ -51,7 +51,7 @@ SKIN_UNDER_CLOTH = 0.05
 def measure(
     trajectory: Trajectory,
     skinned: np.ndarray | None = None,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
     bones: Bones | None = None,
 ) -> dict[str, Any]:
     """Metrics of a trajectory, as the command line reports them.

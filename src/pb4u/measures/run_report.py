@@ -8,7 +8,7 @@ from pb4u.measures.divergence import skinned_centres
 from pb4u.measures.excess import BEATEN_BY, distance_to, excess_heights, series
 from pb4u.measures.limbs import Bones, limbs_sentence
 from pb4u.measures.metrics import measure
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord, Simulator
@@ -19,7 +19,7 @@ def run_report(
     simulator: Simulator,
     scene: Scene,
     record: RunRecord,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
     excess: bool = False,
     reference: Trajectory | None = None,
 ) -> dict[str, Any]:
@@ -62,7 +62,7 @@ def run_report(
         "ms_per_step": record.ms_per_step,
         "solver_iterations": record.solver_iterations,
         "unsolved_steps": record.unsolved,
-        "steps_made_anew": record.made_anew,
+        "retried_steps": record.retried,
         "notes": [*scene.notes, *([said] if said else [])],
         **measured,
     }

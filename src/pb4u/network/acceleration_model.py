@@ -77,7 +77,7 @@ class NetworkConfiguration(ABC):
         pins: rule for what is seen of pinned vertices.
         passes: evaluations of the network in one time step, each adding to the accelerations of the one before; 1 in
             the paper. Above 1 the layout should name "descent" and "advance".
-        carried_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
+        warm_start_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
             flight, is taken; none in the paper. With any the layout should name the same two.
         conjugate: join each pass with the move of the one before, at the lengths of least potential; not in the paper.
         descent_size: root mean square at which each garment's descent is shown, in edge lengths; accelerations are
@@ -96,7 +96,7 @@ class NetworkConfiguration(ABC):
     world_edges: WorldEdgeRule | NearestFaceRule = field(default_factory=WorldEdgeRule)
     pins: PinsAtPresent | PinsAtTarget | PinsAtTargetInEdges = field(default_factory=PinsAtPresent)
     passes: int = 1
-    carried_shares: tuple[float, ...] = ()
+    warm_start_shares: tuple[float, ...] = ()
     conjugate: bool = False
     further_passes: int = 0
     descent_size: float = 0.0
@@ -114,8 +114,8 @@ class NetworkConfiguration(ABC):
             raise InputError("Only the search of conjugate passes tells whether a further one is worth its time.")
         if not 0.0 <= self.descent_size <= 1.0:
             raise InputError(f"A descent is shown at a size from 0 to 1 edge lengths, not {self.descent_size}.")
-        if not all(0.0 < share <= 1.0 for share in self.carried_shares):
-            raise InputError(f"Shares of the body's motion lie above 0 and up to 1, not {self.carried_shares}.")
+        if not all(0.0 < share <= 1.0 for share in self.warm_start_shares):
+            raise InputError(f"Shares of the body's motion lie above 0 and up to 1, not {self.warm_start_shares}.")
 
     @abstractmethod
     def network(self) -> GraphNetwork:
@@ -140,7 +140,7 @@ class GraphNetwork(nn.Module, ABC):
         self.world_edges = configuration.world_edges
         self.pins = configuration.pins
         self.passes = configuration.passes
-        self.carried_shares = configuration.carried_shares
+        self.warm_start_shares = configuration.warm_start_shares
         self.conjugate = configuration.conjugate
         self.further_passes = configuration.further_passes
         self.descent_size = configuration.descent_size

@@ -23,7 +23,7 @@ class ConstantDistance:
     """The paper's rule: as many steps as edges fit into a fixed distance, K = max(1, floor(D / L)).
 
     Args:
-        distance: D = K_base x L_base [m]; 15 steps at 15 mm in the paper.
+        distance: D = K_base x L_base [m]; the paper states no value, the release has 15 steps at 15 mm.
 
     Raises:
         InputError: a distance that is not above 0 and finite.
@@ -82,7 +82,7 @@ class FixedSteps:
 
 
 class RandomSteps:
-    """Random number of steps for training, drawn anew each time up to the K of the finest mesh (reference 7).
+    """Random number of steps for training, drawn again each time up to the K of the finest mesh (reference 7).
 
     Args:
         most: largest number drawn.

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import torch
 
-from pb4u.threads import of_parts
+from pb4u.threads import parallel_map
 
 Tile = TypeVar("Tile")
 Result = TypeVar("Result")
@@ -31,4 +31,4 @@ def of_tiles(function: Callable[[Tile], Result], tiles: Sequence[Tile]) -> list[
         with torch.inference_mode() if inference else torch.no_grad():
             return function(tile)
 
-    return of_parts(alone, tiles)
+    return parallel_map(alone, tiles)

@@ -39,7 +39,7 @@ def description(checkpoint: Checkpoint) -> dict[str, Any]:
             "mesh_edge": list(layout.mesh_edge),
             "world_edge": list(layout.world_edge),
         },
-        "start": "body-motion warm start" if configuration.carried_shares else "free flight",
+        "start": "body-motion warm start" if configuration.warm_start_shares else "free flight",
         "search": "joined passes, by a line search on the energies" if configuration.conjugate else "none",
         "trained": {
             "optimiser_steps": record.optimiser_steps,
@@ -86,7 +86,7 @@ def _additions(configuration: NetworkConfiguration) -> list[str]:
         f"It reads the node feature {feature.name}: {feature.source.removesuffix('; ours')}."
         for feature in configuration.layout.extra
     ]
-    if configuration.carried_shares:
+    if configuration.warm_start_shares:
         found.append("A step starts from the body-motion warm start, not from free flight.")
     if configuration.passes > 1:
         found.append(f"It is evaluated {configuration.passes} times in a step.")

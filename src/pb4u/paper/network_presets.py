@@ -30,7 +30,7 @@ def with_start_shares(configuration: Configuration) -> Configuration:
     the direction of descent of the potential at the start, and the acceleration from free flight to it.
     """
     layout = replace(configuration.layout, extra=(DESCENT, ADVANCE))
-    return replace(configuration, layout=layout, carried_shares=(0.25, 0.5, 0.75, 1.0))
+    return replace(configuration, layout=layout, warm_start_shares=(0.25, 0.5, 0.75, 1.0))
 
 
 pb4u_paper = Pb4uConfiguration(

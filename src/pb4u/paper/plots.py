@@ -83,7 +83,7 @@ def over_time(summary: Summary, term: str, preferred: str) -> list[Block]:
 
 
 def against_steps(summary: Summary) -> list[Block]:
-    """Total and ratio to the floor against the number of propagation steps, a column a level and a line a model."""
+    """Total and ratio to the reference against the number of propagation steps, a column a level and a line a model."""
     protocol = summary.plan.protocol
     panels = [(quantity, level) for quantity in ("total", "ratio") for level in protocol.levels]
     figure, axes = _figure(len(panels), len(protocol.levels))
@@ -105,7 +105,7 @@ def against_steps(summary: Summary) -> list[Block]:
         axis.set_title(f"{level}: {label(quantity)}", fontsize=9, loc="left")
         axis.set_xlabel("propagation steps K", fontsize=8)
     caption = (
-        "Upper: total loss by the released convention. Lower: mean energy without gravity over the floor. Dashed: "
+        "Upper: total loss by the released convention. Lower: mean energy without gravity over the reference. Dashed: "
         "models without propagation steps to set. Tick: the number of steps that the model's own rule takes."
     )
     return _plot("against_steps", "Loss against propagation steps", caption, figure, axes)

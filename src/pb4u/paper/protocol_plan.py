@@ -19,7 +19,7 @@ from pb4u.jobs.job import digest
 from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
 from pb4u.motion.library import motion_names, recording_file
 from pb4u.paper.protocols import PROTOCOLS, Protocol
-from pb4u.paper.reference_energies import FLOOR_LEAD_IN, stored_floor
+from pb4u.paper.reference_energies import REFERENCE_LEAD_IN, stored_reference
 from pb4u.paper.rollout import FPS, ModelRecord, RolloutJob, SceneRecord, Settings
 from pb4u.scene.catalogue import SEEDS, SceneName
 from pb4u.simulation.checkpoint import weights_file, weights_name
@@ -30,7 +30,7 @@ DRAWN_SEEDS = (2000, 10000)
 """First seed of the motions that drawn scenes have, and the first beyond: trainings use none of them."""
 
 REFINE = 5
-"""Solver iterations after a network's step where it runs as it comes, as in `pb4u simulate`."""
+"""Solver iterations after a network's step where it runs by default, as in `pb4u simulate`."""
 
 _SOLVER = ModelRecord("solver", "solver")
 
@@ -58,6 +58,7 @@ class EvaluationRequest:
         floors: run the solver on scenes whose floor is not stored.
         scenes: number of scenes to draw, of a protocol that draws them.
         seed: of the draws.
+        excess: also measure excess heights and distances from the solver; of the protocol `controls` always.
     """
 
     protocol: str = "resolution"
@@ -76,6 +77,7 @@ class EvaluationRequest:
     floors: bool = True
     scenes: int | None = None
     seed: int = 0
+    excess: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """The fields as JSON."""
@@ -149,6 +151,7 @@ def plan(request: EvaluationRequest) -> Plan:
         levels=tuple(levels),
         frames=request.frames or protocol.frames,
         steps=request.steps or protocol.steps,
+        excess=request.excess or protocol.excess,
     )
     motions = [_motion(name, request.recordings) for name in protocol.motions]
     device = _device(request.device)
@@ -189,9 +192,11 @@ def _combined_cases(
     for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, motions):
         scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
         floor = _solver_on(scene) if solver_runs else _floor(scene, motion, level, request)
+        if isinstance(floor, RolloutJob):
+            floor = replace(floor, excess=protocol.excess)
         for model in models:
             for steps in protocol.steps if model.adapts else (None,):
-                job = RolloutJob(scene, model, _settings(model, steps, request, device))
+                job = RolloutJob(scene, model, _settings(model, steps, request, device), protocol.excess)
                 cases.append(Case(level, motion.label, job, floor))
     return cases
 
@@ -211,7 +216,7 @@ def _drawn_cases(
         for model in models:
             for way, settings in _ways(model, device):
                 floor = RolloutJob(scene, _SOLVER, replace(settings, refine=0, device="cpu"))
-                job = RolloutJob(scene, replace(model, label=f"{model.label}{way}"), settings)
+                job = RolloutJob(scene, replace(model, label=f"{model.label}{way}"), settings, protocol.excess)
                 if model.name == "solver":
                     floor = job
                 cases.append(Case(level, motion.label, job, floor if request.floors else None, number))
@@ -226,8 +231,8 @@ def _ways(model: ModelRecord, device: str) -> list[tuple[str, Settings]]:
     iterations = REFINE if looks_at(model.name, "refine") else 0
     as_it_comes = Settings(refine=iterations, contact=True, self_contact=True, device=place)
     if model.name == QUICK_SOLVER:
-        return [(", as it comes", as_it_comes)]
-    return [(", alone", Settings(device=place)), (", as it comes", as_it_comes)]
+        return [(", by default", as_it_comes)]
+    return [(", alone", Settings(device=place)), (", by default", as_it_comes)]
 
 
 def _drawn_scene(
@@ -260,7 +265,7 @@ def _check_numbers(request: EvaluationRequest) -> None:
     draws = bool(PROTOCOLS[request.protocol].scenes)
     if draws and (request.contact or request.refine or request.steps):
         raise InputError(
-            f"The protocol {request.protocol} runs networks alone and as they come: leave out --contact, --refine and "
+            f"The protocol {request.protocol} runs networks alone and by default: leave out --contact, --refine and "
             "--propagation-steps."
         )
     if not draws and request.scenes is not None:
@@ -345,8 +350,8 @@ def _floor(
     scene: SceneRecord, motion: _Motion, level: str, request: EvaluationRequest
 ) -> RolloutJob | dict[str, float] | None:
     name = motion.label if motion.seed is None else motion.source
-    if (scene.body, scene.lead_in) == ("woman", FLOOR_LEAD_IN) and "garment" not in dict(scene.digests):
-        stored = stored_floor(str(SceneName("test", scene.garment, name, motion.seed)), level, scene.frames)
+    if (scene.body, scene.lead_in) == ("woman", REFERENCE_LEAD_IN) and "garment" not in dict(scene.digests):
+        stored = stored_reference(str(SceneName("test", scene.garment, name, motion.seed)), level, scene.frames)
         if stored is not None:
             return stored
     return _solver_on(scene) if request.floors else None
@@ -362,7 +367,8 @@ def _settings(model: ModelRecord, steps: int | None, request: EvaluationRequest,
         return Settings(steps, request.refine, request.contact, device=device)
     if model.name == QUICK_SOLVER:
         return Settings(refine=request.refine or REFINE, contact=request.contact)
-    return Settings(contact=request.contact and looks_at(model.name, "contact"))
+    refine = request.refine if looks_at(model.name, "refine") else 0
+    return Settings(refine=refine, contact=request.contact and looks_at(model.name, "contact"))
 
 
 def _device(asked: str) -> str:

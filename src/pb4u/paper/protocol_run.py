@@ -12,7 +12,7 @@ from pb4u.jobs.worker_pool import WorkerPool
 from pb4u.paper.protocol_plan import EvaluationRequest, plan
 from pb4u.paper.report import write_report
 from pb4u.paper.result_folder import ResultFolder
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 
 
 def evaluate(
@@ -21,7 +21,7 @@ def evaluate(
     pool: Callable[[], WorkerPool],
     retry: bool = False,
     say: Callable[[str], None] = lambda sentence: None,
-    progress: Callable[[str], AbstractContextManager[Progress]] = lambda label: nullcontext(unheard),
+    progress: Callable[[str], AbstractContextManager[Progress]] = lambda label: nullcontext(no_progress),
 ) -> dict[str, Any]:
     """Run a protocol into a folder, going on where an earlier run stopped, and write its report.
 
@@ -51,6 +51,10 @@ def evaluate(
             done = sum(folder.result(job) is not None for job in planned.jobs)
             return f"Stopped with {done} of {len(planned.jobs)} rollouts done; the same command goes on."
 
-        with progress(f"{planned.protocol.name}: {len(missing)} rollouts") if missing else nullcontext(unheard) as show:
+        with (
+            progress(f"{planned.protocol.name}: {len(missing)} rollouts")
+            if missing
+            else nullcontext(no_progress) as show
+        ):
             make_all(missing, pool, folder.take, show, stopped)
         return write_report(planned, folder, request)

@@ -45,6 +45,7 @@ class Protocol:
         scenes: number of scenes that are drawn from all of these, with body shapes and seeds of motions; 0
             combines everything with everything else.
         materials: names of cloths that are drawn from.
+        excess: also measure what single steps leave on states shared by all models, and the distance from the solver.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Protocol:
     steps: tuple[int | None, ...] = (None,)
     scenes: int = 0
     materials: tuple[str, ...] = ()
+    excess: bool = False
 
     def pictures(self, level: str, motion: str, body: str) -> bool:
         """Whether scenes at a place of the protocol are drawn.
@@ -125,10 +127,22 @@ PROTOCOLS = {
             pictured=True,
         ),
         Protocol(
+            name="controls",
+            reproduces="What the network is worth: beside it its start alone, gradient descent and the solver.",
+            models=("pb4u-wide", "warm-start", "gradient-descent", "quick-solver", "solver"),
+            garments=("tshirt", "dress", "skirt", "trousers"),
+            motions=tuple(f"{name}-{seed}" for name in ("walk", "dance", "jump") for seed in (2000, 2001, 2002)),
+            recordings=(),
+            levels=("base",),
+            frames=60,
+            varied="what stands in the network's place",
+            excess=True,
+        ),
+        Protocol(
             name="robustness",
             reproduces=(
                 "What happens in the hands of others: garments, body shapes, motions, materials and levels drawn by "
-                "seed, each network alone and as it comes."
+                "seed, each network alone and by default."
             ),
             models=("pb4u-wide", "quick-solver", "solver"),
             garments=tuple(PATTERNS),

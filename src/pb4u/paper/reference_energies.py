@@ -8,18 +8,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-FLOORS_FILE = Path(__file__).with_name("reference_energies.json")
+REFERENCE_FILE = Path(__file__).with_name("reference_energies.json")
 
-FLOOR_LEAD_IN = 30
+REFERENCE_LEAD_IN = 30
 """Frames simulated before those that stored floors are means of, as `tools/floors.py` ran them."""
 
 
 @lru_cache(maxsize=1)
-def _floors() -> dict[str, dict[str, Any]]:
-    return json.loads(FLOORS_FILE.read_text(encoding="utf-8"))
+def _references() -> dict[str, dict[str, Any]]:
+    return json.loads(REFERENCE_FILE.read_text(encoding="utf-8"))
 
 
-def stored_floor(scene: str, level: str, frames: int) -> dict[str, float] | None:
+def stored_reference(scene: str, level: str, frames: int) -> dict[str, float] | None:
     """Mean energies [J] by term that the solver reached; None where none are stored.
 
     Args:
@@ -27,7 +27,7 @@ def stored_floor(scene: str, level: str, frames: int) -> dict[str, float] | None
         level: name of the resolution.
         frames: how many frames the mean is over.
     """
-    found = _floors().get(f"{scene}@{level}", {}).get(str(frames))
+    found = _references().get(f"{scene}@{level}", {}).get(str(frames))
     return found["energies"] if found else None
 
 

@@ -20,7 +20,7 @@ from pb4u.paper.result_folder import ResultFolder
 from pb4u.paper.robustness import failure_pictures, failure_table, parts_tables, robustness_table
 from pb4u.paper.rollout import PROTOCOL_VERSION
 from pb4u.paper.summary import Summary, summarise
-from pb4u.paper.tables import level_table, terms_tables
+from pb4u.paper.tables import controls_tables, level_table, terms_tables
 
 RESULTS, TABLES, PLOTS, PAGE = "results.json", "tables.md", "plots", "report.html"
 
@@ -41,6 +41,7 @@ VIEWS: dict[str, tuple[View, ...]] = {
         partial(level_table, quantities=("total",)),
         partial(across_levels, quantities=("stretch", "ratio", "survived_percent")),
     ),
+    "controls": (controls_tables, terms_tables),
     "robustness": (robustness_table, parts_tables, failure_table, failure_pictures),
 }
 """Protocol -> its tables and plots, in the order of the page; pictures follow where it has them."""

@@ -14,7 +14,7 @@ from pb4u.errors import Pb4uError
 from pb4u.measures.divergence import SLID, SLID_FRAMES
 from pb4u.paper.page import Block, Plot, Remark, Table
 from pb4u.paper.pictures import draw_still
-from pb4u.paper.summary import FAR_FROM_FLOOR, MOST_INSIDE, Row, Summary
+from pb4u.paper.summary import FAR_FROM_FLOOR, MOST_INSIDE, Row, Summary, share_text
 
 MOST_PICTURES = 24
 """Failures that are drawn; all are named."""
@@ -22,7 +22,7 @@ MOST_PICTURES = 24
 _COLUMNS = 6
 
 _NOTE = (
-    "Energy / floor: the mean energy without gravity over that of the solver on the same scene, under the same "
+    "Energy / reference: the mean energy without gravity over that of the solver on the same scene, under the same "
     f"contact, of rollouts that did not diverge. Slid: what holds the garment up was more than {100 * SLID:.0f} cm "
     f"from where skinning puts it for {SLID_FRAMES} frames on end. Failed: diverged, slid, more than "
     f"{MOST_INSIDE:.0f} % of the vertices inside the body over all frames, or more than {FAR_FROM_FLOOR:.0f} times "
@@ -37,7 +37,7 @@ def robustness_table(summary: Summary) -> list[Block]:
         summary: the run.
     """
     head = [
-        "model", "rollouts", "diverged", "slid", "failed", "energy / floor, median", "95 %", "worst",
+        "model", "rollouts", "diverged", "slid", "failed", "energy / reference, median", "95 %", "worst",
         "inside, mean [%]", "worst [%]", "deepest [mm]", "crossings a frame, mean", "worst", "time a step [ms]",
     ]  # fmt: skip
     rows = []
@@ -68,7 +68,7 @@ def robustness_table(summary: Summary) -> list[Block]:
 
 
 def parts_tables(summary: Summary) -> list[Block]:
-    """Tables by garment, motion, material and level: median and worst energy over the floor, and failures.
+    """Tables by garment, motion, material and level: median and worst energy over the reference, and failures.
 
     Args:
         summary: the run.
@@ -97,7 +97,7 @@ def parts_tables(summary: Summary) -> list[Block]:
                     f"{_shown(ratios, statistics.median, '.2f')}, {_shown(ratios, max, '.2f')}; {failed} of {len(own)}"
                 )
             rows.append([name, *cells])
-        caption = "Energy over the floor, median and worst; failed rollouts."
+        caption = "Energy over the reference, median and worst; failed rollouts."
         tables.append(Table(f"By {part}", caption, [part, *models], rows))
     return tables
 
@@ -184,4 +184,4 @@ def _shown(values: list[float], of: Callable[[list[float]], float], digits: str)
 
 def _share(rows: list[Row], what: Callable[[Row], bool]) -> str:
     count = sum(what(row) for row in rows)
-    return f"{count} ({100.0 * count / len(rows):.1f} %)" if rows else "-"
+    return share_text(count, len(rows)) if rows else "-"

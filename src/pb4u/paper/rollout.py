@@ -11,12 +11,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pb4u import __version__
 from pb4u.errors import InputWarning
 from pb4u.jobs.job import Failure, Job, address, attempted, require_content
 
 # torch and all that needs it is imported where it is used: a worker sets its number of threads before.
 if TYPE_CHECKING:
+    from pb4u.measures.excess import Reference
     from pb4u.scene.scene import Scene
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.simulator import Simulator
@@ -122,11 +125,14 @@ class RolloutJob(Job):
         scene: the scene that is simulated.
         model: the simulator.
         settings: settings of the simulator.
+        excess: also measure what single steps leave on states shared by all models, and the distance from the solver's
+            rollout; costs two solves a frame for each scene.
     """
 
     scene: SceneRecord
     model: ModelRecord
     settings: Settings
+    excess: bool = False
 
     @property
     def key(self) -> str:
@@ -137,6 +143,7 @@ class RolloutJob(Job):
             "scene": self.scene.identity(),
             "model": self.model.weights or self.model.name,
             "settings": self.settings.identity(),
+            **({"excess": True} if self.excess else {}),
         }
         return address(identity)
 
@@ -208,7 +215,7 @@ def run(job: RolloutJob) -> Rollout:
         "ms_per_step": record.ms_per_step,
         "solver_iterations": sum(record.solver_iterations),
         "unsolved_steps": record.unsolved,
-        "steps_made_anew": record.made_anew,
+        "retried_steps": record.retried,
         "machine": _machine(job.settings.device),
         "notes": list(dict.fromkeys([*scene.notes, *(str(each.message) for each in caught)])),
         "metrics": {},
@@ -222,6 +229,8 @@ def run(job: RolloutJob) -> Rollout:
         result |= measure(trajectory, skinned_centres(scene, trajectory), bones=Bones.of(scene, trajectory))
         if record.failed_at is not None and not result["diverged"]:
             result |= {"diverged": True, "diverged_at": len(frames)}
+        if job.excess:
+            result["metrics"] |= _against_reference(job.scene, simulator, trajectory)
         shifts = hold_shifts(scene, trajectory)
         result["hold_shift"] = {"per_frame": shifts.max(axis=1).tolist(), "max": float(shifts.max())}
         result["slid_at"] = slid_from(shifts)
@@ -250,6 +259,39 @@ def _scene(record: SceneRecord) -> Scene:
         fps=FPS,
         seed=record.seed or 0,
     )
+
+
+@lru_cache(maxsize=1)
+def _reference(record: SceneRecord) -> Reference:
+    """Solver's rollout of a scene, and the states that all models are compared on."""
+    from pb4u.measures.excess import Reference
+    from pb4u.simulation.first_frame import Settled
+    from pb4u.simulation.simulator import RunRecord
+    from pb4u.simulation.stepwise_simulator import SolverSimulator
+    from pb4u.simulation.timeline import Timeline
+
+    scene = _scene(record)
+    timeline = Timeline.of(scene)
+    first = next(iter(Settled().states(timeline, SolverSimulator().method(timeline, RunRecord()))))
+    return Reference.of(timeline, first, scene.total_frames, scene.lead_in)
+
+
+def _against_reference(record: SceneRecord, simulator: Simulator, trajectory: Trajectory) -> dict[str, Any]:
+    """Distance [m] of each frame from the reference's, and excess heights [m] on its shared states."""
+    from pb4u.measures.excess import BEATEN_BY, series
+    from pb4u.simulation.simulator import RunRecord
+    from pb4u.simulation.stepwise_simulator import StepwiseSimulator
+
+    reference = _reference(record)
+    states = reference.states[record.lead_in :]
+    pairs = zip(trajectory.positions, states, strict=False)
+    away = [float(np.linalg.norm(x - y.positions.numpy(), axis=1).mean()) for x, y in pairs]
+    found: dict[str, Any] = {"distance_to_reference": series(away)}
+    if isinstance(simulator, StepwiseSimulator):
+        heights = reference.excess(simulator.method(reference.timeline, RunRecord()))
+        below = sum(height < -BEATEN_BY for height in heights)
+        found["excess_height"] = {**series(heights), "states": len(heights), "below_reference": below}
+    return found
 
 
 def _check_weights(job: RolloutJob) -> None:

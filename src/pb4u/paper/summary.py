@@ -1,4 +1,4 @@
-"""What the rollouts of a run come to: means and spreads over scenes, ratios to the floor, how many diverged."""
+"""What the rollouts of a run come to: means and spreads over scenes, ratios to the reference, how many diverged."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_INSIDE = 1.0
 """Percent of the vertices inside the body, over all frames, beyond which a rollout counts as a failure."""
 
 FAR_FROM_FLOOR = 3.0
-"""Energy over the floor beyond which it does: cloth that is plainly stretched or crumpled."""
+"""Energy over the reference beyond which it does: cloth that is plainly stretched or crumpled."""
 
 
 class Quantity(NamedTuple):
@@ -39,11 +39,14 @@ class Quantity(NamedTuple):
 
 
 _BESIDE_ENERGIES = {
-    "ratio": Quantity("energy / floor", "", ".3g"),
+    "ratio": Quantity("energy / reference", "", ".3g"),
+    "excess_height": Quantity("excess height", "mm", ".3g"),
+    "distance_to_reference": Quantity("distance from the solver's", "mm", ".3g"),
     "survived_percent": Quantity("frames before divergence", "%", ".0f"),
     "strain_p95": Quantity("strain, 95th percentile", "", ".3g"),
     "penetration_percent": Quantity("penetration", "%", ".3g"),
     "visible_skin_percent": Quantity("skin through cloth", "%", ".3g"),
+    "self_intersections": Quantity("crossings of cloth with cloth", "", ".3g"),
     "ms": Quantity("time a step", "ms", ".1f"),
 }
 
@@ -51,6 +54,31 @@ _BESIDE_ENERGIES = {
 def quantity_named(name: str) -> Quantity:
     """Notation of the quantity `name`; what is none of those above is an energy of the potential."""
     return _BESIDE_ENERGIES.get(name) or Quantity("total loss" if name == "total" else name, "J", ".2e")
+
+
+def wilson(count: int, of: int) -> tuple[float, float]:
+    """Interval of 95 % for a share, by Wilson (1927), of 0 to 1: it says something where nothing or everything failed.
+
+    Args:
+        count: how many.
+        of: of how many, 1 or more.
+    """
+    z = 1.96
+    middle, spread = count / of + z * z / (2 * of), z * math.sqrt(count * (of - count) / of + z * z / 4) / of
+    return max(0.0, (middle - spread) / (1 + z * z / of)), min(1.0, (middle + spread) / (1 + z * z / of))
+
+
+def share_text(count: int, of: int) -> str:
+    """A count with the interval of its share, as tables print it.
+
+    Args:
+        count: how many.
+        of: of how many.
+    """
+    if not of:
+        return "0 of 0"
+    low, high = (100.0 * end for end in wilson(count, of))
+    return f"{count} of {of} ({low:.0f} to {high:.0f} %)"
 
 
 @dataclass(frozen=True)
@@ -84,15 +112,15 @@ class Row:
         case: the rollout in its place.
         result: of the rollout; None where it is not done.
         failure: why there is none, where it was tried.
-        ratio: mean energy without gravity over the floor's; None where either is absent or the run broke off.
-        floor_source: "solver run", "stored" or "absent".
+        ratio: mean energy without gravity over the reference's; None where either is absent or the run broke off.
+        reference_source: "solver run", "stored" or "absent".
     """
 
     case: Case
     result: dict[str, Any] | None
     failure: Failure | None
     ratio: float | None
-    floor_source: str
+    reference_source: str
 
     @cached_property
     def coordinates(self) -> dict[str, Any]:
@@ -134,7 +162,7 @@ class Row:
         if inside is not None and inside > MOST_INSIDE:
             found.append(f"{inside:.1f} % of vertices inside the body")
         if self.ratio is not None and self.ratio > FAR_FROM_FLOOR:
-            found.append(f"{self.ratio:.1f} times the floor's energy")
+            found.append(f"{self.ratio:.1f} times the reference energy")
         return found
 
     @property
@@ -157,6 +185,8 @@ class Row:
         else:
             tables = self.result["metrics"] if quantity in _BESIDE_ENERGIES else self.result["metrics_paper"]
             value = tables.get(quantity, {}).get("mean")
+            if value is not None and quantity_named(quantity).unit == "mm":
+                value = 1e3 * value
         return None if value is None else float(value)
 
     def series(self, term: str) -> list[float]:
@@ -272,7 +302,7 @@ def summarise(plan: Plan, folder: ResultFolder) -> Summary:
     rows = []
     for case in plan.cases:
         result = results[case.job.key]
-        reached, source = _floor_energies(case, results)
+        reached, source = _reference_energies(case, results)
         complete = result is not None and result["frames"] == case.job.scene.frames and result["failed_at"] is None
         above = ratio(_energies(result), reached) if result and complete and reached else None
         finite = above is not None and math.isfinite(above)
@@ -281,7 +311,7 @@ def summarise(plan: Plan, folder: ResultFolder) -> Summary:
     return Summary(plan, tuple(rows), told, folder.still)
 
 
-def _floor_energies(case: Case, results: dict[str, dict[str, Any] | None]) -> tuple[dict[str, float] | None, str]:
+def _reference_energies(case: Case, results: dict[str, dict[str, Any] | None]) -> tuple[dict[str, float] | None, str]:
     if isinstance(case.floor, dict):
         return case.floor, "stored"
     result = results.get(case.floor.key) if case.floor else None
@@ -301,6 +331,6 @@ def _row_json(row: Row) -> dict[str, Any]:
         **row.coordinates,
         "failure": row.failure.sentence if row.failure else None,
         "ratio_to_floor": row.ratio,
-        "floor": row.floor_source,
+        "floor": row.reference_source,
         "result": row.result,
     }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -179,6 +181,6 @@ class _Tape:
         near = skin[np.abs(skin[:, 0] - x) < 0.5 * _SLICE * self.form.scale]
         return np.array([x, *near[near[:, 1].argmax(), 1:]])
 
-    def _level(self, low: float, high: float, best: np.ufunc) -> float:
+    def _level(self, low: float, high: float, best: Callable[[np.ndarray], Any]) -> float:
         rows = np.flatnonzero((self.heights >= low) & (self.heights <= high))
         return float(self.heights[rows[best(self.girths[rows])]])

@@ -87,7 +87,7 @@ _REACH = 0.1
 """Distance [m] from the top and the middle of the pattern at which a panel keeps its placement a third as firmly."""
 
 _LEFT_INSIDE = 1e-3
-"""Depth [m] from which on cloth that hangs is pressed out of the body."""
+"""Depth [m] from which on cloth that hangs is pushed out of the body."""
 
 _STIFF_WEIGHT = 5e5
 """Weight of the collision term for that; the usual one is 5e3."""

@@ -137,7 +137,7 @@ class IncrementalPotential:
         return replace(self, terms=tuple(new if term.name == new.name else term for term in self.terms))
 
     def of(self, step: TimeStep) -> StepPotential:
-        """The potential of `step`, with the contacts of the body at its start looked up."""
+        """The potential of `step`, with the contacts of the body at its start queried."""
         contacts = step.contacts if self.search is nearest_planes else step.contacts_by(self.search)
         if self.self_contact.feels_bodies and contacts.now is not None and step.sags is not None:
             contacts = replace(contacts, now=contacts.now.raised(step.sags), raised=step.sags)
@@ -308,7 +308,7 @@ class StepPotential:
         return sums
 
     def tangents(self, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
-        """Parts of the model of a Newton step that can be laid anew, as in `EnergyTerm.tangents`.
+        """Parts of the model of a Newton step that can be relinearised, as in `EnergyTerm.tangents`.
 
         Args:
             x: (vertices, 3) [m] where the step begins.

@@ -75,12 +75,12 @@ class TimeStep:
 
     @cached_property
     def contacts(self) -> ContactSet:
-        """Contacts at the start of the step with the exact surface of the bodies, looked up when first asked for."""
+        """Contacts at the start of the step with the exact surface of the bodies, queried when first asked for."""
         return self.contacts_by(partial(nearest_planes, within=MOTION_REACH))
 
     @cached_property
     def obstacle(self) -> Obstacle | None:
-        """The bodies as cloth may not pass through them over the step, looked up when first asked for."""
+        """The bodies as cloth may not pass through them over the step, queried when first asked for."""
         return Obstacle.over(self.garments, self.bodies, self.state.positions)
 
     @cached_property

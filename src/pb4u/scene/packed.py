@@ -265,7 +265,7 @@ class ColliderPose:
         positions: (vertices, 3) [m].
 
     Attributes:
-        found: what was last looked up here for the vertices of a pack of garments, which may serve again.
+        found: what was last queried here for the vertices of a pack of garments, which may serve again.
         passed: through what of a pack of garments the bodies were found to be, and at which positions of these.
     """
 
@@ -285,7 +285,7 @@ class ColliderPose:
         return self._posed(self.colliders.whole_surfaces)
 
     def apart(self) -> ColliderPose:
-        """This pose for another thread: it shares what is built, and keeps to itself what is looked up there."""
+        """This pose for another thread: it shares what is built, and keeps to itself what is queried there."""
         other = copy.copy(self)
         other.found, other.passed = dict(self.found), dict(self.passed)
         return other

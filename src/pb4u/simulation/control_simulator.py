@@ -62,7 +62,7 @@ class ControlSimulator(StepwiseSimulator):
             network = GradientPass(timeline.garments, self.passes, self.further)
         refinement: Refinement = NoRefinement(self.potential.self_contact)
         if self.refine:
-            refinement = SafeguardedRefinement(self.refine, self.potential, record.count_made_anew)
+            refinement = SafeguardedRefinement(self.refine, self.potential, record.count_retried)
         return StepMethod(
             start_of(self.like), network, refinement, self.contact, self.potential.self_contact, search_of(self.like)
         )

@@ -43,11 +43,14 @@ def model_descriptions() -> dict[str, str]:
     from pb4u.simulation.checkpoint import built_in_models
 
     descriptions = {name: _network_line(name) for name in built_in_models()}
+    if descriptions:
+        descriptions |= {
+            "gradient-descent": "control: the default network's start, search and passes with the gradient, no network",
+            "warm-start": "control: where the default network's steps start, and nothing after",
+        }
     descriptions |= {
         "solver": "minimises the physics energies each frame: the reference",
         "quick-solver": "at most --refine iterations of it a step, without a network: the fastest on a processor",
-        "gradient-descent": "control: the default network's start, search and passes with the gradient, no network",
-        "warm-start": "control: where the default network's steps start, and nothing after",
         "skinning": "no physics: the garment follows the body",
         "newton": "the cloth solver of the newton package"
         + ("" if find_spec("newton") else ' (needs the "newton" extra)'),
@@ -107,7 +110,7 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.simulation.control_simulator import GRADIENT_DESCENT, WARM_START, ControlSimulator
     from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
     from pb4u.simulation.simulator import SkinningSimulator
-    from pb4u.simulation.step_start import CarriedStart, FreeFlight
+    from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolverSimulator, SolverSimulator
 
     model = default_model() if str(run.model) == "auto" else str(run.model)
@@ -122,8 +125,8 @@ def simulator_of(run: Run) -> Simulator:
     if model == "skinning":
         return SkinningSimulator()
     if model == "solver":
-        # Where cloth stops cloth, what free flight leaves behind a fast limb would stay hooked on it.
-        start = FreeFlight() if run.self_contact is False else CarriedStart()
+        # Where cloth stops cloth, what free flight leaves behind a fast limb would stay caught on it.
+        start = FreeFlight() if run.self_contact is False else BodyMotionWarmStart()
         return SolverSimulator(contact=contact, first_frame=first_frame, potential=potential, start=start)
     if model == "quick-solver":
         return QuickSolverSimulator(run.refine, contact, first_frame, potential)

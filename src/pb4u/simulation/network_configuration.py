@@ -23,6 +23,9 @@ CONFIGURATIONS = (
 )
 """Every kind of network that a checkpoint may hold, as "module:class"; imported when a checkpoint is read."""
 
+RENAMED = {"carried_shares": "warm_start_shares"}
+"""Fields that checkpoints of before know by another name."""
+
 
 def configuration_to_json(configuration: NetworkConfiguration) -> dict[str, Any]:
     """Plain JSON data of a network configuration; each part names its type."""
@@ -76,7 +79,7 @@ def _decode(data: Any, known: dict[str, type]) -> Any:
     name = data.get("type")
     if name not in known:
         raise InputError(f"The configuration holds a part of unknown type {name!r}.")
-    given = {key: _decode(value, known) for key, value in data.items() if key != "type"}
+    given = {RENAMED.get(str(key), str(key)): _decode(value, known) for key, value in data.items() if key != "type"}
     allowed = {entry.name for entry in fields(known[name])}
     unknown = sorted(set(given) - allowed)
     if unknown:

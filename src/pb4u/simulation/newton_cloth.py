@@ -53,7 +53,7 @@ class NewtonOptions:
         contact_distance: distance [m] from the body at which contact begins; ours is 2 mm too.
         contact_stiffness: stiffness of the contact springs [N/m].
         search_distance: distance [m] beyond that, on either side of the body's surface, within which a vertex is
-            looked up.
+            queried.
     """
 
     substeps: int | None = None

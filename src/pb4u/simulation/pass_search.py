@@ -25,7 +25,7 @@ class PassSearch(ABC):
 
     freed: Tensor | None = None
 
-    def freed_height(self, garments: PackedGarments) -> float:
+    def decrease_height(self, garments: PackedGarments) -> float:
         """Height [m] to which that energy would lift the garments, the most of any world; 0 where it is not looked at.
 
         Args:
@@ -82,7 +82,7 @@ class ConjugatePass(PassSearch):
     def _lengths(self, step: TimeStep, accelerations: Tensor, directions: Tensor) -> Tensor:
         """Lengths (directions, worlds) of each of `directions` (directions, vertices, 3), the first the network's."""
         x = integrate(step, accelerations).positions
-        # The body's tangent planes where the whole pass leads are exact enough to choose by, and looked up once.
+        # The body's tangent planes where the whole pass leads are exact enough to choose by, and queried once.
         potential = self.potential.of(step).undifferentiated().with_contact_at(x + directions[0])
         before, gradient = potential.energies_and_gradient(x)
         changes = torch.stack([potential.energies_and_gradient(x + d)[1] - gradient for d in directions])

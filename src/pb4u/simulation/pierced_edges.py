@@ -1,6 +1,6 @@
 """Cloth that a part of the body has come through between its vertices, which contact at vertices cannot see.
 
-Cloth hooked on a forearm or a shin has all its vertices outside the body, on both sides of it, and edges that go
+Cloth caught on a forearm or a shin has all its vertices outside the body, on both sides of it, and edges that go
 through. No force leads back from there: it has to be seen in the step in which it happens.
 """
 
@@ -17,7 +17,7 @@ _DEPTH = 0.5
 """Depth of the middle of an edge from which on it goes through a limb, as a share of the garment's mean edge length.
 
 In a walking dress of 2,500 triangles the edges over shoulders and knees lie up to a third of their length beneath the
-skin, those hooked on a shin six to nine tenths.
+skin, those caught on a shin six to nine tenths.
 """
 
 _TURNED = 0.5
@@ -25,7 +25,7 @@ _TURNED = 0.5
 from skin to skin is seven times as long as its middle is deep."""
 
 
-def newly_hooked(step: TimeStep, x: Tensor) -> int:
+def newly_pierced(step: TimeStep, x: Tensor) -> int:
     """Number of edges that go through a part of the body at the end of a step and did not at its start.
 
     Args:
@@ -36,13 +36,13 @@ def newly_hooked(step: TimeStep, x: Tensor) -> int:
     planes = step.contacts.now
     if bodies is None or planes is None:
         return 0
-    # Planes of vertices beyond are as old as the last look-up that reached them.
+    # Planes of vertices beyond are as old as the last closest-point query that reached them.
     after = nearest_planes(bodies.following, garments, x, within=max(garments.mean_edge_lengths))
     edges = torch.nonzero(_may_be(after, garments)).reshape(-1)
     if not len(edges):
         return 0
-    hooked = edges[_through(bodies.following, garments, x, edges)]
-    return len(hooked) - int(_through(bodies.now, garments, step.state.positions, hooked).sum())
+    pierced = edges[_through(bodies.following, garments, x, edges)]
+    return len(pierced) - int(_through(bodies.now, garments, step.state.positions, pierced).sum())
 
 
 def _may_be(planes: ContactPlanes, garments: PackedGarments) -> Tensor:

@@ -17,11 +17,11 @@ from pb4u.physics.terms.collision import Collision
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.state import State
 from pb4u.simulation.penetration_response import Contact
-from pb4u.simulation.pierced_edges import newly_hooked
-from pb4u.simulation.step_start import CarriedStart, FreeFlight, StepStart
+from pb4u.simulation.pierced_edges import newly_pierced
+from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight, StepStart
 
 _BALANCED = 20.0
-"""Residual [standard gravity] above which a refined step may be made anew.
+"""Residual [standard gravity] above which a refined step may be made again.
 
 Iterations leave 0.5 to 13 of garments that walk, jump, squat or run; of steps in which a running body caught a dress
 or a cardigan, 65 to 300.
@@ -39,10 +39,10 @@ The iterations after it would lower the energy by a third of that: half a percen
 
 _STILL_FALLING = 1e-3
 """Height [m] to which the energy that the last iteration freed would lift the garment, from which on such a step may be
-made anew.
+made again.
 
 Where a limb has caught a dress or a cardigan it is 1.2 mm to half a metre. Where a tight shirt is strained in every
-step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the step made anew has 0.1 percent less energy.
+step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the step made again has 0.1 percent less energy.
 """
 
 _TORN = 0.6
@@ -55,9 +55,9 @@ _MOST_ANEW = 60
 """Iterations at which that ends; 8 to 31 were needed by a running dress."""
 
 _LEFT_INSIDE = 1e-3
-"""Depth [m] from which on a vertex that the response leaves inside the body is pressed out."""
+"""Depth [m] from which on a vertex that the response leaves inside the body is pushed out."""
 
-_FIRM = 5e5
+STIFF_CONTACT_WEIGHT = 5e5
 """Weight of the collision term for that: the highest the family trains with. With the usual 5e3 a tight waistband of
 denim presses the cloth under it 24 mm into the body, and no push of single vertices moves both."""
 
@@ -81,8 +81,8 @@ class Refinement(ABC):
         """
 
     @abstractmethod
-    def pressed_out(self, step: TimeStep, state: State, contact: Contact) -> State:
-        """`state` with what is inside the body pressed out of it, as far as that succeeds; its velocity stays.
+    def respond_with_cloth(self, step: TimeStep, state: State, contact: Contact) -> State:
+        """`state` with what is inside the body pushed out of it, as far as that succeeds; its velocity stays.
 
         Args:
             step: the time step.
@@ -114,7 +114,7 @@ class NoRefinement(Refinement):
     def refine(self, step: TimeStep, predicted: State) -> State:
         return carried(self.self_contact, step, step.state, predicted)
 
-    def pressed_out(self, step: TimeStep, state: State, contact: Contact) -> State:
+    def respond_with_cloth(self, step: TimeStep, state: State, contact: Contact) -> State:
         return state
 
     def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
@@ -150,11 +150,11 @@ class SolverRefinement(Refinement):
             self.watch(solution)
         return step.reached(solution.positions)
 
-    def pressed_out(self, step: TimeStep, state: State, contact: Contact) -> State:
+    def respond_with_cloth(self, step: TimeStep, state: State, contact: Contact) -> State:
         depth = contact.depth(step, state.positions)
         if depth <= _LEFT_INSIDE:
             return state
-        firm = self.potential.with_term(Collision(weight=_FIRM))
+        firm = self.potential.with_term(Collision(weight=STIFF_CONTACT_WEIGHT))
         pressed = self._pressing.minimise(firm.of(step), state.positions).positions
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
@@ -207,42 +207,42 @@ class ImplicitSteps(SolverRefinement):
 
 
 class SafeguardedRefinement(SolverRefinement):
-    """Refines a prediction, and makes the step anew by the solver where that leaves it hooked, or torn out of balance.
+    """Refines a prediction, and retries the step by the solver where that leaves it pierced, or torn out of balance.
 
-    Cloth that a prediction left on two sides of a limb stays hooked there, however many iterations follow. The step is
+    Cloth that a prediction left on two sides of a limb stays caught there, however many iterations follow. The step is
     then solved from where the body carries the garment, to a rough tolerance.
 
     Args:
         iterations: at most this many after a prediction; fewer where the cloth is near balance before.
         potential: the energies.
-        made_anew: called for every step that is made anew.
+        retried: called for every step that is retried.
     """
 
     def __init__(
         self,
         iterations: int,
         potential: IncrementalPotential | None = None,
-        made_anew: Callable[[], None] | None = None,
+        retried: Callable[[], None] | None = None,
     ) -> None:
         super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential)
-        self.made_anew = made_anew
+        self.retried = retried
         rough = Solver(_ROUGH_TOLERANCE, _MOST_ANEW)
-        self.anew = ImplicitSteps(solver=rough, potential=potential, start=CarriedStart())
+        self.anew = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart())
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
-        hooked = newly_hooked(step, refined.positions)
+        pierced = newly_pierced(step, refined.positions)
         falling = refined.residual > _BALANCED and refined.freed > _STILL_FALLING
-        if not hooked and not (falling and _torn(step, refined.positions)):
+        if not pierced and not (falling and _has_failed(step, refined.positions)):
             return step.reached(refined.positions)
         state, solved = self.anew.solved(step)
-        if self.made_anew:
-            self.made_anew()
-        better = (newly_hooked(step, state.positions), solved.residual) < (hooked, refined.residual)
+        if self.retried:
+            self.retried()
+        better = (newly_pierced(step, state.positions), solved.residual) < (pierced, refined.residual)
         return state if better else step.reached(refined.positions)
 
 
-def _torn(step: TimeStep, x: Tensor) -> bool:
+def _has_failed(step: TimeStep, x: Tensor) -> bool:
     garments = step.garments
     return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _TORN).any())
 

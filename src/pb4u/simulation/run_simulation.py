@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pb4u.errors import InputWarning, Interrupted
 from pb4u.export.selection import resampled
-from pb4u.progress import Progress, shown, unheard
+from pb4u.progress import Progress, no_progress, shown
 from pb4u.run import Run
 from pb4u.scene.assembly import build_scene
 from pb4u.scene.scene import Scene
@@ -25,7 +25,7 @@ def simulate(run: Run, path: str | Path | None = None, progress: Progress | None
         run: what is simulated.
         path: trajectory file to write as frames come; None keeps the frames in memory.
         progress: called with (frames done, frames in all), lead-in included; by default a bar on standard error where
-            that is a terminal. `pb4u.progress.unheard` is quiet.
+            that is a terminal. `pb4u.progress.no_progress` is quiet.
 
     Raises:
         InputError: something of the run cannot be used.
@@ -62,7 +62,7 @@ def roll_out(
     scene: Scene,
     path: str | Path | None = None,
     record: RunRecord | None = None,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
     interrupted: Path | None = None,
     seen: Callable[[Frame], None] | None = None,
 ) -> Trajectory:

@@ -17,7 +17,7 @@ import torch
 
 from pb4u.body.body_model import PosedBody
 from pb4u.errors import Pb4uError, interrupt_behind
-from pb4u.progress import Progress, shown, unheard
+from pb4u.progress import Progress, no_progress, shown
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
@@ -35,17 +35,17 @@ class RunRecord:
         failed_at: written frame at which the state stopped being finite, or None.
         solver_iterations: iterations the solver made, per step.
         unsolved: steps that the solver left above its tolerance.
-        made_anew: steps that a few iterations of the solver left torn, and that it made anew.
+        retried: steps that a few iterations of the solver left failed, and that it made again.
     """
 
     step_seconds: list[float] = field(default_factory=list)
     failed_at: int | None = None
     solver_iterations: list[int] = field(default_factory=list)
     unsolved: int = 0
-    made_anew: int = 0
+    retried: int = 0
 
-    def count_made_anew(self) -> None:
-        self.made_anew += 1
+    def count_retried(self) -> None:
+        self.retried += 1
 
     @property
     def ms_per_step(self) -> float:
@@ -84,7 +84,7 @@ class Simulator(ABC):
         return {}
 
     def written_frames(
-        self, scene: Scene, record: RunRecord | None = None, progress: Progress = unheard
+        self, scene: Scene, record: RunRecord | None = None, progress: Progress = no_progress
     ) -> Iterator[Frame]:
         """Frames to write, as they are simulated.
 
@@ -118,7 +118,7 @@ class Simulator(ABC):
         Args:
             scene: garments and bodies.
             progress: called with (frames done, frames in all), lead-in included; by default a bar on standard error
-                where that is a terminal. `pb4u.progress.unheard` is quiet.
+                where that is a terminal. `pb4u.progress.no_progress` is quiet.
 
         Raises:
             InputError: the state stopped being finite before the first frame to write.

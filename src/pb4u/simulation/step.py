@@ -20,7 +20,7 @@ from pb4u.simulation.refinement import NoRefinement, Refinement, carried
 from pb4u.simulation.step_start import FreeFlight, StepStart
 from pb4u.threads import one_torch_thread
 
-FREED_MUCH = 1.5e-3
+LARGE_DECREASE = 1.5e-3
 """Height [m] to which the energy that a pass freed would lift the garments, from which on another pass is asked for.
 
 Less than the 2 mm above the skin at which contact begins.
@@ -67,8 +67,8 @@ def take(step: TimeStep, method: StepMethod) -> State:
         answered = method.contact.respond(step, refined)
         # A push, like every other move, goes no further than to the next cloth.
         pushed = carried(method.self_contact, step, refined, answered)
-        # What cloth around it kept inside the body is pressed out together with that cloth.
-        pressed = method.refinement.pressed_out(step, pushed, method.contact)
+        # What cloth around it kept inside the body is pushed out together with that cloth.
+        pressed = method.refinement.respond_with_cloth(step, pushed, method.contact)
         # Between vertices too no face or edge of a body comes through.
         kept = method.refinement.past_bodies(step, pressed, method.self_contact)
         # Where one is through cloth already, no energy leads it back.
@@ -79,7 +79,7 @@ def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:
     """States at the end of `step`: the one its start leads to, and that after each pass of the network.
 
     Only the latest pass is differentiable: training learns from each before the next. Ends early where a pass gave
-    what is not finite, since no body can be looked up there.
+    what is not finite, since no body can be queried there.
 
     Args:
         step: that is taken.
@@ -90,7 +90,7 @@ def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
     yield integrate(step, accelerations)
     for number in range(method.network.passes + method.network.further):
-        if number >= method.network.passes and method.search.freed_height(step.garments) < FREED_MUCH:
+        if number >= method.network.passes and method.search.decrease_height(step.garments) < LARGE_DECREASE:
             return
         reached = accelerations.detach()
         if not bool(torch.isfinite(reached).all()):

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver.contact_tracking import lifted_off_the_body
+from pb4u.physics.solver.contact_tracking import moved_off_the_body
 from pb4u.physics.time_step import TimeStep, integrate
 
-CARRIED_SHARES = (0.25, 0.5, 0.75, 1.0)
+WARM_START_SHARES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the body's motion that a step may start from, besides none."""
 
 
@@ -31,7 +31,7 @@ class FreeFlight(StepStart):
         return torch.zeros_like(step.state.positions)
 
 
-class CarriedStart(StepStart):
+class BodyMotionWarmStart(StepStart):
     """Starts every world with the share of the body's motion of least potential, lifted off the body.
 
     When a body begins to move, free flight leaves all cloth behind by the same amount, and a network has to pass that
@@ -41,7 +41,7 @@ class CarriedStart(StepStart):
         shares: to choose from, besides 0, which is free flight.
     """
 
-    def __init__(self, shares: tuple[float, ...] = CARRIED_SHARES) -> None:
+    def __init__(self, shares: tuple[float, ...] = WARM_START_SHARES) -> None:
         self.shares = shares
         self.potential = IncrementalPotential()
 
@@ -54,14 +54,14 @@ class CarriedStart(StepStart):
         missing = step.skinned_motion - step.dt * step.state.velocities
         missing = torch.where(garments.pinned[:, None], 0.0, missing)
         shares = missing.new_tensor((0.0, *self.shares))
-        # The body's tangent planes half way are exact enough to choose by, and looked up once.
+        # The body's tangent planes half way are exact enough to choose by, and queried once.
         frozen = potential.with_contact_at(free + 0.5 * missing)
         energies = torch.stack([frozen.energies(free + share * missing).per_world(garments) for share in shares])
         best = shares[energies.argmin(dim=0)]
         start = free + best[garments.vertex_world, None] * missing
-        return lifted_off_the_body(potential, start) - free
+        return moved_off_the_body(potential, start) - free
 
 
 def start_of(network: GraphNetwork) -> StepStart:
     """Rule for the start of the steps of `network`."""
-    return CarriedStart(network.carried_shares) if network.carried_shares else FreeFlight()
+    return BodyMotionWarmStart(network.warm_start_shares) if network.warm_start_shares else FreeFlight()

@@ -29,9 +29,9 @@ from pb4u.simulation.penetration_response import Contact, NoContact
 from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import CarriedStart, FreeFlight, StepStart, start_of
+from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight, StepStart, start_of
 from pb4u.simulation.timeline import Timeline
-from pb4u.threads import while_the_next_is_made
+from pb4u.threads import prefetch
 
 QUICK_SOLVER = "quick-solver"
 
@@ -76,7 +76,7 @@ class StepwiseSimulator(Simulator):
             return method.contact.present(timeline.garments, state, pose, method.self_contact)
 
         # A frame is made ready for writing while the step from it is taken.
-        yield from while_the_next_is_made(written, self._states(scene, timeline, method, record))
+        yield from prefetch(written, self._states(scene, timeline, method, record))
 
     def _states(
         self, scene: Scene, timeline: Timeline, method: StepMethod, record: RunRecord
@@ -168,8 +168,8 @@ class QuickSolverSimulator(StepwiseSimulator):
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         return StepMethod(
-            CarriedStart(),
-            refinement=SafeguardedRefinement(self.refine, self.potential, record.count_made_anew),
+            BodyMotionWarmStart(),
+            refinement=SafeguardedRefinement(self.refine, self.potential, record.count_retried),
             contact=self.contact,
             self_contact=self.potential.self_contact,
         )
@@ -184,7 +184,7 @@ class NetworkSimulator(StepwiseSimulator):
     Args:
         checkpoint: the trained model; it is never changed or moved, but copied to another device.
         propagation_steps: override of K; None follows the paper's rule.
-        refine: solver iterations after each step, which is made anew where they leave it torn; 0 for none.
+        refine: solver iterations after each step, which is retried where they leave it torn; 0 for none.
         contact: pushes out vertices left inside the body; none by default.
         device: device that the network computes on.
         passes: evaluations of the network in a step; None is its own number.
@@ -260,7 +260,7 @@ class NetworkSimulator(StepwiseSimulator):
 
         refinement: Refinement = NoRefinement(self.potential.self_contact)
         if self.refine:
-            refinement = SafeguardedRefinement(self.refine, self.potential, record.count_made_anew)
+            refinement = SafeguardedRefinement(self.refine, self.potential, record.count_retried)
         return StepMethod(
             start_of(model.network),
             NetworkPass(model, prepared, self.passes, further=self.further),

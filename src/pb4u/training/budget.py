@@ -134,8 +134,8 @@ class Counters:
         try:
             given = dict(record)
             guard, best = ExplosionGuard(**given.pop("guard")), given.pop("best")
-            if best is not None and "energy" in best:
-                best = None  # of earlier versions, with gravity: nothing of now is compared with it
+            if best is not None and "excess_height" not in best:
+                best = None  # of earlier versions, by energy: nothing of now is compared with it
             return Counters(**given, guard=guard, best=None if best is None else Score(**best))
         except (KeyError, TypeError) as error:
             raise InputError(f"The checkpoint does not say how far the training was: {error}.") from error

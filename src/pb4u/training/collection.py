@@ -15,7 +15,7 @@ from pb4u.garment.library import build_garment
 from pb4u.garment.weight_cache import garment_weights
 from pb4u.motion.library import load_motion, motion_names
 from pb4u.motion.motion import Motion
-from pb4u.progress import Progress, unheard
+from pb4u.progress import Progress, no_progress
 from pb4u.scene.catalogue import RECORDINGS, SEEDS
 from pb4u.training.configuration import DataSelection
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
@@ -23,7 +23,7 @@ from pb4u.training.variation import CAPE, before_refining, cape, uneven, varied_
 
 
 def collect(
-    selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress = unheard
+    selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress = no_progress
 ) -> TrainingData:
     """Training data that `selection` describes.
 

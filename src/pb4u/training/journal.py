@@ -61,7 +61,7 @@ class BarReporter(Reporter):
         self.bar.update(self.task, completed=min(progress, 1.0), terms=text)
 
     def validated(self, step: int, score: Score, best: bool) -> None:
-        self.score = f"  | validation {100 * score.survived:.0f}% {score.energy_without_gravity:.3g} J" + (
+        self.score = f"  | validation {100 * score.survived:.0f}% {1e3 * score.excess_height:.3g} mm" + (
             " best" if best else ""
         )
 
@@ -194,14 +194,12 @@ def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
         linewidth=1,
     )
     lower.set_yscale("symlog")
-    # Lines of earlier versions have a score with gravity, which is another quantity.
-    scores = [
-        (line["step"], line["validation"].get("energy_without_gravity")) for line in lines if line.get("validation")
-    ]
-    scores = [(step, energy) for step, energy in scores if energy is not None]
-    lower.plot(
-        [step for step, _ in scores], [energy for _, energy in scores], "o-", label="validation, without gravity"
-    )
+    # Lines of earlier versions have no excess.
+    scores = [(line["step"], line["validation"].get("excess_height")) for line in lines if line.get("validation")]
+    scores = [(step, height) for step, height in scores if height is not None]
+    right = lower.twinx()
+    right.plot([step for step, _ in scores], [1e3 * height for _, height in scores], "o-", color="tab:orange")
+    right.set_ylabel("validation, excess height [mm]")
     for line in lines:
         if "rollback" in line:
             lower.axvline(line["step"], color="red", linestyle=":")

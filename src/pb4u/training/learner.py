@@ -63,8 +63,9 @@ class Learner:
         torch.manual_seed(configuration.seed)
         self.model = AccelerationModel(configuration.network.network()).to(workers.device)
         self.network = workers.distributed(self.model)
-        rate = configuration.curriculum.learning_rate
-        self.optimiser = torch.optim.Adam(self.model.parameters(), lr=rate, fused=True)
+        self.optimiser = torch.optim.Adam(
+            self.model.parameters(), lr=configuration.curriculum.learning_rate, fused=True
+        )
         self.average = MovingAverage(self.model, configuration.ema_decay)
         self.longest = configuration.gradient_norm
 

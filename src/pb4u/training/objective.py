@@ -113,9 +113,10 @@ class RelativeWeight(LossWeight):
 class ProgressWeight(LossWeight):
     """A joule counts the less, the more of them the pass freed, in 1/J.
 
-    Descending this is raising the logarithm of what a pass frees, of the terms that its search knows: it asks for the
-    best direction alike far from the minimum and near it, where a simulation that goes well is, in silk and in leather.
-    For conjugate passes.
+    Where a pass lowers the energy by much more than `lift`, descending this is raising the logarithm of that decrease,
+    of the terms that its search knows: it asks for the best direction alike far from the minimum and near it, in silk
+    and in leather. It is no logarithm elsewhere: a pass that raises the energy counts as one that leaves it as it is,
+    with the greatest weight of all. For conjugate passes.
 
     Args:
         lift: height [m] to which the energy added to all would lift the garment, below which nothing is seen.

@@ -32,7 +32,7 @@ from pb4u.training.trainer import Trainer
 
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that ask a training to save and end; Windows has no SIGHUP."""
-_OF_NO_WEIGHT = frozenset({"network.passes", "network.conjugate", "network.further_passes", "network.descent_size"})
+INFERENCE_ONLY = frozenset({"network.passes", "network.conjugate", "network.further_passes", "network.descent_size"})
 """Settings of a network that its weights do not hang on."""
 BUILT_IN = "built in"
 """Origin of the data of a run whose configuration alone makes them again."""
@@ -103,8 +103,8 @@ def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
     configuration: TrainingConfiguration = resolve_name("pb4u.paper.training_presets:training_preset")(preset)
     if request.weights is not None:
         keys = {setting.partition("=")[0].strip() for setting in request.settings}
-        if any(key.split(".")[0] == "network" for key in keys - _OF_NO_WEIGHT):
-            free = " and ".join(sorted(_OF_NO_WEIGHT))
+        if any(key.split(".")[0] == "network" for key in keys - INFERENCE_ONLY):
+            free = " and ".join(sorted(INFERENCE_ONLY))
             raise InputError(f"--weights bring their own network: of its settings {free} alone can be given.")
         configuration = replace(configuration, network=from_pretrained(request.weights).configuration)
     configuration = with_settings(configuration, request.settings)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, astuple, fields
 from enum import Enum, auto
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -45,7 +45,7 @@ from pb4u.training.recovery import Recovery
 from pb4u.training.run_folder import RunFolder
 from pb4u.training.validation import Score, Validation
 from pb4u.training.wardrobe import Wardrobe
-from pb4u.training.windows import Course, Sampler, WindowLoader
+from pb4u.training.windows import Rollout, Sampler, WindowLoader
 
 IMPROVEMENT = 0.005
 """Share of the energy by which a score must be better to count: less is the noise of a validation."""
@@ -173,7 +173,7 @@ class Trainer:
         self.workers.reduce_statistics(self.model)
         self.model.freeze_statistics()
 
-    def begin(self, number: int, length: int, settle: bool | None = None) -> Course:
+    def begin(self, number: int, length: int, settle: bool | None = None) -> Rollout:
         """This process's share of a window, at its noisy skinned start.
 
         Args:
@@ -187,7 +187,7 @@ class Trainer:
         state = window.start(self.configuration.noise, self.configuration.clearance)
         prepared = self.model.prepare(window.timeline.garments)
         features, search = StepFeatures(prepared), search_of(self.model.network)
-        return Course(number, window, state, prepared, features, search, GarmentWatch(), settles, length)
+        return Rollout(number, window, state, prepared, features, search, GarmentWatch(), settles, length)
 
     def _indices(self, number: int) -> range:
         """This process's samples of window `number`."""
@@ -219,7 +219,7 @@ class Trainer:
                 break
         return RoundEnd.LEARNT
 
-    def advance(self, course: Course) -> bool:
+    def advance(self, course: Rollout) -> bool:
         """Learn from the next step of a window, and take it; whether all went well."""
         taken = course.window.length - course.left
         steps = [
@@ -237,7 +237,7 @@ class Trainer:
             if not self.learn(prepared, step, after, course.search.freed):
                 return False
         state = State(after.positions.detach(), after.velocities.detach(), after.frame)
-        course.state = self.set_off(course, state) if course.settles else state
+        course.state = self.with_initial_velocity(course, state) if course.settles else state
         course.settles, course.left = False, course.left - 1
         timeline, positions = course.window.timeline, course.state.positions
         strain = strain_percentile(timeline.garments, positions)
@@ -246,7 +246,7 @@ class Trainer:
             course.left = 0
         return True
 
-    def set_off(self, course: Course, settled: State) -> State:
+    def with_initial_velocity(self, course: Rollout, settled: State) -> State:
         """State of settled garments, still in the frame where they settled, with the velocity that they set off with.
 
         Args:
@@ -310,11 +310,11 @@ class Trainer:
         if self.counters.validated == self.counters.step and self.counters.best is not None:
             return
         self.counters.validated = self.counters.step
-        outcome = torch.zeros(3, dtype=torch.float64, device=self.workers.device)
+        outcome = torch.zeros(len(fields(Score)), dtype=torch.float64, device=self.workers.device)
         with self.learner.averaged():
             if self.workers.leads:
                 score = self.validation.score(self.model.eval())
-                outcome = outcome.new_tensor([score.survived, score.energy_without_gravity, score.strain])
+                outcome = outcome.new_tensor(astuple(score))
             self.model.train()
         score = Score(*self.workers.sum(outcome).tolist())
         best = score.beats(self.counters.best, IMPROVEMENT)

@@ -1,16 +1,22 @@
-"""How good weights are: short clips rolled out by the network alone."""
+"""How good weights are: short clips rolled out by the network alone, and what it leaves of single steps."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
 
 from pb4u.garment.material import MATERIALS
+from pb4u.measures.excess import Reference
 from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.solver.implicit_steps import implicit_steps
+from pb4u.physics.solver.newton_solver import Solver
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
@@ -20,10 +26,17 @@ from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.lost_garment import GarmentWatch, drift_from
 from pb4u.training.objective import REFERENCE_WEIGHT, step_energies
 from pb4u.training.packed_data import TrainingData
+from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Sample, WindowLoader
 
 # An energy [J] that no clip has: cloth that lies still has thousands of times as much.
 _NO_ENERGY = 1e-9
+
+_LEAST_EXCESS = 1e-6
+"""Height [m] that the geometric mean takes for less: the solver's tolerance."""
+
+_REFERENCE_FRAMES, _REFERENCE_LEAD_IN, _SHARED_EVERY = 6, 2, 2
+"""Frames of a clip that the solver rolls out, those before its first shared state, and from each to the next."""
 
 
 @dataclass(frozen=True)
@@ -32,28 +45,30 @@ class Score:
 
     Args:
         survived: share of all frames that came before their garment was lost.
-        energy_without_gravity: geometric mean, over the clips, of the mean potential of those frames less gravity's
-            [J]: weights then rank as by their ratio to the solver's energy, which gravity would turn round, as a
-            garment that sags has less of it.
-        strain: mean of their 95th percentile strains.
+        excess_height: geometric mean [m], over states of the solver on those clips, of the height to which the energy
+            that one step leaves above its minimum would lift the garment; infinite where a step is not finite.
+        strain: mean of the 95th percentile strains of the frames that survived.
+        energy_without_gravity: geometric mean, over the clips, of their mean potential less gravity's [J]; told beside,
+            as cloth that floats has little of it.
     """
 
     survived: float
-    energy_without_gravity: float
+    excess_height: float
     strain: float
+    energy_without_gravity: float
 
     def beats(self, other: Score | None, margin: float = 0.0) -> bool:
-        """Whether this is better: more frames survived, or else less energy.
+        """Whether this is better: more frames survived, or else less left of a step.
 
         Args:
             other: score to beat; None is beaten by any.
-            margin: share of its energy by which the energy has to be less.
+            margin: share of its excess height by which the excess height has to be less.
         """
         if other is None:
             return True
         if self.survived != other.survived:
             return self.survived > other.survived
-        return self.energy_without_gravity < (1.0 - margin) * other.energy_without_gravity
+        return self.excess_height < (1.0 - margin) * other.excess_height
 
 
 class Validation:
@@ -91,17 +106,37 @@ class Validation:
                 logarithms.append(math.log(max(energies / frames, _NO_ENERGY)))
         total = self.frames * len(self.samples)
         energy = math.exp(sum(logarithms) / len(logarithms)) if logarithms else math.inf
-        return Score(survived / total, energy, strain / max(survived, 1))
+        return Score(survived / total, self._excess_height(model), strain / max(survived, 1), energy)
+
+    @cached_property
+    def references(self) -> tuple[Reference, ...]:
+        """Solver's first frames of every clip, with the states that a score takes steps from; made once."""
+        loader = WindowLoader(Wardrobe(self.loader.data, "cpu", torch.float64))
+        return tuple(self._reference(loader, sample) for sample in self.samples)
+
+    def _reference(self, loader: WindowLoader, sample: Sample) -> Reference:
+        window = loader.load([sample], _REFERENCE_FRAMES)
+        timeline, start = window.timeline, window.start(0.0, self.clearance)
+        settled, _ = implicit_steps(IncrementalPotential(), Solver(), timeline.settling_from(start))
+        first = State(settled.positions, timeline.skinned_velocity(start.frame), start.frame)
+        return Reference.of(timeline, first, _REFERENCE_FRAMES, _REFERENCE_LEAD_IN, _SHARED_EVERY)
+
+    def _excess_height(self, model: AccelerationModel) -> float:
+        """Geometric mean of what `model` leaves of a step from each shared state [m]."""
+        device, logarithms = next(model.parameters()).device, []
+        for reference in self.references:
+            worn = reference.timeline.garments
+            garments = pack(worn.garments, torch.float32, device, worn.worlds)
+            for height in reference.excess(_method(model, garments), settled=False):
+                logarithms.append(math.log(max(height, _LEAST_EXCESS)) if math.isfinite(height) else math.inf)
+        return math.exp(sum(logarithms) / len(logarithms)) if logarithms else math.inf
 
     def _rollout(self, model: AccelerationModel, sample: Sample) -> tuple[int, float, float]:
         """Frames before the garment is lost, and the sums of their energies without gravity [J] and strains."""
         window = self.loader.load([sample], self.frames)
         timeline = window.timeline
         garments = timeline.garments
-        network = NetworkPass(
-            model, model.prepare(garments), model.network.passes, further=model.network.further_passes
-        )
-        method = StepMethod(start_of(model.network), network, search=search_of(model.network))
+        method = _method(model, garments)
         state, energy, strain, watch = window.start(0.0, self.clearance), 0.0, 0.0, GarmentWatch()
         for frame in range(self.frames):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
@@ -118,6 +153,12 @@ class Validation:
             energy += sum(float(term.sum()) for name, term in energies.terms.items() if name != "gravity")
             strain += stretched
         return self.frames, energy, strain
+
+
+def _method(model: AccelerationModel, garments: PackedGarments) -> StepMethod:
+    """A step by `model` alone; K follows the resolution."""
+    network = NetworkPass(model, model.prepare(garments), model.network.passes, further=model.network.further_passes)
+    return StepMethod(start_of(model.network), network, search=search_of(model.network))
 
 
 def _spread(data: TrainingData, count: int) -> list[int]:

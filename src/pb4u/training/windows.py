@@ -172,7 +172,7 @@ class Window:
 
 
 @dataclass
-class Course:
+class Rollout:
     """A training window that is being stepped through: its state now and the steps left.
 
     Args:

@@ -103,7 +103,7 @@ class PlotPanel(Panel):
         self._status.content = notice(text)
 
     def _draw(self, title: str, labels: tuple[str, ...], curves: list[np.ndarray], frame: float) -> None:
-        """Send the curves; the plot itself is made anew where its labels change, which it cannot be told later."""
+        """Send the curves; the plot itself is retried where its labels change, which it cannot be told later."""
         data = chart_data(curves, frame)
         # A range has to be given: the page finds none itself where a row begins with NaN, and then draws nothing.
         low, high = float(np.nanmin(data[-1])), float(np.nanmax(data[-1]))

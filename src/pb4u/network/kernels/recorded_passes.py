@@ -184,7 +184,8 @@ class _EdgePass(torch.autograd.Function):
         on_new = on_latents if of_new is None else of_new.contiguous()
         on = (*_arrays(on_new, on_sums), of_new is not None)
         changed = tuple(_arrays(*further)), _array(on_latents)
-        _pass_edges_derivative(*on, latents, *ctx.ends.arrays(), tuple(layers), between, *changed)
+        given = (*on, latents, *ctx.ends.arrays(), tuple(layers), between, *changed)
+        _pass_edges_derivative(*given)
         return None, None, on_latents, *further
 
 
@@ -201,12 +202,13 @@ class _Propagation(torch.autograd.Function):
             messages = []
             for ends, constant in zip(inflows, constants, strict=True):
                 between, sent = (torch.empty_like(constant), torch.empty_like(constant)), ends.senders is not None
-                given = _arrays(second, second_bias, *between, sums)
-                _message(_array(constant), (*shares, *ends.arrays()), *given, sent)
+                kept = (*_arrays(second, second_bias, *between, sums), sent)
+                _message(_array(constant), (*shares, *ends.arrays()), *kept)  # type: ignore[arg-type]
                 messages.append(between)
             values = torch.addmm(degrees * last_bias, sums, last.t())
             inverse, after = values.new_empty(len(values)), torch.empty_like(values)
-            _norm(_array(values), nothing, *_arrays(scale, shift), small, *_arrays(inverse, after))
+            normed = (*_arrays(scale, shift), small, *_arrays(inverse, after))
+            _norm(_array(values), nothing, *normed)
             taken.append((state, messages, sums, values, inverse))
             state = after.add_(state, alpha=decay)
         ctx.save_for_backward(*tensors)
@@ -229,19 +231,19 @@ class _Propagation(torch.autograd.Function):
             on_ends = torch.zeros_like(state), torch.zeros_like(state)
             for ends, between, d_constant in zip(ctx.inflows, messages, d_constants, strict=True):
                 changed = _arrays(d_second, d_second_bias, d_constant, *on_ends)
-                given = _arrays(of_sums, *between, second)
-                _message_derivative(*given, *ends.arrays(), *changed, ends.senders is not None)
+                given = (*_arrays(of_sums, *between, second), *ends.arrays(), *changed, ends.senders is not None)
+                _message_derivative(*given)
             on = on * ctx.decay
             for share, of_end, d_end in zip(on_ends, (of_sender, of_receiver), (d_sender, d_receiver), strict=True):
                 d_end.addmm_(share.t(), state)
                 on.addmm_(share, of_end)
-        # What the steps left is large.
+        # What the steps left is large, and a second derivative is not for these passes.
         ctx.taken = None
         return None, None, None, None, on, *further
 
 
 def _between(values: Tensor, width: int) -> tuple[Tensor, ...]:
-    """What the derivative reads: both hidden layers and the norm's output, (rows, width), and its (rows,) factors."""
+    """What the derivative reads again: hidden layers and output of the norm (rows, width), its (rows,) factors."""
     rows = len(values)
     return (*(values.new_empty(rows, width) for _ in range(3)), values.new_empty(rows))
 

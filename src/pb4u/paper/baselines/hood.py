@@ -65,7 +65,7 @@ class LevelsByLength:
     """Rule for levels whose edges are about as long in metres at every resolution; our own, not published.
 
     Args:
-        near: length of the finer level's edges [m]; HOOD's at the 15 mm of its training meshes by default.
+        near: length of the finer level's edges [m]; HOOD's at the 15 mm of its training meshes as they are computed.
         far: length of the coarser level's edges [m].
 
     Raises:

@@ -138,7 +138,7 @@ MOTION_REACH = 0.05
 """Distance [m] from the body from which on its motion over a step does not concern a vertex."""
 
 UNMOVED = 1e-9
-"""Way [m] up to which a vertex counts as unmoved since it was looked up: sums in another order end so far apart."""
+"""Way [m] up to which a vertex counts as unmoved since it was queried: sums in another order end so far apart."""
 
 
 def nearest_planes(
@@ -151,14 +151,14 @@ def nearest_planes(
     """Planes through the exact nearest points of the bodies of each vertex's world.
 
     A vertex keeps the plane that it had at this pose before where it did not move, or is known to be out of reach yet:
-    its distance changes by no more than its way. The first look-up at a pose is exact for all.
+    its distance changes by no more than its way. The first closest-point query at a pose is exact for all.
 
     Args:
         pose: the bodies at one instant.
-        garments: pack whose vertices are looked up.
+        garments: pack whose vertices are queried.
         x: (vertices, 3) [m].
         within: distance [m] from which on a vertex need only be known to be so far.
-        patience: way [m] that a vertex may have gone since it was looked up.
+        patience: way [m] that a vertex may have gone since it was queried.
     """
     if all(surface is None or surface.compiled for surface in pose.surfaces):
         return _of_found(_renewed(pose, garments, x, within, patience), x)
@@ -184,7 +184,7 @@ def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: fl
         part, surface = found.rows(rows.start, rows.stop), pose.surfaces[world] if world < len(pose.surfaces) else None
         if surface is not None:
             names = pose.colliders.searched_faces[world]
-            searched += surface.look_up(points[rows], part, within, patience, names)
+            searched += surface.update_closest(points[rows], part, within, patience, names)
         elif known is None:
             part.positions[:] = points[rows]
     if known is None or searched:
@@ -210,7 +210,7 @@ def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor
 
     Args:
         pose: the bodies at one instant, regions left out of contact included.
-        garments: pack whose vertices are looked up.
+        garments: pack whose vertices are queried.
         x: (vertices, 3) [m].
     """
     planes = _blank(x)

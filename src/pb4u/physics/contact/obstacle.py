@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.crossing_search import CrossingSearch
+from pb4u.collision.jit import as_float64
 from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import vertex_areas
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
-from pb4u.physics.contact.self_contact import as_float64
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments
 
 _SPARE = 1e-3

@@ -4,7 +4,7 @@ Energies and contact response look at vertices. On a body of radius R an edge of
 ends: 1.5 mm for the 27 mm edges of a 2.5K T-shirt on a shoulder, more than the distance cloth keeps from the skin.
 Between the middles that are looked at, a quarter of that is left: L^2 / (32 R), which is added to their clearance.
 Where the body is rounder than R, or bends at a joint, its vertices still come through between the middles: these are
-looked up in turn, and the cloth that they pierce is lifted over them.
+queried in turn, and the cloth that they pierce is lifted over them.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ class FaceClearance:
             if surface is None or not len(rows):
                 continue
             found = Found.nothing(len(rows), as_float64(planes.points)[rows])
-            surface.look_up(after[rows], found)
+            surface.update_closest(after[rows], found)
             deeper = found.distances < np.minimum(distances[rows], 0.0) - _DEEPER
             taken[rows[~found.beyond & deeper]] = True
         return taken
@@ -165,7 +165,7 @@ class FaceClearance:
         if not len(middles.corners):
             return middles
         found = middles.found
-        middles.surface.look_up(x[middles.corners].mean(axis=1), found)
+        middles.surface.update_closest(x[middles.corners].mean(axis=1), found)
         # Where a region is left out of contact there is no skin, nor is the cap of one.
         skin = ~found.beyond & (found.triangle < middles.skin_faces)
         low = skin & (found.distances < middles.wanted)
@@ -190,8 +190,8 @@ class FaceClearance:
         if not skin.new:
             # Where the nearest cloth went bounds what is nearest now.
             _carry(found, went, x[first:stop], faces)
-            cloth.look_up(skin.places, found)
-        cloth.look_up_nearer(skin.places, found, None if skin.new else went)
+            cloth.update_closest(skin.places, found)
+        cloth.update_if_nearer(skin.places, found, None if skin.new else went)
         near = np.abs(found.distances) < SKIN_OVER_CLOTH
         cover = SkinCover.of(found, skin.places, skin.normals, cloth)
         low = cover.belongs & near & (cover.heights < self.clearance)

@@ -86,7 +86,7 @@ class ClothPairs:
             points, began = (np.concatenate([of, obstacle.before]) for of in (points, began))
             areas = np.concatenate([areas, obstacle.areas])
         pairs = tree.pairs(points, reach, way, None if known is None else known.pairs, lasting=True)
-        mixed = (pairs.corners >= tree.first_obstacle).any(axis=1)
+        mixed = np.asarray((pairs.corners >= tree.first_obstacle).any(axis=1))
         if obstacle is not None and obstacle.passed.any():
             kept = ~through_obstacle(pairs.corners, tree.first_obstacle, obstacle.passed)
             pairs, mixed = pairs.chosen(kept), mixed[kept]
@@ -231,7 +231,7 @@ class SelfContact(ABC):
             garments: static quantities.
             before: (vertices, 3) [m] that cross nowhere.
             wanted: (vertices, 3) [m].
-            cloth: all pairs that may touch on the way, where they were looked up already.
+            cloth: all pairs that may touch on the way, where they were queried already.
             held: (vertices,) bool, of which none gives way to what meets it, as no pinned vertex does; None for none.
             obstacle: the bodies, which move while the cloth does; None for none.
         """

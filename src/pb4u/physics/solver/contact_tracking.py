@@ -14,7 +14,7 @@ REACH = 0.03
 """Distance [m] from the body within which the motion of the body concerns a vertex."""
 
 _FREE_ITERATIONS = 8
-"""Iterations in which every vertex that moves is looked up; most steps of a walk are solved within twice as many."""
+"""Iterations in which every vertex that moves is queried; most steps of a walk are solved within twice as many."""
 
 _OPPOSED = 0.8
 """Cosine between two planes below which they are of two parts of the body (37 degrees)."""
@@ -29,7 +29,7 @@ _LIFT = 2e-3
 """Height [m] over the body that a lifted vertex gets, unless it was lower before."""
 
 
-def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
+def moved_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
     """Positions with vertices that the body passed over lifted, in every world whose energy falls.
 
     Args:
@@ -63,7 +63,7 @@ def lifted_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
 class TrackedContact:
     """The bodies near each vertex, as tangent planes renewed at each iteration.
 
-    Only vertices that may have come near are looked up. A vertex whose nearest point jumps to another part of the body
+    Only vertices that may have come near are queried. A vertex whose nearest point jumps to another part of the body
     (cloth caught in an armpit) keeps the plane that it left as a second one: with the nearest alone it would be thrown
     to and fro for ever.
 
@@ -95,7 +95,7 @@ class TrackedContact:
         return self._potential.with_contact(self._planes, self._opposite)
 
     def _patience(self) -> float:
-        """Displacement [m] after which a vertex is looked up again; more in late iterations.
+        """Displacement [m] after which a vertex is queried again; more in late iterations.
 
         The distance to a crease has a kink, on which iterations would never end.
         """

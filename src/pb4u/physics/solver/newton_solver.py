@@ -2,10 +2,10 @@
 
 Each iteration solves with the second derivative of the potential by preconditioned conjugate gradients and searches
 along the direction. Contact and friction change their force more on the way than that derivative tells: their tangents
-are laid anew where the direction leads, and it is solved for again, else a step that brings cloth onto the body would
-be cut to an eighth. Where cloth is about to buckle the second derivative is not positive: the iteration then uses its
-positive part, and follows the buckling direction for as long as the energy falls. The number of iterations does not
-depend on the resolution.
+are relinearised at the trial point, and the direction is solved for again; else a step that brings cloth onto the body
+would be cut to an eighth. Where cloth is about to buckle the second derivative is not positive: the iteration then
+uses its positive part, and follows the buckling direction for as long as the energy falls. The number of iterations
+does not depend on the resolution.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from torch import Tensor
 
 from pb4u.physics.contact.self_contact import ClothPairs
 from pb4u.physics.incremental_potential import Energies, StepPotential
-from pb4u.physics.solver.contact_tracking import TrackedContact, lifted_off_the_body
+from pb4u.physics.solver.contact_tracking import TrackedContact, moved_off_the_body
 from pb4u.physics.solver.linear_solver import LinearSolution, conjugate_gradient
 from pb4u.physics.solver.preconditioner import PRECISION, AgeingPreconditioner, PatchBasis
 from pb4u.physics.terms.pair_stiffness import PairStiffness
@@ -46,7 +46,7 @@ _BUCKLING_DOUBLINGS = 9
 """Most doublings of that move: 2.6 cm, the depth of a fold."""
 
 _LOOKS_AHEAD = 2
-"""Most times that the tangents of a Newton step are laid anew where it leads; four times gain no iteration over two."""
+"""Most times that the tangents of a Newton step are relinearised; four times gain no iteration over two."""
 
 _MISSED = 0.1
 """Share of the unbalanced force by which the tangents may be wrong there; with 0.3 a step takes more iterations."""
@@ -152,7 +152,7 @@ class Solver:
         if not bool(torch.isfinite(start).all()):
             raise DivergedError(potential.step.state.frame + 1, "the solver was started where a position is not finite")
         # What was asked for may cross, where contact between cloths has no finite energy to compare.
-        lifted = lifted_off_the_body(potential.without_cloth(), start)
+        lifted = moved_off_the_body(potential.without_cloth(), start)
         potential, start = _reached(potential, lifted)
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)

@@ -21,7 +21,7 @@ _PATCHES_PER_GARMENT = 40
 """Enough for a sleeve to move apart from a front; their dense matrix, 360 wide, still inverts in milliseconds."""
 
 _YOUNG = 4
-"""Iterations for which a preconditioner's patches are kept in any case: made anew they cost as much as three."""
+"""Iterations for which a preconditioner's patches are kept in any case: made again they cost as much as three."""
 
 _AGED, _FEW = 1.3, 5
 """Factor and number by which linear solves are longer than with new patches when these have aged."""
@@ -141,7 +141,7 @@ class TwoLevelPreconditioner:
 class AgeingPreconditioner:
     """The preconditioner of some garments: its diagonal is always new, its patches when they have aged.
 
-    Patches serve several time steps, for the cloth hangs much as it did; they are made anew once linear solves take
+    Patches serve several time steps, for the cloth hangs much as it did; they are made again once linear solves take
     longer than they did with new ones.
 
     Args:

@@ -16,7 +16,7 @@ from pb4u.scene.packed import PackedGarments
 
 
 class Tangent(ABC):
-    """A term's part of the quadratic model of a Newton step, which can be laid anew where the step leads.
+    """A term's part of the quadratic model of a Newton step, which can be relinearised where the step leads.
 
     Contact that begins, and friction that holds, change their force within a step far more than their second derivative
     where it begins can tell.
@@ -96,7 +96,7 @@ class EnergyTerm(ABC):
         raise NotImplementedError(f"{self.name} couples no vertices")
 
     def tangents(self, step: TimeStep, contacts: ContactSet, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
-        """Its parts of the model of a Newton step that can be laid anew; asked of a compiled term that has `elements`.
+        """Its parts of the model of a Newton step that can be relinearised; of a compiled term that has `elements`.
 
         Args:
             step: the time step.

@@ -1,0 +1,123 @@
+"""Alembic (.abc): garment and body as two polygon meshes sampled at every frame, through the "abc" extra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pb4u.errors import MissingExtraError
+from pb4u.export.incomplete_file import incomplete
+from pb4u.export.shading import unit_normals
+from pb4u.progress import Progress, no_progress
+from pb4u.scene.author_mesh import Polygons
+
+if TYPE_CHECKING:
+    from pb4u.scene.trajectory import Trajectory
+
+
+def check_alembic(path: Path) -> None:
+    """Refuse Alembic where its library is not installed.
+
+    Args:
+        path: file to write, for the message.
+
+    Raises:
+        MissingExtraError: the "abc" extra is not installed.
+    """
+    try:
+        import alembic3d  # noqa: F401
+        import imath  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("abc", f"Writing {path.suffix}") from error
+
+
+def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
+    """Write one Ogawa archive: /Garment and /Body; metres, Y up, a sample each 1 / fps seconds from 0.
+
+    Points and vertex normals are sampled at every frame; the author's polygons stay polygons, wound clockwise as
+    Alembic has them; UVs are face-varying, one a corner.
+
+    Args:
+        trajectory: what is written, every frame finite.
+        path: file to write.
+        progress: told of the frames written.
+
+    Raises:
+        MissingExtraError: the "abc" extra is not installed.
+        InputError: the file cannot be written.
+    """
+    check_alembic(path)
+    from alembic3d import Abc, AbcCoreAbstract
+
+    header, fps = trajectory.header, float(trajectory.fps)
+    try:
+        archive = Abc.CreateArchiveWithInfo(str(path), fps, "pb4u", "metres, Y up")
+        # The library crashes on a sampling that is handed to a mesh; the archive takes it, and meshes name its index.
+        sampling = archive.addTimeSampling(AbcCoreAbstract.TimeSampling(1.0 / fps, 0.0))
+        top = archive.getTop()
+        garment = _Mesh(top, "Garment", header.outlines, header.faces, header.uvs, sampling)
+        skin = Polygons.of_triangles(header.body_faces, None)
+        body = _Mesh(top, "Body", skin, header.body_faces, None, sampling)
+        frames = zip(trajectory.positions, trajectory.body_positions, strict=True)
+        for t, (positions, body_positions) in enumerate(frames):
+            garment.sample(positions)
+            body.sample(body_positions)
+            progress(t + 1, trajectory.frame_count)
+    except RuntimeError as error:  # what is thrown in the library names places in its source
+        raise incomplete(path) from error
+
+
+class _Mesh:
+    """A mesh of the archive, written sample by sample.
+
+    Args:
+        parent: object that it hangs from.
+        name: of the mesh.
+        outlines: polygons, counter-clockwise.
+        faces: (faces, 3) triangles that normals come from.
+        uvs: (uv points, 2) that `outlines.uv_corners` names, or None.
+        sampling: index of the time sampling in the archive.
+    """
+
+    def __init__(
+        self, parent: Any, name: str, outlines: Polygons, faces: np.ndarray, uvs: np.ndarray | None, sampling: int
+    ) -> None:
+        import imath
+        from alembic3d import AbcGeom
+
+        self._faces = faces
+        self._mesh = AbcGeom.OPolyMesh(parent, name)
+        self._schema = self._mesh.getSchema()
+        self._schema.setTimeSampling(sampling)
+        ends = np.cumsum(outlines.sizes)
+        # Corner k of a polygon that begins at s and ends before e goes to s + e - 1 - k.
+        mirrored = np.repeat(2 * ends - outlines.sizes - 1, outlines.sizes) - np.arange(int(outlines.sizes.sum()))
+        self._counts = _ints(imath, outlines.sizes)
+        self._corners = _ints(imath, outlines.corners[mirrored])
+        self._uvs: Any = None
+        if uvs is not None and outlines.uv_corners is not None:
+            # A plain list of a UV a corner: indexed ones are taken by fewer readers.
+            points = _vectors("V2f", uvs[outlines.uv_corners[mirrored]])
+            self._uvs = AbcGeom.OV2fGeomParamSample(points, AbcGeom.GeometryScope.kFacevaryingScope)
+
+    def sample(self, positions: np.ndarray) -> None:
+        """Add a frame of (vertices, 3) positions [m]."""
+        from alembic3d import AbcGeom
+
+        points = _vectors("V3f", positions)
+        normals = _vectors("V3f", unit_normals(positions, self._faces))
+        shaded = AbcGeom.ON3fGeomParamSample(normals, AbcGeom.GeometryScope.kVertexScope)
+        uvs = AbcGeom.OV2fGeomParamSample() if self._uvs is None else self._uvs
+        self._schema.set(AbcGeom.OPolyMeshSchemaSample(points, self._corners, self._counts, uvs, shaded))
+
+
+def _ints(imath: Any, values: np.ndarray) -> Any:
+    return imath.IntArrayFromBuffer(np.ascontiguousarray(values, dtype=np.int32))
+
+
+def _vectors(kind: str, values: np.ndarray) -> Any:
+    import imath
+
+    return getattr(imath, f"{kind}ArrayFromBuffer")(np.ascontiguousarray(values, dtype=np.float32))
