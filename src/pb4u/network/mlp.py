@@ -39,13 +39,13 @@ class MLP(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """Output (rows, outputs) [1] for `values` (rows, inputs) [1]."""
-        if isinstance(self.norm, nn.LayerNorm) and records(values):
+        if isinstance(self.norm, nn.LayerNorm) and records(values, self.first.weight):
             return normed_perceptron(values, self.first.weight, self.first.bias, (self.second, self.last, self.norm))
         return self.after_first(self.first(values.to(self.precision)))
 
     def after_product(self, product: Tensor) -> Tensor:
         """As `after_first`, given the first layer's sum `product` (..., width) [1] without its bias."""
-        if isinstance(self.norm, nn.LayerNorm) and records(product):
+        if isinstance(self.norm, nn.LayerNorm) and records(product, self.first.weight):
             return normed_perceptron(product, None, self.first.bias, (self.second, self.last, self.norm))
         return self.after_first(product + self.first.bias)
 

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from pb4u.collision.jit import COMPILES, compiled_with_free_sums
 from pb4u.network.graph.incidence import Incidence
@@ -46,12 +47,18 @@ class Ends:
         return senders.numpy(), self.receivers.offsets.numpy()
 
 
-def records(values: Tensor) -> bool:
-    """Whether these passes take `values`: gradients are recorded, and a processor computes in float32 or float64."""
+def records(values: Tensor, weight: Tensor) -> bool:
+    """Whether these passes take `values`: gradients are recorded, and a processor computes in float32 or float64.
+
+    Args:
+        values: (rows, columns) that enter.
+        weight: of the layers that they meet, of any shape.
+    """
     return (
         COMPILES
         and torch.is_grad_enabled()
         and values.device.type == "cpu"
+        and values.dtype == weight.dtype
         and values.dtype in (torch.float32, torch.float64)
     )
 
@@ -139,6 +146,7 @@ class _Perceptron(torch.autograd.Function):
         return out
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> Gradients:
         values, *saved = ctx.saved_tensors
         further, on_values = [torch.zeros_like(weight) for weight in saved[:-4]], torch.empty_like(values)
@@ -165,6 +173,7 @@ class _EdgePass(torch.autograd.Function):
         return new, sums
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> Gradients:
         tensors, between = ctx.saved_tensors[:-4], tuple(_arrays(*ctx.saved_tensors[-4:]))
         latents, _, _, *layers = _arrays(*tensors)
@@ -207,6 +216,7 @@ class _Propagation(torch.autograd.Function):
         return state
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> Gradients:
         of_sender, of_receiver, second, _, last, _, scale, *_ = ctx.saved_tensors
         further = [torch.zeros_like(each) for each in ctx.saved_tensors]
