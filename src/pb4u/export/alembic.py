@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import multiprocessing
 import os
 from pathlib import Path
@@ -65,6 +66,7 @@ def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_pr
 
 def _write_quietly(trajectory: Trajectory, path: Path) -> None:
     """Write without what the library says on standard error when it ends its process."""
+    faulthandler.disable()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     _write(trajectory, path)
 
