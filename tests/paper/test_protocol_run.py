@@ -23,6 +23,7 @@ from pb4u.paper.protocol_run import evaluate
 from pb4u.paper.protocols import PROTOCOLS
 from pb4u.paper.report import told_once
 from pb4u.paper.rollout import RolloutJob, SceneRecord, attempt
+from pb4u.paper.summary import share_text
 from pb4u.paper.tables import terms_tables
 from pb4u.scene.scene import Scene
 
@@ -120,7 +121,7 @@ def test_the_page_holds_tables_and_plots_and_marks_what_is_the_papers(tmp_path: 
     mean = cell(results, model="solver", level="18K")["quantities"]["total"]["mean"]
     assert f"{mean:.2e} ±" in tables
     assert "| HOOD (paper, other data) |" in tables
-    assert "0 of 2" in tables
+    assert f"diverged | {share_text(0, 2)} | {share_text(0, 2)}" in tables
 
 
 def test_a_second_run_does_only_what_is_missing(tmp_path: Path) -> None:

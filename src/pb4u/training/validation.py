@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.machinery import PathFinder
 
 import numpy as np
 import torch
 
+from pb4u.collision.jit import COMPILES
 from pb4u.garment.material import MATERIALS
 from pb4u.measures.excess import Reference
 from pb4u.measures.metrics import strain_percentile
@@ -40,9 +40,6 @@ _REFERENCE_FRAMES, _REFERENCE_LEAD_IN, _SHARED_EVERY = 6, 2, 2
 """Frames of a clip that the solver rolls out, those before its first shared state, and from each to the next."""
 
 
-_SOLVES = __import__('sys').modules.get('scipy', 0) is not None and PathFinder.find_spec('scipy') is not None
-
-
 @dataclass(frozen=True)
 class Score:
     """The outcome of a validation.
@@ -50,7 +47,8 @@ class Score:
     Args:
         survived: share of all frames that came before their garment was lost.
         excess_height: geometric mean [m], over states of the solver on those clips, of the height to which the energy
-            that one step leaves above its minimum would lift the garment; infinite where a step is not finite.
+            that one step leaves above its minimum would lift the garment; infinite where a step is not finite, or no
+            solver is compiled.
         strain: mean of the 95th percentile strains of the frames that survived.
         energy_without_gravity: geometric mean, over the clips, of their mean potential less gravity's [J]; told beside,
             as cloth that floats has little of it.
@@ -62,7 +60,7 @@ class Score:
     energy_without_gravity: float
 
     def beats(self, other: Score | None, margin: float = 0.0) -> bool:
-        """Whether this is better: more frames survived, or else less left of a step.
+        """Whether this is better: more frames survived, or else less left of a step, or strained.
 
         Args:
             other: score to beat; None is beaten by any.
@@ -72,6 +70,8 @@ class Score:
             return True
         if self.survived != other.survived:
             return self.survived > other.survived
+        if math.isinf(self.excess_height) and math.isinf(other.excess_height):
+            return self.strain < (1.0 - margin) * other.strain
         return self.excess_height < (1.0 - margin) * other.excess_height
 
 
@@ -110,11 +110,16 @@ class Validation:
                 logarithms.append(math.log(max(energies / frames, _NO_ENERGY)))
         total = self.frames * len(self.samples)
         energy = math.exp(sum(logarithms) / len(logarithms)) if logarithms else math.inf
-        return Score(survived / total, (self._excess_height(model) if _SOLVES else math.nan), strain / max(survived, 1), energy)
+        return Score(survived / total, self._excess_height(model), strain / max(survived, 1), energy)
 
     @cached_property
     def references(self) -> tuple[Reference, ...]:
-        """Solver's first frames of every clip, with the states that a score takes steps from; made once."""
+        """Solver's first frames of every clip, with the states that a score takes steps from; made once.
+
+        None on a machine that only trains: without kernels the solver would take hours.
+        """
+        if not COMPILES:
+            return ()
         loader = WindowLoader(Wardrobe(self.loader.data, "cpu", torch.float64))
         return tuple(self._reference(loader, sample) for sample in self.samples)
 
