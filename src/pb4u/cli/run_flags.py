@@ -126,9 +126,9 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
             raise unknown_name("garment in this scene", name, worn)
     if tuck:
         given["tucked"] = [True if name in tuck else None for name in worn]
-    for name in ("contact", "self_contact", "body_surface"):
-        if name in given:
-            given[name] = given[name] == "on"
+    for entry in described(Run).values():
+        if entry.name in given and _is_on_or_off(entry):
+            given[entry.name] = given[entry.name] == "on"
     if "body_shape" in given:
         kept = {} if "body" in given else described_run.body_shape
         given["body_shape"] = {**kept, **BodyShape.of(given["body_shape"])}
@@ -167,6 +167,11 @@ def _run_parameters() -> list[inspect.Parameter]:
 _PARSERS: dict[str, Callable[[str], Any]] = {"crop": FrameRange.parse, "body_shape": BodyShape.parse}
 
 
+def _is_on_or_off(entry: Entry) -> bool:
+    """Whether a flag takes `on` or `off`; the other switches have flags of their own for yes and no."""
+    return entry.kind == "switch" and not entry.flag.names
+
+
 def _kind(entry: Entry) -> Any:
     """Type of the value of a flag as typer reads it."""
     if entry.name == "body_shape":
@@ -176,7 +181,7 @@ def _kind(entry: Entry) -> Any:
     if entry.kind == "choice":
         return Literal[entry.choices] | None
     if entry.kind == "switch":
-        return bool | None if entry.flag.names else Switch | None
+        return Switch | None if _is_on_or_off(entry) else bool | None
     return {"whole": int, "number": float}.get(entry.kind, str) | None
 
 

@@ -8,7 +8,8 @@ import mmap
 import pickle
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, NamedTuple
 
@@ -76,7 +77,7 @@ def load_pickle(path: str | Path) -> Any:
             than it may.
     """
     path = Path(path)
-    try:
+    with _one_sentence(path, "arrays", "pickle of plain arrays"):
         allowance = Allowance(path)
         with path.open("rb") as file:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
@@ -85,17 +86,6 @@ def load_pickle(path: str | Path) -> Any:
                     require_plain_pickle(content, path)  # type: ignore[arg-type]
             unpickler = _JoblibUnpickler if is_joblib else _DataUnpickler
             return _Resolution(allowance).of(unpickler(file, allowance).load())
-    except InputError:
-        raise
-    except _Refused as refusal:
-        raise InputError(f"{path}: {refusal}; only files of plain arrays are read, nothing in it was run.") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except Exception as error:
-        # A damaged pickle can raise nearly anything; what it raises says little to a user.
-        raise InputError(
-            f"{path}: not a complete pickle of plain arrays ({type(error).__name__}: {told_error(error)})."
-        ) from error
 
 
 def load_torch_archive(path: str | Path) -> Any:
@@ -108,27 +98,17 @@ def load_torch_archive(path: str | Path) -> Any:
         InputError: the file is no whole archive of torch 1.6 or later, or names anything else.
     """
     path = Path(path)
-    try:
-        allowance = Allowance(path)
-        with open_archive(path) as archive:
-            members = _Archive(path, archive)
-            require_plain_pickle(members.pickle(), path)
-            return _Resolution(allowance).of(_ArchiveUnpickler(members, allowance).load())
-    except DamagedArchiveError:
-        raise InputError(
-            f"{path} is not a torch file (or is damaged); give a .pth or .pt file that torch 1.6 or later saved."
-        ) from None
-    except InputError:
-        raise
-    except _Refused as refusal:
-        raise InputError(f"{path}: {refusal}; only files of plain tensors are read, nothing in it was run.") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except Exception as error:
-        # A damaged archive can raise nearly anything; what it raises says little to a user.
-        raise InputError(
-            f"{path}: not a complete archive of plain tensors ({type(error).__name__}: {told_error(error)})."
-        ) from error
+    with _one_sentence(path, "tensors", "archive of plain tensors"):
+        try:
+            allowance = Allowance(path)
+            with open_archive(path) as archive:
+                members = _Archive(path, archive)
+                require_plain_pickle(members.pickle(), path)
+                return _Resolution(allowance).of(_ArchiveUnpickler(members, allowance).load())
+        except DamagedArchiveError:
+            raise InputError(
+                f"{path} is not a torch file (or is damaged); give a .pth or .pt file that torch 1.6 or later saved."
+            ) from None
 
 
 def load_object_array(path: str | Path) -> Any:
@@ -137,7 +117,7 @@ def load_object_array(path: str | Path) -> Any:
     Raises InputError when it is no such .npy, or names anything else.
     """
     path = Path(path)
-    try:
+    with _one_sentence(path, "arrays", ".npy of plain data"):
         allowance = Allowance(path)
         with path.open("rb") as file:
             version = np.lib.format.read_magic(file)
@@ -152,16 +132,24 @@ def load_object_array(path: str | Path) -> Any:
             unpickler._constructors["torch.storage", "_load_from_bytes"] = _stored_numbers
             unpickler._constructors["torch._utils", "_rebuild_tensor_v2"] = _tensor
             return _Resolution(allowance).of(unpickler.load()).item()
+
+
+@contextmanager
+def _one_sentence(path: Path, content: str, whole: str) -> Iterator[None]:
+    """Whatever stops the reading of `path` as one InputError; `content` is what is read, `whole` what the file is not.
+
+    A damaged pickle can raise nearly anything; what it raises says little to a user.
+    """
+    try:
+        yield
     except InputError:
         raise
     except _Refused as refusal:
-        raise InputError(f"{path}: {refusal}; only files of plain arrays are read, nothing in it was run.") from None
+        raise InputError(f"{path}: {refusal}; only files of plain {content} are read, nothing in it was run.") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except Exception as error:
-        raise InputError(
-            f"{path}: not a complete .npy of plain data ({type(error).__name__}: {told_error(error)})."
-        ) from error
+        raise InputError(f"{path}: not a complete {whole} ({type(error).__name__}: {told_error(error)}).") from error
 
 
 def _stored_numbers(content: Any) -> np.ndarray:
