@@ -94,6 +94,8 @@ class WornGarment:
             (lowest border), loop:N (border with the N-th most vertices), a file of indices or a list. Default: the
             garment's own.
         triangles: Triangles to simulate. Default: the file's own, or 2,500 of a built-in garment.
+        texture: Image laid on the garment by its UVs, or from front and back where it has none. Default: the images
+            and colours of its own file (OBJ with MTL, glTF).
         tucked: Whether it goes into what is worn from the waist, such as trousers, wherever it stands in the order.
 
     Raises:
@@ -104,6 +106,7 @@ class WornGarment:
     material: Annotated[str | Path | Material | None, Flag(GARMENT, "[NAME=]MATERIAL", is_file=True)] = None
     pins: Annotated[str | Path | Sequence[int] | None, Flag(GARMENT, "[NAME=]PINS", is_file=True)] = None
     triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N")] = None
+    texture: Annotated[str | Path | None, Flag(GARMENT, "[NAME=]FILE", is_file=True)] = None
     tucked: Annotated[bool, Flag(GARMENT)] = False
 
     def __post_init__(self) -> None:
