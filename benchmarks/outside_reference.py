@@ -16,11 +16,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from newton_cloth import simulator_named
+
 from pb4u.measures.metrics import ENERGIES, measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.models import load_simulator
 from pb4u.simulation.simulator import RunRecord
 
 WARM_UP = 3
@@ -28,7 +29,7 @@ WARM_UP = 3
 
 def compared(model: str, scene: Scene) -> tuple[dict[str, Any], Trajectory]:
     """Figures of one model, and its trajectory."""
-    simulator, record = load_simulator(model), RunRecord()
+    simulator, record = simulator_named(model), RunRecord()
     trajectory = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record))
     measured = measure(trajectory)
     metrics = measured["metrics"]

@@ -1,4 +1,6 @@
-"""A scene as a model of the `newton` package.
+"""An outside reference: the cloth solver (vertex block descent) of the `newton` package on our scenes.
+
+Needs the packages newton and warp-lang, which pb4u does not install.
 
 Newton's membrane is a stable neo-Hookean solid (Smith et al. 2018, adapted to shells), ours a Saint Venant-Kirchhoff
 one. Newton shifts its own parameters so that the two agree to second order in the strain. Beyond that ours stiffens in
@@ -15,17 +17,22 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import torch
 
-from pb4u.errors import InputError, MissingExtraError
+from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.geometry.triangle_mesh import edge_lengths
 from pb4u.scene.author_mesh import joined_indices, offsets
 from pb4u.scene.scene import Scene
+from pb4u.scene.state import State
+from pb4u.simulation.models import load_simulator
+from pb4u.simulation.simulator import RunRecord, Simulator
+from pb4u.simulation.timeline import Timeline
 
 FRICTION = 0.5
 """Coulomb coefficient, as in our friction energy."""
@@ -169,18 +176,11 @@ def needed_substeps(scene: Scene) -> int:
 
 
 def import_newton() -> tuple[Any, Any]:
-    """Modules `newton` and `warp`.
+    """Modules `newton` and `warp`."""
+    import warp
 
-    Raises:
-        MissingExtraError: they are absent.
-    """
-    try:
-        import warp
-
-        with _quiet(warp):
-            import newton
-    except ImportError as error:
-        raise MissingExtraError("newton", 'The model "newton"') from error
+    with _quiet(warp):
+        import newton
     return newton, warp
 
 
@@ -286,3 +286,55 @@ def hinge_stiffness(garment: Garment, edges: np.ndarray) -> np.ndarray:
 def _double_areas(garment: Garment, edge: np.ndarray, opposite: np.ndarray) -> np.ndarray:
     start, end, tip = garment.vertices[edge[:, 0]], garment.vertices[edge[:, 1]], garment.vertices[opposite]
     return np.linalg.norm(np.cross(end - start, tip - start), axis=1)
+
+
+class NewtonSimulator(Simulator):
+    """Newton's VBD solver: same scene in, same trajectory out, none of our energies, contacts or integrators.
+
+    VBD minimises the backward-Euler potential of a sub-step vertex by vertex (Chen et al., "Vertex Block Descent",
+    SIGGRAPH 2024). Frame 0 is the start pose, settled on the standing body for one frame's time. Velocities in the
+    states are displacements over a frame, as everywhere in this package; Newton keeps its own, finer ones.
+
+    Args:
+        device: "auto", "cpu" or "cuda".
+        options: sub-steps, iterations and contact of the solver; the defaults where None.
+
+    Raises:
+        ModuleNotFoundError: the `newton` package is absent.
+        InputError: there is no such device.
+    """
+
+    name = "newton"
+
+    def __init__(self, device: str = "auto", options: NewtonOptions | None = None) -> None:
+        self.device = warp_device(device)
+        self.options = options or NewtonOptions()
+
+    def settings(self) -> dict[str, Any]:
+        return {"solver": "newton VBD", "solver_options": asdict(self.options), "device": self.device}
+
+    def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
+        timeline = Timeline.of(scene, torch.float32)
+        pinned = timeline.garments.pinned.numpy()
+        cloth = NewtonCloth(scene, timeline.body(0).numpy(), timeline.skinned(0).numpy(), self.device, self.options)
+        cloth.settle(scene.dt, timeline.body(0).numpy())
+        previous = cloth.positions
+        for frame in range(scene.total_frames):
+            if frame:
+                cloth.advance(
+                    scene.dt,
+                    (timeline.body(frame - 1).numpy(), timeline.body(frame).numpy()),
+                    (timeline.skinned(frame - 1).numpy()[pinned], timeline.skinned(frame).numpy()[pinned]),
+                )
+            positions = cloth.positions
+            if not np.isfinite(positions).all():
+                record.failed_at = frame - scene.lead_in
+                return
+            velocities = (positions - previous) / scene.dt
+            previous = positions
+            yield State(torch.from_numpy(positions), torch.from_numpy(velocities.astype(np.float32)), frame)
+
+
+def simulator_named(name: str, **options: Any) -> Simulator:
+    """As `load_simulator`, which does not know "newton"."""
+    return NewtonSimulator(**options) if name == "newton" else load_simulator(name, **options)
