@@ -105,7 +105,7 @@ def simulate_one(rival: str, options: argparse.Namespace, target: Path) -> None:
 def _own(rival: str, scene: Any, options: argparse.Namespace) -> tuple[Any, list[float], list[float], dict[str, Any]]:
     import resource
 
-    from newton_cloth import simulator_named
+    from outside_reference import simulator_named
 
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.simulator import RunRecord

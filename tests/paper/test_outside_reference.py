@@ -8,7 +8,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 import torch
-from benchmarks.newton_cloth import hinge_stiffness, newton_membrane, wave_speed
+from benchmarks.outside_reference import hinge_stiffness, newton_membrane, wave_speed
 from tests.simulation.ball_scene import MATERIAL, Ball, ball_scene, sheet
 from torch import Tensor
 
@@ -51,7 +51,7 @@ def scene_of(garment: Garment, frames: int, placement: Placement | None = None) 
 
 
 def simulator(**options: float):  # type: ignore[no-untyped-def]
-    from benchmarks.newton_cloth import NewtonOptions, NewtonSimulator
+    from benchmarks.outside_reference import NewtonOptions, NewtonSimulator
 
     return NewtonSimulator("cpu", NewtonOptions(**options))  # type: ignore[arg-type]
 
@@ -215,7 +215,7 @@ def test_wave_speed_of_the_default_cloth() -> None:
 
 @newton_installed
 def test_finer_garments_get_shorter_substeps() -> None:
-    from benchmarks.newton_cloth import needed_substeps
+    from benchmarks.outside_reference import needed_substeps
 
     coarse, fine = (needed_substeps(ball_scene(cells=cells)) for cells in (10, 40))
     assert coarse * 4 - 4 <= fine <= coarse * 4
@@ -224,7 +224,7 @@ def test_finer_garments_get_shorter_substeps() -> None:
 @newton_installed
 def test_a_missing_gpu_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     import warp
-    from benchmarks.newton_cloth import NewtonSimulator
+    from benchmarks.outside_reference import NewtonSimulator
 
     monkeypatch.setattr(warp, "get_cuda_device_count", lambda: 0)
     with pytest.raises(InputError, match="no CUDA device"):
@@ -234,7 +234,7 @@ def test_a_missing_gpu_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @newton_installed
 def test_a_state_that_fails_ends_the_run_and_says_when(monkeypatch: pytest.MonkeyPatch) -> None:
-    from benchmarks.newton_cloth import NewtonCloth
+    from benchmarks.outside_reference import NewtonCloth
 
     from pb4u.simulation.simulator import RunRecord
 
