@@ -94,6 +94,8 @@ class WornGarment:
             (lowest border), loop:N (border with the N-th most vertices), a file of indices or a list. Default: the
             garment's own.
         triangles: Triangles to simulate. Default: the file's own, or 2,500 of a built-in garment.
+        texture: Image laid on the garment by its UVs, or from front and back where it has none. Default: the images
+            and colours of its own file (OBJ with MTL, glTF).
         tucked: Whether it goes into what is worn from the waist, such as trousers, wherever it stands in the order.
 
     Raises:
@@ -104,6 +106,7 @@ class WornGarment:
     material: Annotated[str | Path | Material | None, Flag(GARMENT, "[NAME=]MATERIAL", is_file=True)] = None
     pins: Annotated[str | Path | Sequence[int] | None, Flag(GARMENT, "[NAME=]PINS", is_file=True)] = None
     triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N")] = None
+    texture: Annotated[str | Path | None, Flag(GARMENT, "[NAME=]FILE", is_file=True)] = None
     tucked: Annotated[bool, Flag(GARMENT)] = False
 
     def __post_init__(self) -> None:
@@ -148,19 +151,19 @@ class Run:
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
         fps: Frames per second; a network runs at its own, and the result is resampled.
         seed: Seed of everything random.
-        model: solver, quick-solver (its first iterations alone: the fastest on a processor), skinning, newton, or a
-            network by name, .safetensors file or .pth of the released code. Default: pb4u-wide.
+        model: solver, quick-solver (its first iterations alone: the fastest on a processor), skinning, or a network by
+            name, .safetensors file or .pth of the released code. Default: pb4u-wide.
         refine: Most solver iterations after each step of a network, or of the quick solver. A step that they leave
             failed is retried.
         contact: Push the garment out of the body after each step.
         self_contact: Cloth feels cloth, within a garment and between garments. Default: on for the solver and
-            networks; skinning and newton cannot.
+            networks; skinning cannot.
         body_surface: Keep cloth clear of faces and edges of the body too, not at its vertices alone; takes about half
             as long again.
         propagation_steps: Propagation steps of a network. Default: as many as the mesh calls for.
         passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
             it, or 1 with --refine.
-        device: Where a network or newton computes; the solver always runs on the CPU.
+        device: Where a network computes; the solver always runs on the CPU.
         precision: Precision of a network's matrix products; auto is bfloat16 where the device multiplies faster in it
             and --refine is above 0.
         first_frame: How frame 0 is made: settled by the solver; in one long_step of the method itself, as in the

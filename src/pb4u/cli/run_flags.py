@@ -118,7 +118,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     tuck, method = given.pop("tuck", []), given.pop("as_released", None)
     named = given.get("garment")
     worn = [WornGarment(name).name for name in named] if named else [each.name for each in described_run.garments]
-    for name in ("material", "pins", "triangles"):
+    for name in ("material", "pins", "triangles", "texture"):
         if name in given:
             given[name] = _one_each(name, given[name], worn)
     for name in tuck:

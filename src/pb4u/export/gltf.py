@@ -11,7 +11,7 @@ import json
 import shutil
 import struct
 import warnings
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,9 +19,11 @@ import numpy as np
 
 from pb4u.errors import InputWarning
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
-from pb4u.export.shading import SKIN, garment_colours
+from pb4u.export.shading import SKIN, ClothPart, cloth_parts
 from pb4u.export.shape_basis import fit_shapes
+from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
+from pb4u.scene.author_mesh import split_seams
 from pb4u.scene.trajectory import Trajectory
 
 _TOLERANCE = 1e-3
@@ -51,11 +53,12 @@ def write_glb(trajectory: Trajectory, path: Path, progress: Progress = no_progre
         with binary.open("wb") as file:
             document = _Document(file, trajectory)
             uv = (header.uvs, header.uv_faces)
-            owner = np.asarray(header.vertex_garment)[header.faces[:, 0]]
-            document.add_surface("garment", trajectory.positions, header.faces, uv, owner, _part(progress, 0, passes))
+            cloth = cloth_parts(header)
+            document.add_surface("garment", trajectory.positions, header.faces, uv, cloth, _part(progress, 0, passes))
             if body:
+                skin = [ClothPart("body", np.arange(len(header.body_faces)), SKIN)]
                 document.add_surface(
-                    "body", trajectory.body_positions, header.body_faces, (None, None), None,
+                    "body", trajectory.body_positions, header.body_faces, (None, None), skin,
                     _part(progress, frames, passes),
                 )  # fmt: skip
             described = document.finished()
@@ -109,7 +112,7 @@ class _Document:
         positions: np.ndarray,
         faces: np.ndarray,
         uv: tuple[np.ndarray | None, np.ndarray | None],
-        owner: np.ndarray | None,
+        looks: Sequence[ClothPart],
         progress: Progress,
     ) -> None:
         """Add a node with a mesh, its morph targets and their weights over time.
@@ -119,7 +122,7 @@ class _Document:
             positions: (frames, vertices, 3) [m].
             faces: (faces, 3) int64.
             uv: UV points (uv points, 2) and UV faces (faces, 3), or None for each.
-            owner: (faces,) int garment of each, which has a primitive and a colour of its own; None for skin.
+            looks: its parts, each of which has a primitive and a material of its own.
             progress: called with (passes done, passes in all).
         """
         basis = fit_shapes(positions, faces, _TOLERANCE, _MOST_TARGETS, progress)
@@ -130,23 +133,23 @@ class _Document:
                 InputWarning,
                 stacklevel=2,
             )
-        of_vertex, corners, uvs = _split_seams(len(basis.start), faces, *uv)
+        of_vertex, corners, uvs = split_seams(len(basis.start), faces, *uv)
         attributes = {
             "POSITION": self._vectors(basis.start[of_vertex], bounded=True),
             "NORMAL": self._vectors(basis.start_normals[of_vertex]),
         }
         if uvs is not None:
-            attributes["TEXCOORD_0"] = self._vectors(uvs)
-        parts = [corners] if owner is None else [corners[owner == k] for k in range(int(owner.max(initial=0)) + 1)]
-        colours = [SKIN] if owner is None else garment_colours(len(parts))
+            attributes["TEXCOORD_0"] = self._vectors(uvs * (1.0, -1.0) + (0.0, 1.0))  # v downward
         # The parts share their vertices; none but theirs are read of them.
         primitives: list[dict[str, Any]] = [
             {
                 "attributes": attributes,
-                "indices": self._add(part.reshape(-1).astype("<u4"), "SCALAR", _UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER),
-                "material": self._material(name if len(parts) == 1 else f"{name} {k + 1}", colour),
+                "indices": self._add(
+                    corners[look.faces].reshape(-1).astype("<u4"), "SCALAR", _UNSIGNED_INT, _ELEMENT_ARRAY_BUFFER
+                ),
+                "material": self._material(look),
             }
-            for k, (part, colour) in enumerate(zip(parts, colours, strict=True))
+            for look in looks
         ]
         mesh: dict[str, Any] = {"name": name, "primitives": primitives, "extras": {"largest_error": basis.error}}
         node = len(self._json["nodes"])
@@ -183,11 +186,21 @@ class _Document:
         self._channels.append({"sampler": len(self._samplers), "target": target})
         self._samplers.append({"input": self._times, "output": output, "interpolation": "LINEAR"})
 
-    def _material(self, name: str, colour: Iterable[float]) -> int:
+    def _material(self, look: ClothPart) -> int:
         # glTF colours are linear; the constants are as seen on a screen.
-        linear = [round(float(channel) ** 2.2, 4) for channel in colour]
-        surface = {"baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.85}
-        self._json["materials"].append({"name": name, "pbrMetallicRoughness": surface, "doubleSided": True})
+        linear = [round(float(channel) ** 2.2, 4) for channel in look.colour]
+        surface: dict[str, Any] = {
+            "baseColorFactor": [*linear, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.85,
+        }  # fmt: skip
+        if look.image is not None:
+            kind = "image/png" if image_suffix(look.image) == ".png" else "image/jpeg"
+            surface["baseColorTexture"] = {"index": len(self._json.setdefault("textures", []))}
+            self._json["textures"].append({"source": len(self._json.setdefault("images", []))})
+            view = {"buffer": 0, "byteOffset": self._file.tell(), "byteLength": len(look.image)}
+            self._file.write(look.image + b"\0" * (-len(look.image) % 4))
+            self._json["images"].append({"bufferView": len(self._json["bufferViews"]), "mimeType": kind})
+            self._json["bufferViews"].append(view)
+        self._json["materials"].append({"name": look.name, "pbrMetallicRoughness": surface, "doubleSided": True})
         return len(self._json["materials"]) - 1
 
     def _vectors(self, values: np.ndarray, bounded: bool = False) -> int:
@@ -213,24 +226,3 @@ class _Document:
             }
         )
         return len(self._json["accessors"]) - 1
-
-
-def _split_seams(
-    vertices: int, faces: np.ndarray, uvs: np.ndarray | None, uv_faces: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """glTF has one UV a vertex: vertices at a seam are copied.
-
-    Returns (written,) the vertex behind each written one, which begins 0, 1, ..., vertices-1; (faces, 3) corners as
-    written ones; (written, 2) UVs with v downward as glTF has it, or None.
-    """
-    if uvs is None or uv_faces is None:
-        return np.arange(vertices), faces, None
-    pairs, corner = np.unique(np.column_stack([faces.ravel(), uv_faces.ravel()]), axis=0, return_inverse=True)
-    first = np.r_[True, pairs[1:, 0] != pairs[:-1, 0]]
-    written = np.empty(len(pairs), dtype=np.int64)
-    written[first] = pairs[first, 0]
-    written[~first] = vertices + np.arange(np.count_nonzero(~first))
-    of_vertex = np.r_[np.arange(vertices), pairs[~first, 0]]
-    coordinates = np.zeros((len(of_vertex), 2), dtype=np.float32)
-    coordinates[written] = uvs[pairs[:, 1]] * (1.0, -1.0) + (0.0, 1.0)
-    return of_vertex, written[corner.reshape(-1)].reshape(faces.shape), coordinates

@@ -6,18 +6,19 @@ import io
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from pb4u.errors import InputError, Pb4uError
 from pb4u.export.finite_frames import held_frames
-from pb4u.export.shading import SKIN, face_colours
+from pb4u.export.shading import SKIN, cloth_parts
 from pb4u.export.video_writer import open_video
 from pb4u.export.view import View
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.progress import Progress, no_progress
+from pb4u.scene.author_mesh import split_seams
 from pb4u.scene.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -58,8 +59,7 @@ class StillRenderer:
         self._trajectory = trajectory
         self._view = view
         self._plotter = pyvista.Plotter(off_screen=True, window_size=[view.width, view.height], lighting="none")
-        cloth = face_colours(trajectory.faces, trajectory.header.vertex_garment, view.cloths)
-        self._cloth = self._add(trajectory.positions[0], trajectory.faces, cloth, specular=0.06)
+        self._cloth = self._add_cloth(trajectory)
         self._held = frozenset(held_frames(trajectory))
         self._body = None
         faces = trajectory.header.body_faces
@@ -70,8 +70,39 @@ class StillRenderer:
         self._middle = self._middle_height(frames)
         self._distance = max((self._needed_distance(t) for t in frames), default=0.0) * _MARGIN
 
-    def _add(self, points: np.ndarray, faces: np.ndarray, colours: np.ndarray, specular: float) -> pyvista.PolyData:
-        """A surface in the picture; `colours` are (faces, 3) sRGB [0 to 1]."""
+    def _add_cloth(self, trajectory: Trajectory) -> list[tuple[pyvista.PolyData, np.ndarray]]:
+        """Surfaces of the garments, each with the vertex behind each of its points: one of plain colours, one an image.
+
+        Vertices at UV seams are copied for an image.
+        """
+        header, first = trajectory.header, trajectory.positions[0]
+        parts = cloth_parts(header, self._view.cloths)
+        plain = [part for part in parts if part.image is None or header.uvs is None]
+        added = []
+        if plain:
+            rows = np.sort(np.concatenate([part.faces for part in plain]))
+            colours = np.empty((len(header.faces), 3))
+            for part in plain:
+                colours[part.faces] = part.colour
+            whole = np.arange(len(first))
+            added.append((self._add(first, header.faces[rows], colours[rows], specular=0.06), whole))
+        of_vertex, corners, uvs = split_seams(len(first), header.faces, header.uvs, header.uv_faces)
+        for part in parts:
+            if part.image is not None and uvs is not None:
+                colours = np.tile(part.colour, (len(part.faces), 1))
+                drawn = self._add(first[of_vertex], corners[part.faces], colours, 0.06, (part.image, uvs))
+                added.append((drawn, of_vertex))
+        return added
+
+    def _add(
+        self,
+        points: np.ndarray,
+        faces: np.ndarray,
+        colours: np.ndarray,
+        specular: float,
+        texture: tuple[bytes, np.ndarray] | None = None,
+    ) -> pyvista.PolyData:
+        """A surface in the picture; `colours` (faces, 3) sRGB [0 to 1], or those times an image by UVs (points, 2)."""
         import pyvista
 
         cells = np.column_stack([np.full(len(faces), 3), faces]).ravel()
@@ -79,10 +110,13 @@ class StillRenderer:
         mesh.cell_data["colours"] = (255 * colours).round().astype(np.uint8)
         mesh.point_data["Normals"] = np.zeros_like(mesh.points)
         mesh.point_data.active_normals_name = "Normals"
+        shown: dict[str, Any] = {"scalars": "colours", "rgb": True}
+        if texture is not None:
+            mesh.active_texture_coordinates = texture[1]
+            shown = {"texture": _texture(texture[0], colours[0])}
         self._plotter.add_mesh(
-            mesh, scalars="colours", rgb=True, ambient=0.16, diffuse=0.9,
-            specular=specular, specular_power=12, interpolation="Phong",
-        )  # fmt: skip
+            mesh, **shown, ambient=0.16, diffuse=0.9, specular=specular, specular_power=12, interpolation="Phong"
+        )
         return mesh
 
     def _light(self) -> None:
@@ -164,9 +198,12 @@ class StillRenderer:
             Pb4uError: the renderer returns no picture.
         """
         trajectory = self._trajectory
-        _move(self._cloth, trajectory.positions[t], trajectory.faces)
+        normals = _normals(trajectory.positions[t], trajectory.faces)
+        for mesh, of_vertex in self._cloth:
+            _move(mesh, trajectory.positions[t][of_vertex], normals[of_vertex])
         if self._body is not None:
-            _move(self._body, trajectory.body_positions[t], trajectory.header.body_faces)
+            points = trajectory.body_positions[t]
+            _move(self._body, points, _normals(points, trajectory.header.body_faces))
         self._cast_shadow(t)
         self._mark_held(t)
         self._aim(t)
@@ -206,10 +243,29 @@ class StillRenderer:
         self._plotter.close()
 
 
-def _move(mesh: pyvista.PolyData, points: np.ndarray, faces: np.ndarray) -> None:
-    finite = np.nan_to_num(np.array(points, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    mesh.points = finite
-    mesh.point_data["Normals"] = vertex_normals(torch.from_numpy(finite), torch.from_numpy(np.array(faces))).numpy()
+def _move(mesh: pyvista.PolyData, points: np.ndarray, normals: np.ndarray) -> None:
+    mesh.points = _finite(points)
+    mesh.point_data["Normals"] = normals
+
+
+def _normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    return vertex_normals(torch.from_numpy(_finite(points)), torch.from_numpy(np.array(faces))).numpy()
+
+
+def _finite(points: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(np.array(points, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _texture(image: bytes, colour: np.ndarray) -> pyvista.Texture:
+    """An image times an sRGB colour [0 to 1]."""
+    import pyvista
+    from PIL import Image
+
+    with Image.open(io.BytesIO(image)) as opened:
+        pixels = (np.asarray(opened.convert("RGB")) * colour).round().astype(np.uint8)
+    texture: pyvista.Texture = pyvista.Texture(pixels)  # type: ignore[no-untyped-call]
+    texture.repeat, texture.interpolate, texture.mipmap = True, True, True
+    return texture
 
 
 def render(trajectory: Trajectory, frames: Sequence[int], view: View | None = None) -> Iterator[np.ndarray]:

@@ -31,6 +31,8 @@ class Format:
         check: called with the path before any work is done; raises where the format cannot be written there.
         files: called with the path and the number of frames; the files written, where that is more than the path.
         stale: called with the path and the number of frames; files of a longer one before it, deleted once it is there.
+        coloured: whether it shows images and colours of garments; where a remeshing has lost them, the author's own
+            mesh is written.
         finite: whether frames that are not finite are held first (`finite_frames`).
         drawn: whether it shows pictures; the writer takes a `view` then.
         side_multiple: what the sides of its pictures are a multiple of [pixels].
@@ -42,6 +44,7 @@ class Format:
     check: str = ""
     files: str = ""
     stale: str = ""
+    coloured: bool = False
     finite: bool = True
     drawn: bool = False
     side_multiple: int = 1
@@ -73,21 +76,43 @@ FORMATS = (
     Format(
         (".abc",), "ABC (Alembic) is exact", "pb4u.export.alembic:write_alembic", "pb4u.export.alembic:check_alembic"
     ),
-    Format((".usdc", ".usda", ".usdz"), "USD is exact", "pb4u.export.usd:write_usd", "pb4u.export.usd:check_usd"),
+    Format(
+        (".usdc", ".usda", ".usdz"),
+        "USD is exact",
+        "pb4u.export.usd:write_usd",
+        "pb4u.export.usd:check_usd",
+        coloured=True,
+    ),
     Format(
         (".pkl",),
         "PKL is the result layout of HOOD's family, for their viewers",
         "pb4u.compat.result_pickle:write_result",
     ),
-    Format((".glb",), "GLB is within 1 mm (else a warning says how far off)", "pb4u.export.gltf:write_glb"),
     Format(
-        (".png", ".jpg"), "PNG and JPG show five moments side by side", "pb4u.export.picture:write_still", drawn=True
+        (".glb",),
+        "GLB is within 1 mm (else a warning says how far off)",
+        "pb4u.export.gltf:write_glb",
+        coloured=True,
     ),
-    Format((".gif",), "GIF leaves frames out, down to about 15 a second", "pb4u.export.picture:write_gif", drawn=True),
+    Format(
+        (".png", ".jpg"),
+        "PNG and JPG show five moments side by side",
+        "pb4u.export.picture:write_still",
+        coloured=True,
+        drawn=True,
+    ),
+    Format(
+        (".gif",),
+        "GIF leaves frames out, down to about 15 a second",
+        "pb4u.export.picture:write_gif",
+        coloured=True,
+        drawn=True,
+    ),
     Format(
         (".mp4",),
         "MP4 shows every frame, in H.264 where an encoder for it works here (such as an ffmpeg's), else in VP9",
         "pb4u.export.picture:write_mp4",
+        coloured=True,
         drawn=True,
         side_multiple=2,  # colours are stored at half the resolution
     ),
@@ -217,6 +242,9 @@ def export(
     form = WRITERS[path.suffix.lower()]
     if view is not None:
         check_view(path, view)
+    header = trajectory.header
+    if form.coloured and header.appearances is None and header.source is not None and header.source.appearances:
+        trajectory = _function("pb4u.export.selection:on_source")(trajectory)
     shown = _function("pb4u.export.finite_frames:hold_finite")(trajectory) if form.finite else trajectory
     writer = _function(form.writer)
     seen = {"view": view} if form.drawn else {}

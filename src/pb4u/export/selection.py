@@ -112,6 +112,7 @@ def on_source(trajectory: Trajectory) -> Trajectory:
         uv_faces=track.uv_faces,
         source=None,
         polygons=track.polygons,
+        appearances=track.appearances,
         rest_uv=None,
     )
     return Trajectory(header, on_mesh(trajectory.positions), on_mesh(trajectory.velocities), trajectory.body_positions)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import torch
 
 from pb4u.geometry.triangle_mesh import vertex_normals
+
+if TYPE_CHECKING:
+    from pb4u.scene.trajectory import TrajectoryHeader
 
 Colour: TypeAlias = tuple[float, float, float]
 """Red, green and blue, sRGB [0 to 1]."""
@@ -30,17 +34,43 @@ def garment_colours(garments: int, chosen: Sequence[Colour] = ()) -> np.ndarray:
     return np.array([*chosen[:garments], *usual[len(chosen) : garments]], dtype=np.float64).reshape(-1, 3)
 
 
-def face_colours(faces: np.ndarray, vertex_garment: np.ndarray, chosen: Sequence[Colour] = ()) -> np.ndarray:
-    """Colours (faces, 3) float64 sRGB [0 to 1] of garments, one colour each.
+@dataclass(frozen=True, eq=False)
+class ClothPart:
+    """Faces of one garment that look the same.
 
     Args:
-        faces: (faces, 3) int.
-        vertex_garment: (vertices,) int garment of each vertex.
-        chosen: colours of the first garments; the others have their usual ones.
+        name: of the part.
+        faces: (n,) int64 indices of its faces.
+        colour: sRGB [0 to 1]; multiplies the image.
+        image: content of a PNG or JPEG file that the UVs lay on, or None.
     """
-    garment = vertex_garment[faces[:, 0]]
-    colours: np.ndarray = garment_colours(int(vertex_garment.max(initial=0)) + 1, chosen)[garment]
-    return colours
+
+    name: str
+    faces: np.ndarray
+    colour: Colour
+    image: bytes | None = None
+
+
+def cloth_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> list[ClothPart]:
+    """The garments of a trajectory, each in its colour or in those and the images that its author gave.
+
+    Args:
+        header: of the trajectory.
+        chosen: colours of the first garments, which take the place of all that their authors gave.
+    """
+    owner, looks = np.asarray(header.vertex_garment)[header.faces[:, 0]], header.appearances
+    count = int(owner.max(initial=0)) + 1
+    of_face = np.full(len(owner), -1) if looks is None else np.where(owner < len(chosen), -1, looks.of_face)
+    parts = []
+    for k, usual in enumerate(garment_colours(count, chosen)):
+        for look in np.unique(of_face[owner == k]).tolist():
+            faces = np.flatnonzero((owner == k) & (of_face == look))
+            if looks is None or look < 0:
+                parts.append(ClothPart("garment" if count == 1 else f"garment {k + 1}", faces, tuple(usual)))
+            else:
+                given = looks.listed[look]
+                parts.append(ClothPart(given.name, faces, given.colour, given.image))
+    return parts
 
 
 def unit_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:

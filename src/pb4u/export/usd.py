@@ -12,13 +12,16 @@ import numpy as np
 from pb4u.errors import MissingExtraError
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
-from pb4u.export.shading import CLOTH, SKIN, garment_colours, unit_normals
+from pb4u.export.shading import CLOTH, SKIN, ClothPart, cloth_parts, unit_normals
+from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.author_mesh import Polygons
 from pb4u.scene.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from pxr import Usd, UsdGeom
+    from pxr import Usd, UsdGeom, UsdShade
+
+    from pb4u.scene.trajectory import TrajectoryHeader
 
 _FRAMES_BETWEEN_SAVES = 100
 """Saving empties the stage's memory of time samples, so it is done before they amount to much."""
@@ -43,7 +46,8 @@ def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     """Write one USD stage: /Scene with the meshes Garment and Body, no transforms; metres, Y up, one time code a frame.
 
     Points, normals and extent are sampled at every frame; the author's polygons stay polygons; UVs are the
-    face-varying `primvars:st`. The frames that `hold_finite` replaced are listed in the custom layer data.
+    face-varying `primvars:st`; images are written beside the file as NAME.texture0.png, or into a .usdz. The frames
+    that `hold_finite` replaced are listed in the custom layer data.
 
     Args:
         trajectory: what is written, every frame finite.
@@ -62,7 +66,7 @@ def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
         with tempfile.TemporaryDirectory(prefix=".usd.", dir=path.parent) as folder:
             suffix = path.suffix.lower()
             binary = path if suffix == ".usdc" else Path(folder) / f"{path.stem}.usdc"
-            _write_binary(trajectory, binary, progress)
+            _write_binary(trajectory, binary, binary if suffix == ".usdz" else path, progress)
             if suffix == ".usda":
                 _to_text(binary, path)
             elif suffix == ".usdz":
@@ -72,7 +76,8 @@ def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
         raise incomplete(path) from error
 
 
-def _write_binary(trajectory: Trajectory, path: Path, progress: Progress) -> None:
+def _write_binary(trajectory: Trajectory, path: Path, beside: Path, progress: Progress) -> None:
+    """Write a binary stage at `path`, and its images beside `beside`."""
     from pxr import Usd, UsdGeom
 
     header = trajectory.header
@@ -89,7 +94,7 @@ def _write_binary(trajectory: Trajectory, path: Path, progress: Progress) -> Non
         stage.GetRootLayer().customLayerData = {"pb4u": {HELD_FRAMES: _ints(held)}}
     outlines = header.outlines
     garment = _AnimatedMesh(_define(stage, "/Scene/Garment", outlines, CLOTH), header.faces)
-    _colour_garments(garment.mesh, outlines, header.vertex_garment)
+    _colour_cloth(stage, garment.mesh, header, beside)
     _add_uvs(garment.mesh, header.uvs, outlines.uv_corners)
     skin = Polygons.of_triangles(header.body_faces, None)
     body = _AnimatedMesh(_define(stage, "/Scene/Body", skin, SKIN), header.body_faces)
@@ -136,16 +141,59 @@ def _define(stage: Usd.Stage, name: str, polygons: Polygons, colour: tuple[float
     return mesh
 
 
-def _colour_garments(mesh: UsdGeom.Mesh, outlines: Polygons, vertex_garment: np.ndarray) -> None:
-    """Each garment in a colour of its own, polygon by polygon; a single one keeps the colour of the whole."""
-    from pxr import UsdGeom, Vt
+def _colour_cloth(stage: Usd.Stage, mesh: UsdGeom.Mesh, header: TrajectoryHeader, path: Path) -> None:
+    """Display colours polygon by polygon, and a material with its image, beside the file, where the author gave one.
 
-    first = outlines.corners[np.cumsum(outlines.sizes) - outlines.sizes]
-    owner = np.asarray(vertex_garment)[first]
-    if owner.max(initial=0):
-        colours = garment_colours(int(owner.max()) + 1)[owner].astype(np.float32)
+    A single garment without any keeps the colour of the whole.
+    """
+    from pxr import UsdGeom, UsdShade, Vt
+
+    parts, outlines = cloth_parts(header), header.outlines
+    part_of_face = np.empty(len(header.faces), dtype=np.int64)
+    for k, part in enumerate(parts):
+        part_of_face[part.faces] = k
+    # The triangles of a polygon follow each other, two fewer than its corners.
+    of_polygon = part_of_face[np.cumsum(outlines.sizes - 2) - (outlines.sizes - 2)]
+    if len(parts) > 1 or header.appearances is not None:
+        colours = np.array([part.colour for part in parts])[of_polygon].astype(np.float32)
         mesh.CreateDisplayColorAttr(Vt.Vec3fArray.FromNumpy(colours))
         UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").SetInterpolation(UsdGeom.Tokens.uniform)
+    for k, part in enumerate(parts if header.appearances is not None else ()):
+        subset = UsdGeom.Subset.CreateGeomSubset(
+            mesh, f"part_{k}", UsdGeom.Tokens.face, _ints(np.flatnonzero(of_polygon == k)), "materialBind"
+        )
+        UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(_material(stage, k, part, path))
+
+
+def _material(stage: Usd.Stage, number: int, part: ClothPart, path: Path) -> UsdShade.Material:
+    """A preview surface of the part's colour, or of its image, which is written beside the file."""
+    from pxr import Gf, Sdf, UsdShade
+
+    name = f"/Scene/Materials/part_{number}"
+    material = UsdShade.Material.Define(stage, name)
+    material.GetPrim().SetDisplayName(part.name)
+    surface = UsdShade.Shader.Define(stage, f"{name}/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.85)
+    linear = [float(channel) ** 2.2 for channel in part.colour]
+    colour = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    colour.Set(Gf.Vec3f(*linear))
+    material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+    if part.image is not None:
+        file = path.with_name(f"{path.stem}.texture{number}{image_suffix(part.image)}")
+        file.write_bytes(part.image)
+        reader, image = (UsdShade.Shader.Define(stage, f"{name}/{each}") for each in ("st", "image"))
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        image.CreateIdAttr("UsdUVTexture")
+        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{file.name}")
+        image.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*linear, 1.0))
+        for axis in ("wrapS", "wrapT"):
+            image.CreateInput(axis, Sdf.ValueTypeNames.Token).Set("repeat")
+        image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+        image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
+        colour.ConnectToSource(image.ConnectableAPI(), "rgb")
+    return material
 
 
 def _add_uvs(mesh: UsdGeom.Mesh, uvs: np.ndarray | None, uv_corners: np.ndarray | None) -> None:

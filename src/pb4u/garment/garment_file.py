@@ -58,7 +58,8 @@ def read_garment(
     faces = np.searchsorted(simulated, faces)
     if triangles in (None, len(faces)):
         uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
-        garment = Garment(path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces)
+        looks = None if source.appearances is None else source.appearances.at(surface.polygon[surface.kept])
+        garment = Garment(path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces, appearances=looks)
         garment = replace(garment, source=_map_to_same(source, simulated, vertices, faces))
     else:
         assert triangles is not None

@@ -105,6 +105,7 @@ def _without_waste(source: PolygonMesh, said: list[str]) -> PolygonMesh:
         tuple(np.searchsorted(used, p) for p in polygons),
         source.uvs,
         None if uvs is None else tuple(uvs),
+        None if source.appearances is None else source.appearances.at(keep),
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.geometry.appearance import Appearance, Appearances, as_png
 from pb4u.io.reading_limits import MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, parse_json, read_text, require_size
 
 _TRIMESH = "pb4u.geometry.mesh_file:read_with_trimesh"
@@ -38,12 +39,14 @@ class PolygonMesh:
         polygons: vertex indices of each polygon (triangles, quads, n-gons).
         uvs: (uv points, 2) float64 or None.
         polygon_uvs: UV indices of each polygon's corners, or None.
+        appearances: colours and images of the polygons, where the file has any.
     """
 
     vertices: np.ndarray
     polygons: tuple[np.ndarray, ...]
     uvs: np.ndarray | None = None
     polygon_uvs: tuple[np.ndarray, ...] | None = None
+    appearances: Appearances | None = None
 
 
 def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:
@@ -67,7 +70,10 @@ def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:
 
 
 def read_with_trimesh(path: Path) -> PolygonMesh:
-    """The triangles of a file in any format that trimesh reads.
+    """The triangles of a file in any format that trimesh reads, with colours and images of a glTF.
+
+    Corners in the same place are one vertex in STL, which has no connectivity, and in glTF, which copies vertices at
+    every UV seam.
 
     Args:
         path: the file; its suffix says the format.
@@ -78,15 +84,16 @@ def read_with_trimesh(path: Path) -> PolygonMesh:
     import trimesh
 
     try:
-        mesh: Any = trimesh.load(path, force="mesh", process=False)
+        loaded: Any = trimesh.load(path, process=False)
+        parts: list[Any] = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
     except Exception as error:  # each format's reader raises its own kinds
         raise InputError(f"{path} cannot be read as a mesh: {str(error) or type(error).__name__}.") from None
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+    parts = [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+    if not parts:
         raise InputError(f"{path} has no faces: export it as a polygon mesh.")
-    if path.suffix.lower() == ".stl":
-        # An STL lists three corners per triangle and no connectivity; equal corners are one vertex by the format.
-        mesh.merge_vertices()
-    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    vertices = np.concatenate([part.vertices for part in parts]).astype(np.float64)
+    faces = np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]).astype(np.int64)
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(bad):
         raise InputError(
@@ -95,10 +102,36 @@ def read_with_trimesh(path: Path) -> PolygonMesh:
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(f"{path}: a face names a vertex out of range, the file has {len(vertices)}; export it again.")
-    uvs = getattr(mesh.visual, "uv", None)
-    if uvs is not None and len(uvs) == len(vertices):
-        return PolygonMesh(vertices, tuple(faces), np.asarray(uvs, dtype=np.float64), tuple(faces))
-    return PolygonMesh(vertices, tuple(faces))
+    corners = faces
+    if path.suffix.lower() in (".stl", ".glb", ".gltf"):
+        first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)[1:]
+        order = np.argsort(first)
+        vertices, faces = vertices[first[order]], np.argsort(order)[same.reshape(-1)][faces]
+    known = [getattr(part.visual, "uv", None) for part in parts]
+    if all(uvs is None or len(uvs) != len(part.vertices) for uvs, part in zip(known, parts, strict=True)):
+        return PolygonMesh(vertices, tuple(faces), appearances=_appearances(parts, False))
+    uvs = [np.zeros((len(part.vertices), 2)) if uv is None else uv for uv, part in zip(known, parts, strict=True)]
+    return PolygonMesh(
+        vertices, tuple(faces), np.concatenate(uvs).astype(np.float64), tuple(corners), _appearances(parts, True)
+    )
+
+
+def _appearances(parts: list[Any], laid_on: bool) -> Appearances | None:
+    """Base colours and images of glTF's meshes; images only where UVs say how they are laid on."""
+    found: list[Appearances | None] = []
+    for part in parts:
+        material: Any = getattr(part.visual, "material", None)
+        factor = getattr(material, "baseColorFactor", None)
+        image = getattr(material, "baseColorTexture", None) if laid_on else None
+        if factor is None and image is None:
+            found.append(None)
+            continue
+        linear = np.ones(3) if factor is None else np.asarray(factor[:3], dtype=np.float64) / 255.0
+        red, green, blue = (linear ** (1 / 2.2)).tolist()
+        content = None if image is None else as_png(image)
+        listed = (Appearance(str(material.name or "material"), (red, green, blue), content),)
+        found.append(Appearances(listed, np.zeros(len(part.faces), dtype=np.int64)))
+    return Appearances.joined(found, [len(part.faces) for part in parts])
 
 
 def least_triangles(path: Path, enough: int) -> int:

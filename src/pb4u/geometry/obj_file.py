@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.geometry.appearance import Appearance, Appearances, read_mtl, write_mtl
 from pb4u.geometry.mesh_file import MOST_READ, PolygonMesh
 from pb4u.io.atomic_file import replace_file
 
-_KINDS = {b"v ", b"f ", b"vt"}
+_KINDS = {b"v ", b"f ", b"vt", b"us", b"mt"}
 _BLOCK = 1 << 22
 """Bytes of a file that are parsed at once: their lines take some twenty times as much while they are."""
 _MOST_LINE = 1 << 22
@@ -30,15 +32,20 @@ Lines = list[tuple[int, bytes]]
 
 
 class _Block(NamedTuple):
-    """Lines of a part of a file; of a face also the vertices and texture coordinates before it in the part."""
+    """Lines of a part of a file; of a face also the vertices and texture coordinates before it in the part.
+
+    Of `usemtl` and `mtllib` the name, with the faces before it in the part.
+    """
 
     vertices: Lines
     uvs: Lines
     faces: list[tuple[int, bytes, int, int]]
+    used: list[tuple[int, str]]
+    libraries: list[str]
 
 
 def read_obj(path: Path) -> PolygonMesh:
-    """The mesh of an OBJ file, all objects and groups together.
+    """The mesh of an OBJ file, all objects and groups together, with colours and images of its MTL.
 
     Args:
         path: the file.
@@ -50,14 +57,36 @@ def read_obj(path: Path) -> PolygonMesh:
     """
     vertices, uvs = _Table(path, 3, "vertex"), _Table(path, 2, "texture coordinate")
     faces = _Faces(path)
+    used, libraries = [(0, "")], dict[str, None]()
     for block in _blocks(path):
+        used += [(faces.count + before, name) for before, name in block.used]
+        libraries |= dict.fromkeys(block.libraries)
         faces.add(block.faces, vertices.count, uvs.count)
         vertices.add(block.vertices)
         uvs.add(block.uvs)
     if not faces.count:
         raise InputError(f"{path} has no faces ({vertices.count} vertices): export it as a polygon mesh.")
     polygons, polygon_uvs = faces.polygons(vertices.count, uvs.count)
-    return PolygonMesh(vertices.rows(), polygons, None if polygon_uvs is None else uvs.rows(), polygon_uvs)
+    looks = _appearances(path, faces.count, used, list(libraries), polygon_uvs is not None)
+    return PolygonMesh(vertices.rows(), polygons, None if polygon_uvs is None else uvs.rows(), polygon_uvs, looks)
+
+
+def _appearances(
+    path: Path, count: int, used: list[tuple[int, str]], libraries: list[str], laid_on: bool
+) -> Appearances | None:
+    """Of `count` faces from those that `used` names at the first face of each; images only where UVs lay them on."""
+    known: dict[str, Appearance] = {}
+    for name in libraries:
+        if (path.parent / name).is_file():
+            known |= read_mtl(path.parent / name)
+    listed = [known[name] for name in dict.fromkeys(name for _, name in used) if name in known]
+    if not listed:
+        return None
+    places = {each.name: k for k, each in enumerate(listed)}
+    starts = np.array([start for start, _ in used])
+    of_part = np.array([places.get(name, -1) for _, name in used])
+    of_face = of_part[np.searchsorted(starts, np.arange(count), side="right") - 1]
+    return Appearances(tuple(each if laid_on else replace(each, image=None) for each in listed), of_face)
 
 
 def read_obj_vertices(path: Path) -> tuple[np.ndarray, bytes]:
@@ -84,7 +113,7 @@ def _blocks(path: Path) -> Iterator[_Block]:
     """Lines of vertices, texture coordinates and faces, some at a time; continued lines count as one."""
     number = 0
     for text in _whole_lines(path):
-        block = _Block([], [], [])
+        block = _Block([], [], [], [], [])
         for line in text.split(b"\n"):
             number += 1
             kind = line[:2]
@@ -98,6 +127,12 @@ def _blocks(path: Path) -> Iterator[_Block]:
                 block.faces.append((number, line, len(block.vertices), len(block.uvs)))
             elif kind == b"vt":
                 block.uvs.append((number, line))
+            elif line.startswith((b"usemtl", b"mtllib")):
+                name = line[6:].strip().decode("utf-8", "replace")
+                if kind == b"us":
+                    block.used.append((len(block.faces), name))
+                else:
+                    block.libraries.append(name)
         yield block
 
 
@@ -174,6 +209,8 @@ class _Table:
 def write_obj(path: Path, mesh: PolygonMesh) -> None:
     """Write a mesh in one step: the file appears whole or not at all.
 
+    Its colours and images lie beside it, as NAME.pb4u.mtl and NAME.texture0.png.
+
     Args:
         path: the file.
         mesh: what is written, numbers to nine digits.
@@ -181,15 +218,27 @@ def write_obj(path: Path, mesh: PolygonMesh) -> None:
     Raises:
         InputError: the file cannot be written.
     """
+    looks, names = mesh.appearances, [""] * len(mesh.polygons)
     parts = [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.vertices.tolist()]
+    if looks is not None:
+        mtl = path.with_name(f"{path.stem}.pb4u.mtl")
+        parts.insert(0, f"mtllib {mtl.name}\n")
+        of_face = looks.of_face.tolist()
+        for k in np.flatnonzero(np.diff(looks.of_face, prepend=-2)).tolist():
+            names[k] = f"usemtl {looks.listed[of_face[k]].name if of_face[k] >= 0 else 'none'}\n"
     if mesh.uvs is not None and mesh.polygon_uvs is not None:
         parts += [f"vt {u:.9g} {v:.9g}\n" for u, v in mesh.uvs.tolist()]
-        for polygon, corners in zip(mesh.polygons, mesh.polygon_uvs, strict=True):
+        for name, polygon, corners in zip(names, mesh.polygons, mesh.polygon_uvs, strict=True):
             joined = " ".join(f"{v + 1}/{t + 1}" for v, t in zip(polygon.tolist(), corners.tolist(), strict=True))
-            parts.append(f"f {joined}\n")
+            parts.append(f"{name}f {joined}\n")
     else:
-        parts += ["f " + " ".join(str(v + 1) for v in polygon.tolist()) + "\n" for polygon in mesh.polygons]
+        parts += [
+            f"{name}f " + " ".join(str(v + 1) for v in polygon.tolist()) + "\n"
+            for name, polygon in zip(names, mesh.polygons, strict=True)
+        ]
     try:
+        if looks is not None:
+            write_mtl(mtl, looks.listed)
         replace_file(path, "".join(parts).encode())
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror or error}.") from None

@@ -31,6 +31,7 @@ from pb4u.garment.library import SEWN, build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
+from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
@@ -150,6 +151,8 @@ def _load_garments(
     garments = []
     for each in specified:
         garment = _load_garment(each, body)
+        if each.texture is not None:
+            garment = garment.with_texture(read_image(Path(each.texture)))
         # A recording is replayed as its authors did, on the meshes that they did it with.
         require_fine(garment, body, accepted=as_recorded or _is_own_count(each, garment))
         garments.append(garment if each.pins is None else garment.with_pins(resolve_pins(each.pins, garment)))
@@ -412,7 +415,7 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
         )
     vertices, faces = remesh(garment.vertices, garment.faces, triangles)
     uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
-    simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+    simulated = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces, garment.appearances)
     places = nearest_places(simulated.vertices, vertices, faces)
     own = garment.skinning
     if own is not None:
@@ -420,7 +423,7 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
         own = own.at(garment.faces[triangle], barycentric)
     remeshed = replace(
         garment, vertices=vertices, faces=faces, pinned=np.zeros(len(vertices), dtype=bool), uvs=None, uv_faces=None,
-        source=SourceMap(simulated, *places), coarse_edges=(), skinning=own,
+        appearances=None, source=SourceMap(simulated, *places), coarse_edges=(), skinning=own,
     )  # fmt: skip
     if garment.pinned.any():
         remeshed = remeshed.with_pins(resolve_pins(np.flatnonzero(garment.pinned), remeshed))

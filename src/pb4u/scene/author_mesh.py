@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pb4u.garment.garment import Garment
+from pb4u.geometry.appearance import Appearances
 from pb4u.geometry.triangulation import triangulate
 
 
@@ -91,13 +92,17 @@ class Polygons:
         Args:
             parts: polygons of each mesh.
             vertices: index of the first vertex of each mesh in the joined one.
-            uvs: index of the first UV point of each, likewise.
+            uvs: index of the first UV point of each, likewise; a mesh without UVs has one for all corners.
         """
-        known = [part.uv_corners for part in parts if part.uv_corners is not None]
+        have_uvs = any(part.uv_corners is not None for part in parts)
+        uv_corners = [
+            np.zeros_like(part.corners) if part.uv_corners is None else part.uv_corners
+            for part in parts if have_uvs
+        ]  # fmt: skip
         return Polygons(
             np.concatenate([part.sizes for part in parts]),
             joined_indices([part.corners for part in parts], vertices),
-            joined_indices(known, uvs) if len(known) == len(parts) else None,
+            joined_indices(uv_corners, uvs) if have_uvs else None,
         )
 
 
@@ -112,6 +117,7 @@ class SourceTrack:
         uvs: (uv points, 2) float64 UV coordinates, or None.
         uv_faces: (source faces, 3) int64 UV points of each face, or None.
         polygons: the faces before they were cut into triangles; None where all were triangles.
+        appearances: colours and images of the faces, where the author gave any.
     """
 
     faces: np.ndarray
@@ -120,19 +126,24 @@ class SourceTrack:
     uvs: np.ndarray | None = None
     uv_faces: np.ndarray | None = None
     polygons: Polygons | None = None
+    appearances: Appearances | None = None
 
     @staticmethod
     def of(garment: Garment) -> SourceTrack:
         """Track of a garment; onto itself where the simulated mesh is the author's."""
         if garment.source is None:
             first = np.unique(garment.faces.reshape(-1), return_index=True)[1]
-            return SourceTrack(garment.faces, first // 3, np.eye(3)[first % 3], garment.uvs, garment.uv_faces)
+            places = garment.faces, first // 3, np.eye(3)[first % 3]
+            return SourceTrack(*places, garment.uvs, garment.uv_faces, None, garment.appearances)
         mesh = garment.source.source
-        corners, _ = triangulate(mesh.vertices, mesh.polygons)
+        corners, polygon = triangulate(mesh.vertices, mesh.polygons)
         uv_faces = None if mesh.polygon_uvs is None else np.concatenate(mesh.polygon_uvs)[corners]
         faces = np.concatenate(mesh.polygons)[corners]
         polygons = Polygons.of(mesh.polygons, mesh.polygon_uvs)
-        return SourceTrack(faces, garment.source.triangle, garment.source.barycentric, mesh.uvs, uv_faces, polygons)
+        looks = None if mesh.appearances is None else mesh.appearances.at(polygon)
+        return SourceTrack(
+            faces, garment.source.triangle, garment.source.barycentric, mesh.uvs, uv_faces, polygons, looks
+        )
 
     @staticmethod
     def joined(garments: Sequence[Garment]) -> SourceTrack | None:
@@ -143,7 +154,7 @@ class SourceTrack:
         if len(tracks) == 1:
             return tracks[0]
         vertices = offsets([track.barycentric for track in tracks])
-        uvs, uv_faces = joined_uvs([(track.uvs, track.uv_faces) for track in tracks])
+        uvs, uv_faces = joined_uvs([(track.uvs, track.uv_faces, len(track.faces)) for track in tracks])
         outlines = [track.polygons or Polygons.of_triangles(track.faces, track.uv_faces) for track in tracks]
         return SourceTrack(
             joined_indices([track.faces for track in tracks], vertices),
@@ -151,9 +162,10 @@ class SourceTrack:
             np.concatenate([track.barycentric for track in tracks]),
             uvs,
             uv_faces,
-            Polygons.joined(outlines, vertices, offsets([() if track.uvs is None else track.uvs for track in tracks]))
+            Polygons.joined(outlines, vertices, offsets([(0,) if track.uvs is None else track.uvs for track in tracks]))
             if any(track.polygons for track in tracks)
             else None,
+            Appearances.joined([track.appearances for track in tracks], [len(track.faces) for track in tracks]),
         )
 
 
@@ -173,15 +185,47 @@ def joined_indices(parts: Sequence[np.ndarray], starts: Sequence[int]) -> np.nda
 
 
 def joined_uvs(
-    parts: Sequence[tuple[np.ndarray | None, np.ndarray | None]],
+    parts: Sequence[tuple[np.ndarray | None, np.ndarray | None, int]],
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """UV coordinates (uv points, 2) and UV faces (faces, 3) int64 of meshes joined into one; None unless all have them.
+    """UV coordinates (uv points, 2) and UV faces (faces, 3) int64 of meshes joined into one; None where none has any.
 
     Args:
-        parts: UV coordinates (uv points, 2) and UV faces (faces, 3) int64 indices of each mesh, or None.
+        parts: UV coordinates (uv points, 2) and UV faces (faces, 3) int64 indices of each mesh, or None, and its number
+            of faces. A mesh without them gets one point at the origin.
     """
-    known = [(uvs, faces) for uvs, faces in parts if uvs is not None and faces is not None]
-    if len(known) < len(parts):
+    if all(uvs is None for uvs, _, _ in parts):
         return None, None
+    known = [
+        (np.zeros((1, 2)), np.zeros((count, 3), dtype=np.int64)) if uvs is None or faces is None else (uvs, faces)
+        for uvs, faces, count in parts
+    ]
     starts = offsets([uvs for uvs, _ in known])
     return np.concatenate([uvs for uvs, _ in known]), joined_indices([faces for _, faces in known], starts)
+
+
+def split_seams(
+    vertices: int, faces: np.ndarray, uvs: np.ndarray | None, uv_faces: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """The mesh for what has one UV a vertex: vertices at a seam are copied.
+
+    Args:
+        vertices: how many there are.
+        faces: (faces, 3) int64.
+        uvs: (uv points, 2), or None.
+        uv_faces: (faces, 3) int64 UV points, or None.
+
+    Returns:
+        (written,) int64 the vertex behind each written one, which begins 0, 1, ..., vertices-1; (faces, 3) corners as
+        written ones; (written, 2) float32 UVs, or None.
+    """
+    if uvs is None or uv_faces is None:
+        return np.arange(vertices), faces, None
+    pairs, corner = np.unique(np.column_stack([faces.ravel(), uv_faces.ravel()]), axis=0, return_inverse=True)
+    first = np.r_[True, pairs[1:, 0] != pairs[:-1, 0]]
+    written = np.empty(len(pairs), dtype=np.int64)
+    written[first] = pairs[first, 0]
+    written[~first] = vertices + np.arange(np.count_nonzero(~first))
+    of_vertex = np.r_[np.arange(vertices), pairs[~first, 0]]
+    coordinates = np.zeros((len(of_vertex), 2), dtype=np.float32)
+    coordinates[written] = uvs[pairs[:, 1]]
+    return of_vertex, written[corner.reshape(-1)].reshape(faces.shape), coordinates

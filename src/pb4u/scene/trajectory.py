@@ -18,6 +18,7 @@ import numpy as np
 
 from pb4u.errors import InputError, Interrupted
 from pb4u.garment.garment import Garment
+from pb4u.geometry.appearance import Appearances
 from pb4u.io.array_archive import DamagedArchiveError
 from pb4u.io.atomic_file import move_into_place, working_folder
 from pb4u.io.reading_limits import Allowance, told_error
@@ -57,6 +58,7 @@ class TrajectoryHeader:
         rest_uv: (faces, 3, 2) float64 corners [m] of faces that lie flat at rest, NaN for those of garments whose rest
             shape is `rest_positions`; None where all are.
         polygons: the faces before they were cut into triangles, where this mesh is the author's own; or None.
+        appearances: colours and images of the faces, where their author gave any.
     """
 
     faces: np.ndarray
@@ -72,6 +74,7 @@ class TrajectoryHeader:
     source: SourceTrack | None = None
     polygons: Polygons | None = None
     rest_uv: np.ndarray | None = None
+    appearances: Appearances | None = None
 
     @staticmethod
     def of(scene: Scene, metadata: dict[str, Any]) -> TrajectoryHeader:
@@ -83,7 +86,7 @@ class TrajectoryHeader:
         """
         garments, bodies = [worn.garment for worn in scene.garments], scene.colliders
         vertices, triangles = offsets([g.vertices for g in garments]), offsets([g.faces for g in garments])
-        uvs, uv_faces = joined_uvs([(g.uvs, g.uv_faces) for g in garments])
+        uvs, uv_faces = joined_uvs([(g.uvs, g.uv_faces, len(g.faces)) for g in garments])
         sources = [*scene.labels.get("sources", ()), *[None] * len(garments)]
         described = [
             {
@@ -109,6 +112,7 @@ class TrajectoryHeader:
             uv_faces=uv_faces,
             source=SourceTrack.joined(garments),
             rest_uv=_joined_rest(garments),
+            appearances=Appearances.joined([g.appearances for g in garments], [len(g.faces) for g in garments]),
         )
 
     @property
@@ -150,6 +154,8 @@ class TrajectoryHeader:
             members["rest_uv"] = self.rest_uv.astype(np.float64)
         if self.polygons is not None:
             members |= self.polygons.members()
+        if self.appearances is not None:
+            members |= self.appearances.members()
         if self.source is not None:
             members |= {
                 "source_faces": self.source.faces.astype(np.int64),
@@ -163,6 +169,8 @@ class TrajectoryHeader:
                 }
             if self.source.polygons is not None:
                 members |= self.source.polygons.members("source_")
+            if self.source.appearances is not None:
+                members |= self.source.appearances.members("source_")
         return members
 
 
@@ -344,11 +352,13 @@ def _header_from(members: dict[str, np.ndarray], metadata: dict[str, Any]) -> Tr
         source = SourceTrack(
             members["source_faces"], members["source_triangle"], members["source_barycentric"],
             members.get("source_uvs"), members.get("source_uv_faces"), Polygons.from_members(members, "source_"),
+            Appearances.from_members(members, "source_"),
         )  # fmt: skip
     return TrajectoryHeader(
         members["faces"], members["rest_positions"], members["pinned"], members["vertex_garment"],
         members["body_faces"], members["body_contact"], float(members["fps"]), metadata,
         members.get("uvs"), members.get("uv_faces"), source, Polygons.from_members(members), members.get("rest_uv"),
+        Appearances.from_members(members),
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.geometry.appearance import Appearances
 from pb4u.io.reading_limits import parse_json
 from pb4u.io.stored_numbers import Layout, require_layout, require_places
 
@@ -29,6 +30,9 @@ _LAYOUT: Layout = {
     "uvs": ("f", ("uv points", 2)),
     "uv_faces": ("iu", ("faces", 3)),
     "rest_uv": ("f", ("faces", 3, 2)),
+    "appearances": ("u", ("appearance bytes",)),
+    "appearance_images": ("u", ("image bytes",)),
+    "appearance_of_face": ("iu", ("faces",)),
     "polygon_sizes": ("iu", ("polygons",)),
     "polygon_corners": ("iu", ("corners",)),
     "polygon_uv_corners": ("iu", ("corners",)),
@@ -37,6 +41,9 @@ _LAYOUT: Layout = {
     "source_faces": ("iu", ("source faces", 3)),
     "source_uvs": ("f", ("source uv points", 2)),
     "source_uv_faces": ("iu", ("source faces", 3)),
+    "source_appearances": ("u", ("source appearance bytes",)),
+    "source_appearance_images": ("u", ("source image bytes",)),
+    "source_appearance_of_face": ("iu", ("source faces",)),
     "source_polygon_sizes": ("iu", ("source polygons",)),
     "source_polygon_corners": ("iu", ("source corners",)),
     "source_polygon_uv_corners": ("iu", ("source corners",)),
@@ -51,6 +58,8 @@ _POINTS_AT = {
 
 _TOGETHER = (
     ("uvs", "uv_faces"), ("source_uvs", "source_uv_faces"), ("source_triangle", "source_barycentric", "source_faces"),
+    ("appearances", "appearance_images", "appearance_of_face"),
+    ("source_appearances", "source_appearance_images", "source_appearance_of_face"),
     ("polygon_sizes", "polygon_corners"), ("source_polygon_sizes", "source_polygon_corners"),
 )  # fmt: skip
 
@@ -83,6 +92,10 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
             sizes.min(initial=3) < 3 or sizes.sum() != counts[f"{prefix.replace('_', ' ')}corners"]
         ):
             raise refuse(f"{prefix}polygon_sizes and {prefix}polygon_corners do not agree")
+        try:
+            Appearances.from_members(members, prefix)
+        except (ValueError, LookupError, TypeError, AttributeError):
+            raise refuse(f"its {prefix}appearances cannot be read") from None
     for name in ("fps", "rest_positions", "uvs", "source_barycentric", "source_uvs"):
         if name in members and not np.isfinite(members[name]).all():
             raise refuse(f"{name} is not finite")

@@ -1,0 +1,212 @@
+"""Colours and images of a mesh as its author gave them: what glTF and MTL call materials."""
+
+from __future__ import annotations
+
+import io
+import json
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.errors import InputError, InputWarning
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.reading_limits import MOST_TEXT, parse_json, read_text, require_size
+
+_MOST_IMAGE = 1 << 26
+"""Bytes of an image file."""
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """How some faces look.
+
+    Args:
+        name: what its author called it.
+        colour: red, green and blue, sRGB [0 to 1]; multiplies the image.
+        image: content of a PNG or JPEG file laid on by the UVs, v upward; or None.
+    """
+
+    name: str
+    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    image: bytes | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Appearances:
+    """How the faces of a mesh look.
+
+    Args:
+        listed: each appearance once.
+        of_face: (faces,) int64 which of them each face, or polygon, has; -1 for none.
+    """
+
+    listed: tuple[Appearance, ...]
+    of_face: np.ndarray
+
+    def at(self, faces: np.ndarray) -> Appearances:
+        """Those of other faces.
+
+        Args:
+            faces: (faces,) int64 the face that each takes its appearance from.
+        """
+        return replace(self, of_face=self.of_face[faces])
+
+    @staticmethod
+    def joined(parts: Sequence[Appearances | None], faces: Sequence[int]) -> Appearances | None:
+        """Those of meshes joined into one; None where no mesh has any.
+
+        Args:
+            parts: appearances of each mesh, or None.
+            faces: number of faces of each.
+        """
+        known = [part or Appearances((), np.full(count, -1)) for part, count in zip(parts, faces, strict=True)]
+        listed = tuple(each for part in known for each in part.listed)
+        if not listed:
+            return None
+        starts = np.cumsum([0, *(len(part.listed) for part in known)])
+        of_face = [np.where(part.of_face < 0, -1, part.of_face + k) for part, k in zip(known, starts, strict=False)]
+        return Appearances(listed, np.concatenate(of_face))
+
+    def members(self, prefix: str = "") -> dict[str, np.ndarray]:
+        """Arrays of a trajectory file by name: (bytes,) uint8 of a JSON text and of all images, and (faces,) int64.
+
+        Args:
+            prefix: put before each name.
+        """
+        described = [
+            {"name": each.name, "colour": each.colour, "bytes": len(each.image or b"")} for each in self.listed
+        ]
+        images = b"".join(each.image or b"" for each in self.listed)
+        return {
+            f"{prefix}appearances": np.frombuffer(json.dumps(described).encode(), dtype=np.uint8),
+            f"{prefix}appearance_images": np.frombuffer(images, dtype=np.uint8),
+            f"{prefix}appearance_of_face": self.of_face.astype(np.int64),
+        }
+
+    @classmethod
+    def from_members(cls, members: dict[str, np.ndarray], prefix: str = "") -> Appearances | None:
+        """Appearances of a trajectory file; None where it has none.
+
+        Args:
+            members: arrays (...) of the file by name, as `members` wrote them.
+            prefix: before the name of each.
+
+        Raises:
+            ValueError, LookupError, TypeError: they are damaged.
+        """
+        text = members.get(f"{prefix}appearances")
+        if text is None:
+            return None
+        images = io.BytesIO(members[f"{prefix}appearance_images"].tobytes())
+        listed = []
+        for each in parse_json(text.tobytes(), "the appearances"):
+            red, green, blue = (min(max(float(channel), 0.0), 1.0) for channel in each["colour"])
+            listed.append(Appearance(str(each["name"]), (red, green, blue), images.read(int(each["bytes"])) or None))
+        of_face = np.asarray(members[f"{prefix}appearance_of_face"])
+        if of_face.min(initial=-1) < -1 or of_face.max(initial=-1) >= len(listed):
+            raise ValueError("a face has an appearance out of range")
+        return cls(tuple(listed), of_face)
+
+
+def read_image(path: Path) -> bytes:
+    """Content of a PNG or JPEG file; other kinds of images are turned into PNG.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: it is missing, or no image that can be read.
+    """
+    from PIL import Image
+
+    if not path.is_file():
+        raise InputError(f"There is no image {path}.")
+    try:
+        require_size(path, _MOST_IMAGE, "an image")
+        content = path.read_bytes()
+        with Image.open(io.BytesIO(content)) as image:
+            image.load()
+            return content if image.format in ("PNG", "JPEG") else as_png(image)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path} cannot be read as an image ({error}); save it as PNG or JPEG.") from None
+
+
+def as_png(image: object) -> bytes:
+    """The content of a PNG file of an image of Pillow."""
+    from PIL import Image
+
+    assert isinstance(image, Image.Image)
+    written = io.BytesIO()
+    image.convert("RGBA" if "A" in image.getbands() else "RGB").save(written, "PNG")
+    return written.getvalue()
+
+
+def read_mtl(path: Path) -> dict[str, Appearance]:
+    """The appearances of an MTL file by name: Kd, or map_Kd alone where there is one; warns of missing images.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: it is too large, or a colour is none.
+    """
+    found: dict[str, Appearance] = {}
+    current = Appearance("")
+    for line in read_text(path, "an MTL file", MOST_TEXT).splitlines():
+        kind, _, rest = line.strip().partition(" ")
+        if kind == "newmtl":
+            current = Appearance(rest.strip(), (0.8, 0.8, 0.8))
+        elif kind == "Kd" and current.image is None:
+            try:
+                red, green, blue = (min(max(float(channel), 0.0), 1.0) for channel in rest.split()[:3])
+            except ValueError:
+                raise InputError(f"{path}: the colour Kd {rest[:60]} is not three numbers; export it again.") from None
+            current = replace(current, colour=(red, green, blue))
+        elif kind == "map_Kd":
+            current = _with_image(current, path, rest.split())
+        if current.name:
+            found[current.name] = current
+    return found
+
+
+def write_mtl(path: Path, listed: Sequence[Appearance]) -> None:
+    """Write an MTL file, and the images beside it as NAME.texture0.png.
+
+    Args:
+        path: the file.
+        listed: appearances that it describes.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    lines = []
+    for number, each in enumerate(listed):
+        lines.append("newmtl {}\nKd {:.6g} {:.6g} {:.6g}\n".format(each.name, *each.colour))
+        if each.image is not None:
+            image = path.with_name(f"{path.stem.removesuffix('.pb4u')}.texture{number}{image_suffix(each.image)}")
+            replace_file(image, each.image)
+            lines.append(f"map_Kd {image.name}\n")
+    replace_file(path, "".join(lines).encode())
+
+
+def image_suffix(image: bytes) -> str:
+    """Suffix of an image's file by its content: ".png" or ".jpg"."""
+    return ".png" if image.startswith(b"\x89PNG") else ".jpg"
+
+
+def _with_image(appearance: Appearance, mtl: Path, words: list[str]) -> Appearance:
+    """With the image that a map_Kd names: after its options, perhaps with blanks, perhaps by another machine's path."""
+    for k in range(len(words)):
+        name = " ".join(words[k:]).replace("\\", "/")
+        for file in (mtl.parent / name, mtl.parent / Path(name).name):
+            if file.is_file():
+                return Appearance(appearance.name, image=read_image(file))
+    _warn(f"{mtl.name}: the image {words[-1] if words else ''} is missing; put it beside the file to see it.")
+    return appearance
+
+
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, InputWarning, stacklevel=4)
