@@ -105,11 +105,12 @@ def simulate_one(rival: str, options: argparse.Namespace, target: Path) -> None:
 def _own(rival: str, scene: Any, options: argparse.Namespace) -> tuple[Any, list[float], list[float], dict[str, Any]]:
     import resource
 
+    from outside_reference import simulator_named
+
     from pb4u.scene.trajectory import Trajectory
-    from pb4u.simulation.models import load_simulator
     from pb4u.simulation.simulator import RunRecord
 
-    simulator, record, spent = load_simulator(**RIVALS[rival].options), RunRecord(), [time.process_time()]
+    simulator, record, spent = simulator_named(**RIVALS[rival].options), RunRecord(), [time.process_time()]
     frames = simulator.written_frames(scene, record, lambda *_: spent.append(time.process_time()))
     trajectory = Trajectory.collect(simulator.header(scene), frames)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -116,7 +116,7 @@ def entry_values(entry, files):
 
 def run_values(settings):
     """Entries of the scene file's last section."""
-    without = settings.model in ("skinning", "newton")
+    without = settings.model == "skinning"
     if without and settings.self_contact:
         raise PlainError(f"{settings.model} knows no self-contact; turn it off, or choose another model.")
     return {

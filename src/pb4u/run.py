@@ -151,19 +151,19 @@ class Run:
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
         fps: Frames per second; a network runs at its own, and the result is resampled.
         seed: Seed of everything random.
-        model: solver, quick-solver (its first iterations alone: the fastest on a processor), skinning, newton, or a
-            network by name, .safetensors file or .pth of the released code. Default: pb4u-wide.
+        model: solver, quick-solver (its first iterations alone: the fastest on a processor), skinning, or a network by
+            name, .safetensors file or .pth of the released code. Default: pb4u-wide.
         refine: Most solver iterations after each step of a network, or of the quick solver. A step that they leave
             failed is retried.
         contact: Push the garment out of the body after each step.
         self_contact: Cloth feels cloth, within a garment and between garments. Default: on for the solver and
-            networks; skinning and newton cannot.
+            networks; skinning cannot.
         body_surface: Keep cloth clear of faces and edges of the body too, not at its vertices alone; takes about half
             as long again.
         propagation_steps: Propagation steps of a network. Default: as many as the mesh calls for.
         passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
             it, or 1 with --refine.
-        device: Where a network or newton computes; the solver always runs on the CPU.
+        device: Where a network computes; the solver always runs on the CPU.
         precision: Precision of a network's matrix products; auto is bfloat16 where the device multiplies faster in it
             and --refine is above 0.
         first_frame: How frame 0 is made: settled by the solver; in one long_step of the method itself, as in the

@@ -111,7 +111,7 @@ def test_assets_lists_every_name_of_the_contract(pb4u: Callable) -> None:
     assert set(names["motions"]) == {"walk", "run", "jump", "arms", "twist", "squat", "turn", "dance"}
     assert {"woman", "man"} <= set(names["bodies"])
     assert {"default", "cotton", "silk", "denim", "wool", "leather"} <= set(names["materials"])
-    assert {"solver", "skinning", "newton"} <= set(names["models"])
+    assert {"solver", "skinning"} <= set(names["models"])
 
 
 def test_written_assets_can_be_used_as_input(pb4u: Callable, tmp_path: Path) -> None:
@@ -279,7 +279,7 @@ def test_check_of_an_outfit_says_what_crosses_as_made_and_as_worn(pb4u: Callable
 def test_info_lists_extras(pb4u: Callable) -> None:
     found = json.loads(pb4u("info", "--json", "-").out)
     assert {"pb4u", "device", "threads", "extras"} <= set(found)
-    assert isinstance(found["extras"]["newton"], bool)
+    assert isinstance(found["extras"]["ray"], bool)
     assert "smpl" not in found["extras"]  # its files need none
 
 

@@ -299,7 +299,7 @@ def test_debug_shows_where_an_error_came_from(pb4u: Callable) -> None:
     [
         ("solver", ("--refine", 3)), ("solver", ("--passes", 2)), ("solver", ("--propagation-steps", 5)),
         ("quick-solver", ("--passes", 2)), ("solver", ("--precision", "bfloat16")),
-        ("skinning", ("--propagation-steps", 5)), ("skinning", ("--contact", "off")), ("newton", ("--contact", "on")),
+        ("skinning", ("--propagation-steps", 5)), ("skinning", ("--contact", "off")),
     ],
 )  # fmt: skip
 def test_a_flag_that_would_do_nothing_is_refused(pb4u: Callable, tmp_path: Path, model: str, flags: tuple) -> None:

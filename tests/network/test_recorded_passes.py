@@ -9,9 +9,8 @@ import torch
 from tests.network.test_pb4u_gnet import TINY, model_of, weights_gradients
 from tests.network_scenes import DT, moment, prepared_for, sheet
 
-from pb4u.network import interaction_block, mlp, propagation
+from pb4u.network import interaction_block, mlp, propagation, recorded_passes
 from pb4u.network.graph.world_edges import WorldEdgeRule
-from pb4u.network.kernels import recorded_passes
 
 USERS = (interaction_block, mlp, propagation)
 

@@ -266,7 +266,7 @@ def test_files_of_ones_own_are_worn_over_each_other_and_kept_as_a_scene(
 
 def test_an_impossible_wish_is_answered_on_the_page(window: Window, session: Any) -> None:
     window.tab("Simulate")
-    window.choose("Model", "newton")
+    window.choose("Model", "solver")
     before = session.simulation
     coarse = Run((WornGarment(triangles=7),))
     session.simulation_panel.run = lambda: Run(coarse)

@@ -26,7 +26,7 @@ def evaluate(
         str | None,
         typer.Option(
             metavar="A,B",
-            help="solver, quick-solver, skinning, newton, networks by name or .safetensors files. Default: protocol's.",
+            help="solver, quick-solver, skinning, networks by name or .safetensors files. Default: protocol's.",
         ),
     ] = None,
     garments: Annotated[

@@ -16,7 +16,6 @@ _EXTRAS = {
     "render": "cv2",
     "usd": "pxr",
     "view": "viser",
-    "newton": "newton",
     "ray": "ray",
 }
 
@@ -36,8 +35,8 @@ def info(
     check_json_target(json)
     found = gather()
     if model is not None:
-        found["model"] = describe_model(model)
-        found |= found["model"]["is"]
+        found["model"], described = describe_model(model)
+        found |= described
     if json:
         write_json(found, json)
         if json == "-":
@@ -47,8 +46,6 @@ def info(
 
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, value in found.items():
-        if key == "model":
-            value = {name: said for name, said in value.items() if name != "is"}
         if isinstance(value, list):
             value = "\n".join(value) or "in nothing"
         if isinstance(value, dict):
@@ -75,8 +72,8 @@ def gather() -> dict[str, Any]:
     }
 
 
-def describe_model(name: str) -> dict[str, Any]:
-    """Network, parameters, licence and, as "is", what the network is of a model by name or file.
+def describe_model(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Network, parameters and licence of a model by name or file, and what the network is.
 
     Args:
         name: a shipped network, a checkpoint file or a .pth of the released code.
@@ -95,8 +92,7 @@ def describe_model(name: str) -> dict[str, Any]:
         "licence": checkpoint.licence,
         "optimiser steps": checkpoint.record.optimiser_steps,
         "time step [s]": checkpoint.record.dt,
-        "is": description(checkpoint),
-    }
+    }, description(checkpoint)
 
 
 def _version(package: str) -> str:

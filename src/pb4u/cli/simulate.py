@@ -236,7 +236,7 @@ def _advice(model: str) -> str:
     """What to try where a model lost the cloth."""
     if model == "solver":
         return "look at it with `pb4u view`"
-    return "try --model solver" if model in ("skinning", "newton") else "try --model solver, or --refine 10"
+    return "try --model solver" if model == "skinning" else "try --model solver, or --refine 10"
 
 
 def _warn(sentence: str) -> None:

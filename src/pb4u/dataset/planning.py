@@ -24,7 +24,7 @@ from pb4u.scene.assembly import DEFAULT_FRAMES, DEFAULT_MOTION
 from pb4u.simulation.models import default_model, simulator_of
 
 _SECONDS_A_FRAME = {
-    "skinning": (0.05, 0.05), "solver": (0.15, 0.35), "quick-solver": (0.08, 0.15), "newton": (0.5, 0.5),
+    "skinning": (0.05, 0.05), "solver": (0.15, 0.35), "quick-solver": (0.08, 0.15),
 }  # fmt: skip
 """Seconds on one core that a frame takes at 0 triangles, and more for each 2,500: a first guess, measured once on a
 server's core; clips that are done replace it."""

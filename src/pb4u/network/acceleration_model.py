@@ -154,22 +154,6 @@ class GraphNetwork(nn.Module, ABC):
             steps: propagation steps of each garment.
         """
 
-    def for_inference(self, precision: torch.dtype) -> GraphNetwork:
-        """Network that computes the same without gradients, as fast as may be; called on a copy, which it may change.
-
-        Perceptrons over several parts, nine tenths of the products, hold their weights, and so multiply, in
-        `precision`. Encoders, decoder, latents, norms, sums over nodes and accelerations keep float32: features rounded
-        to bfloat16 alone made three quarters of the error.
-
-        Args:
-            precision: such as `torch.bfloat16`.
-        """
-        for module in self.modules():
-            if isinstance(module, SplitMLP):
-                for layer in (module.first, module.second, module.last):
-                    layer.to(precision)
-        return self
-
     def propagation_steps(self, mean_edge_length: float) -> int:
         """Number of propagation steps of a garment; 0 for a method without them.
 
@@ -291,13 +275,20 @@ class AccelerationModel(nn.Module):
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
     def for_inference(self, precision: torch.dtype = torch.float32) -> AccelerationModel:
-        """Copy that computes the same without gradients, as fast as may be; see `GraphNetwork.for_inference`.
+        """Copy that computes the same without gradients.
+
+        Perceptrons over several parts, nine tenths of the products, hold their weights, and so multiply, in
+        `precision`. Encoders, decoder, latents, norms, sums over nodes and accelerations keep float32: features rounded
+        to bfloat16 alone made three quarters of the error.
 
         Args:
             precision: of the products, such as `torch.bfloat16`.
         """
         copied = copy.deepcopy(self)
-        copied.network = copied.network.for_inference(precision)
+        for module in copied.network.modules():
+            if isinstance(module, SplitMLP):
+                for layer in (module.first, module.second, module.last):
+                    layer.to(precision)
         return copied
 
     def forward(self, graph: Graph, prepared: PreparedGarments) -> Tensor:

@@ -8,8 +8,8 @@ from typing import cast
 from torch import Tensor, nn
 
 from pb4u.network.graph.graph import EdgeSet, Graph
-from pb4u.network.kernels.recorded_passes import Ends, passed_edges, records
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP, SplitMLP
+from pb4u.network.recorded_passes import Ends, passed_edges, records
 from pb4u.network.segment import gather, segment_sum
 
 

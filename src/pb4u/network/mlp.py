@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from pb4u.network.kernels.recorded_passes import normed_perceptron, records
+from pb4u.network.recorded_passes import normed_perceptron, records
 
 
 class MLP(nn.Module):

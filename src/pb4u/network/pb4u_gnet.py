@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import torch
 from torch import Tensor, nn
 
-from pb4u.collision.jit import COMPILES
-from pb4u.network.acceleration_model import GraphNetwork, NetworkConfiguration
+from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.encode_process_decode import EncodeProcessDecode
 from pb4u.network.graph.garment_graph import GarmentGraph
 from pb4u.network.graph.graph import GARMENT, Graph
@@ -76,18 +74,6 @@ class Pb4uGNet(EncodeProcessDecode):
 
     def _updated(self, before: Tensor, propagated: Tensor) -> Tensor:
         return self.update.after_product(self.update.project(0, before) + self.update.project(1, propagated))
-
-    def for_inference(self, precision: torch.dtype) -> GraphNetwork:
-        """Network that computes the same without gradients; see `GraphNetwork.for_inference`."""
-        if not COMPILES or next(self.parameters()).device.type != "cpu":
-            return super().for_inference(precision)
-        from pb4u.network.kernels.compiled_pb4u_gnet import CompiledPb4uGNet
-
-        return (
-            CompiledPb4uGNet(self, precision)
-            if CompiledPb4uGNet.takes(self, precision)
-            else super().for_inference(precision)
-        )
 
     def propagation_steps(self, mean_edge_length: float) -> int:
         """Number K of propagation steps of a garment of `mean_edge_length` [m]."""

@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from pb4u.errors import InputError
 from pb4u.network.graph.graph import GARMENT, EdgeSet, Graph
 from pb4u.network.graph.incidence import Span
-from pb4u.network.kernels.recorded_passes import Ends, propagated, records
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP
+from pb4u.network.recorded_passes import Ends, propagated, records
 from pb4u.network.segment import gather, segment_sum
 
 

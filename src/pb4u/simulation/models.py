@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
@@ -24,15 +23,9 @@ OPTIONS: dict[str, frozenset[str]] = {
     "gradient-descent": frozenset({"contact", "self_contact", "body_surface", "first_frame", "refine", "passes"}),
     "warm-start": frozenset({"contact", "self_contact", "body_surface", "first_frame", "refine"}),
     "skinning": frozenset(),
-    "newton": frozenset({"device"}),
 }
 """Models that are no networks, each with the options of `load_simulator` that it looks at; a network looks at all."""
 _BEST = "best.safetensors"
-_WHY_WITHOUT_SELF_CONTACT = {
-    "skinning": "skinning carries every vertex with the body and keeps no cloth from crossing",
-    "newton": "newton runs with its own self-contact off",
-}
-"""What simulators that cannot keep cloth from crossing say when they are asked to."""
 _RELEASED_WEIGHTS = (".pth", ".pt")
 _TRAINING_STATE = "pb4u_training"
 """Key in the header of a training's last.safetensors; `training`, which writes it, lies above this package."""
@@ -52,8 +45,6 @@ def model_descriptions() -> dict[str, str]:
         "solver": "minimises the physics energies each frame: the reference",
         "quick-solver": "at most --refine iterations of it a step, without a network: the fastest on a processor",
         "skinning": "no physics: the garment follows the body",
-        "newton": "the cloth solver of the newton package"
-        + ("" if find_spec("newton") else ' (needs the "newton" extra)'),
     }
     return descriptions
 
@@ -83,8 +74,8 @@ def load_simulator(name: str | Path = "auto", **options: Any) -> Simulator:
     """Simulator called `name`, loaded.
 
     Args:
-        name: "auto", "solver", "quick-solver", "gradient-descent", "warm-start", "skinning", "newton", a shipped
-            network, a checkpoint file, or a .pth of the released code of Pb4U-GNet, HOOD or ContourCraft.
+        name: "auto", "solver", "quick-solver", "gradient-descent", "warm-start", "skinning", a shipped network, a
+            checkpoint file, or a .pth of the released code of Pb4U-GNet, HOOD or ContourCraft.
         options: fields of `Run` on the simulation by name: contact, self_contact, body_surface, refine,
             propagation_steps, passes, device, precision, first_frame.
 
@@ -130,10 +121,6 @@ def simulator_of(run: Run) -> Simulator:
         return SolverSimulator(contact=contact, first_frame=first_frame, potential=potential, start=start)
     if model == "quick-solver":
         return QuickSolverSimulator(run.refine, contact, first_frame, potential)
-    if model == "newton":
-        from pb4u.simulation.newton_simulator import NewtonSimulator
-
-        return NewtonSimulator(run.device)
     # Where the solver refines, it improves a state more than a further pass does.
     passes = 1 if run.passes is None and run.refine else run.passes
     if model in (GRADIENT_DESCENT, WARM_START):
@@ -161,8 +148,8 @@ def _require_possible(run: Run, model: str) -> None:
         raise InputError(f"{model} starts in a way of its own; leave the first frame to it.")
     if run.self_contact and not looks_at(model, "self_contact"):
         raise InputError(
-            f"{_WHY_WITHOUT_SELF_CONTACT[model]}, so --self-contact cannot be on; leave it out, or take --model "
-            "solver or a network."
+            f"{model} carries every vertex with the body and keeps no cloth from crossing, so --self-contact cannot be "
+            "on; leave it out, or take --model solver or a network."
         )
     if run.body_surface and run.self_contact is False:
         raise InputError("Cloth is kept off the body's surface by self-contact; leave one of the two out.")

