@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +43,9 @@ _MOST_LEAVING = 0.1
 
 _FEW = 4096
 """Vertices up to which one thread searches: 6 ms, beside which it takes long to wake another processor."""
+
+_PIECES = 4
+"""Pieces in which threads look through a list of pairs: as many as of the surface."""
 
 _HALVED = 2
 """How often the surface is halved for the parts that threads search: four pieces, and the three seams between them."""
@@ -174,12 +177,12 @@ class SurfaceTree:
         self, candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reach: float
     ) -> tuple[Neighbourhood, np.ndarray]:
         """Those of the `candidates` that come near, or do so after the move; and which (pairs,) do on it."""
-        kinds = [
-            lasting_pairs(vertices, moves, corners, kind, reach + 2.0 * self._room)
-            for corners, kind in zip(candidates, (True, False), strict=True)
-        ]
-        corners, distances, least = (np.concatenate(parts) for parts in zip(*kinds, strict=True))
-        made = Neighbourhood(vertices.copy(), vertices + moves, reach, self._room, corners, len(kinds[0][0]), distances)
+        within, pieces = reach + 2.0 * self._room, _PIECES if len(vertices) > _FEW else 1
+        parts = [(part, kind) for kind in (True, False) for part in np.array_split(candidates[not kind], pieces)]
+        kept = parallel_map(lambda part: lasting_pairs(vertices, moves, *part, within), parts)
+        corners, distances, least = (np.concatenate(found) for found in zip(*kept, strict=True))
+        vertex_faces = sum(len(found[0]) for found in kept[:pieces])
+        made = Neighbourhood(vertices.copy(), vertices + moves, reach, self._room, corners, vertex_faces, distances)
         return made, least <= reach
 
     def _pairs(self, parts: Sequence[tuple[np.ndarray, int]], neighbourhood: Neighbourhood | None) -> ElementPairs:
@@ -203,9 +206,11 @@ class SurfaceTree:
         asked = (among, *asked_for(tree, self.faces, self.edges, among))
         whole = np.count_nonzero(among) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
-        found = parallel_map(lambda part: _search(boxes, tree, elements, asked, part), parts)
+        searches = [partial(_search, boxes, tree, elements, asked, part) for part in parts]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
-        found.append(_search_around(boxes, elements, asked, *self._around))
+        pieces = zip(*(np.array_split(pairs, _PIECES if whole else 1) for pairs in self._around), strict=True)
+        searches += [partial(_search_around, boxes, elements, asked, *piece) for piece in pieces]
+        found = parallel_map(lambda search: search(), searches)
         vertex_faces, edge_edges = (np.concatenate(pairs) for pairs in zip(*found, strict=True))
         if among[self.first_obstacle :].any():
             vertex_faces, edge_edges = (
