@@ -2,8 +2,8 @@
 
 The panels start where the pattern places them, in front of and behind a body that is drawn in towards its bones, and
 welded along their seams: only the cloth beside the seams is stretched, and it pulls them together. The body then fills
-out to its size, and gravity comes last. Cloth feels cloth and body all the while. This is done with few triangles; the
-result is passed on, panel by panel, to the mesh that is wanted, and settles there.
+out to its size, and gravity comes last. Cloth feels cloth and body all the while. This is done with as few triangles as
+will do; the result is passed on, panel by panel, to the mesh that is wanted, and settles there.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from pb4u.threads import one_torch_thread
 DEFAULT_TRIANGLES = 5000
 """Triangles of a garment that is dressed: enough for seams, darts and gathers to be seen."""
 
-_COARSE = 1200
-"""Triangles that are sewn: enough for the folds that a seam leaves, and a second or two on one core."""
+_COARSE_EDGE = 0.033
+"""Edge length [m] of the cloth that is sewn: with longer ones the straps of a dress pass through the shoulders."""
 
 _SHARES = (0.7, 0.5, 0.3)
 """Shares of a body's girth around its bones with which sewing may begin."""
@@ -157,7 +157,8 @@ def dress(
         InputError: the pattern cannot be meshed so, or is too small for the body.
     """
     cloth = material or MATERIALS["default"]
-    coarse = mesh_pattern(pattern, min(triangles, max(_COARSE, 8 * len(pattern.panels))))
+    enough = max(round(pattern.area / (0.43 * _COARSE_EDGE**2)), 8 * len(pattern.panels))
+    coarse = mesh_pattern(pattern, triangles if triangles < 1.5 * enough else enough)
     sewing = _Sewing(coarse, body, cloth, watch)
     places = sewing.hung(sewing.sewn(), _MOST_HANGING)
     fine = coarse if triangles <= len(coarse.faces) else mesh_pattern(pattern, triangles)
@@ -234,7 +235,7 @@ class _Sewing:
         # Sleeves have to close around hands as well.
         self.whole = pack_colliders([faces], [torch.ones_like(contact)], [0], ground_height=None)
         self.colliders = pack_colliders([faces], [contact], [0], ground_height=None)
-        self.potential = IncrementalPotential().with_self_contact()
+        self.potential = IncrementalPotential().with_self_contact(True)
         terms = tuple(term for term in self.potential.terms if "friction" not in term.name)
         self.smooth = replace(self.potential, terms=terms)
         self.material = material
