@@ -154,11 +154,10 @@ class BatchedSurface:
             face_count, edge_count = face_count + len(surface.faces), edge_count + len(mesh.edges)
         arrays = (*map(np.concatenate, (faces, edges, called, borders)), border_vertices)
         device = vertices.device
-        return BatchedSurface(
-            *(torch.from_numpy(array).to(device) for array in arrays),
-            Groups.of([orders.get(world, orders[present[0]]) for world in range(len(surfaces))], device),
-            torch.tensor([surface is not None for surface in surfaces], device=device),
-        )
+        tensors: list[Tensor] = [torch.from_numpy(array).to(device) for array in arrays]
+        groups = Groups.of([orders.get(world, orders[present[0]]) for world in range(len(surfaces))], device)
+        has_one = torch.tensor([surface is not None for surface in surfaces], device=device)
+        return BatchedSurface(*tensors, groups=groups, present=has_one)
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,7 +118,7 @@ class PackedGarments:
         (vertices,) int64 of each vertex among all of them one after the other.
         """
         offsets = torch.as_tensor(self.world_offsets, device=self.device)
-        rows = torch.arange(max(np.diff(self.world_offsets), default=0), device=self.device)
+        rows = torch.arange(int(max(np.diff(self.world_offsets), default=0)), device=self.device)
         filled = rows < offsets.diff()[:, None]
         places = offsets[:-1, None] + torch.minimum(rows, offsets.diff()[:, None] - 1)
         own = torch.arange(self.vertex_count, device=self.device) - offsets[self.vertex_world]
