@@ -154,10 +154,11 @@ class BatchedSurface:
             face_count, edge_count = face_count + len(surface.faces), edge_count + len(mesh.edges)
         arrays = (*map(np.concatenate, (faces, edges, called, borders)), border_vertices)
         device = vertices.device
-        tensors: list[Tensor] = [torch.from_numpy(array).to(device) for array in arrays]
+        tensors = (torch.from_numpy(array).to(device) for array in arrays)
         groups = Groups.of([orders.get(world, orders[present[0]]) for world in range(len(surfaces))], device)
         has_one = torch.tensor([surface is not None for surface in surfaces], device=device)
-        return BatchedSurface(*tensors, groups=groups, present=has_one)
+        corners, sides, answers, border_edges, on_border = tensors
+        return BatchedSurface(corners, sides, answers, border_edges, on_border, groups, has_one)
 
 
 @dataclass(frozen=True, eq=False)

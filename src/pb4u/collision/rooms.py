@@ -17,6 +17,7 @@ class Rooms:
 
     def __init__(self) -> None:
         self.sizes: dict[str, int] = {}
+        self._limits: dict[str, int] = {}
         self._wanted: dict[str, Tensor] = {}
 
     def size(self, name: str, wanted: Tensor) -> int:
@@ -28,9 +29,18 @@ class Rooms:
         """
         if name not in self.sizes:
             self.sizes[name] = _spacious(int(wanted))
+        self.note(name, wanted)
+        return self.sizes[name]
+
+    def repeats(self, name: str, most: int) -> int:
+        """How often what is called `name` is done: once more than it last had to be, at most `most` times."""
+        self._limits[name] = most
+        return self.sizes.setdefault(name, most)
+
+    def note(self, name: str, wanted: Tensor) -> None:
+        """Note that () int64 `wanted` would have been needed of `name`."""
         before = self._wanted.get(name)
         self._wanted[name] = wanted if before is None else torch.maximum(before, wanted)
-        return self.sizes[name]
 
     def taken(self) -> tuple[tuple[str, ...], Tensor]:
         """Names of the searches since this was last called, and the most rows (searches,) int64 that each wanted."""
@@ -44,8 +54,10 @@ class Rooms:
             names: of the searches.
             wanted: (searches,) int64, on the processor.
         """
-        short = [(name, most) for name, most in zip(names, wanted.tolist(), strict=True) if most > self.sizes[name]]
-        self.sizes |= {name: _spacious(most) for name, most in short}
+        most = dict(zip(names, wanted.tolist(), strict=True))
+        short = {name: _spacious(count) for name, count in most.items() if count > self.sizes[name]}
+        repeats = {name: min(most[name] + 1, limit) for name, limit in self._limits.items() if name in most}
+        self.sizes |= short | repeats
         return bool(short)
 
 

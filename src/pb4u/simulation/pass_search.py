@@ -21,17 +21,21 @@ class PassSearch(ABC):
 
     Attributes:
         freed: (worlds,) energy [J] that the last pass freed; None where it is not looked at.
+        last: (vertices, 3) move of the last pass [m per step^2], where it serves the next.
     """
 
     freed: Tensor | None = None
+    last: Tensor | None = None
 
-    def decrease_height(self, garments: PackedGarments) -> float:
-        """Height [m] to which that energy would lift the garments, the most of any world; 0 where it is not looked at.
+    def decrease_height(self, garments: PackedGarments) -> Tensor:
+        """Height () [m] to which that energy would lift the garments, the most of any world; 0 where it is not looked at.
 
         Args:
             garments: of the step that the pass was of.
         """
-        return 0.0 if self.freed is None else float((self.freed / garments.world_weights).max())
+        if self.freed is None:
+            return garments.vertex_masses.new_zeros(())
+        return (self.freed / garments.world_weights).max()
 
     @abstractmethod
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
@@ -65,17 +69,16 @@ class ConjugatePass(PassSearch):
 
     def __init__(self) -> None:
         self.potential = IncrementalPotential()
-        self._last: Tensor | None = None
 
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
         directions = [torch.where(step.garments.pinned[:, None], 0.0, correction)]
-        if self._last is not None:
-            directions.append(self._last)
+        if self.last is not None:
+            directions.append(self.last)
         lengths = self._lengths(step, accelerations, torch.stack(directions).detach())
         joined = torch.stack([_of_world(step, length) * d for length, d in zip(lengths, directions, strict=True)]).sum(
             0
         )
-        self._last = joined.detach()
+        self.last = joined.detach()
         return joined
 
     @torch.no_grad()
@@ -122,12 +125,28 @@ def _newton_lengths(curvature: Tensor, slope: Tensor) -> Tensor:
         slope: (worlds, directions) of descent.
     """
     finite = torch.isfinite(curvature).all((-1, -2)) & torch.isfinite(slope).all(-1)
-    curvature = torch.where(finite[:, None, None], curvature, torch.eye(slope.shape[1]).to(curvature))
+    unit = torch.eye(slope.shape[1], dtype=curvature.dtype, device=curvature.device)
+    curvature = torch.where(finite[:, None, None], curvature, unit)
     slope = torch.where(finite[:, None], slope, 0.0)
     scale = curvature.diagonal(dim1=-2, dim2=-1).abs().clamp_min(torch.finfo(curvature.dtype).tiny).sqrt()
-    values, vectors = torch.linalg.eigh(curvature / scale[:, :, None] / scale[:, None, :])
+    values, vectors = _eigenvectors(curvature / scale[:, :, None] / scale[:, None, :])
     along = vectors.mT @ (slope / scale)[..., None] / values.abs().clamp_min(_FLATTEST)[..., None]
     return (vectors @ along)[..., 0] / scale
+
+
+def _eigenvectors(matrices: Tensor) -> tuple[Tensor, Tensor]:
+    """Eigenvalues (worlds, n) and eigenvectors, the columns of (worlds, n, n), of symmetric ones of one or two rows.
+
+    In closed form: a library's solver makes an accelerator wait for its verdict.
+    """
+    if matrices.shape[-1] == 1:
+        return matrices[..., 0], torch.ones_like(matrices)
+    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    mean, half = 0.5 * (a + c), 0.5 * (a - c)
+    radius, angle = torch.hypot(half, b), 0.5 * torch.atan2(b, half)
+    x, y = angle.cos(), angle.sin()
+    vectors = torch.stack([torch.stack([x, -y], dim=1), torch.stack([y, x], dim=1)], dim=1)
+    return torch.stack([mean + radius, mean - radius], dim=1), vectors
 
 
 def search_of(network: GraphNetwork) -> PassSearch:

@@ -160,7 +160,7 @@ def nearest_planes(
         within: distance [m] from which on a vertex need only be known to be so far.
         patience: way [m] that a vertex may have gone since it was queried.
     """
-    if pose.colliders.rooms is None and all(surface is None or surface.compiled for surface in pose.surfaces):
+    if _compiled(pose):
         return _of_found(_renewed(pose, garments, x, within, patience), x)
     batch = pose.batch(garments.world_count)
     if batch is None:
@@ -175,6 +175,10 @@ def nearest_planes(
         triangle=near.triangle[rows],
         barycentric=near.barycentric[rows].to(x),
     )
+
+
+def _compiled(pose: ColliderPose) -> bool:
+    return pose.colliders.rooms is None and all(surface is None or surface.compiled for surface in pose.surfaces)
 
 
 def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: float, patience: float) -> Found:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -145,6 +146,19 @@ class MeasuredTerm(EnergyTerm):
                 return energies, torch.zeros_like(x)
             (gradient,) = torch.autograd.grad(energies.sum(), variable)
         return energies.detach(), gradient
+
+
+@lru_cache
+def constant(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Tensor of `values`, in their unit, made once: an accelerator would wait for each.
+
+    Args:
+        values: any numbers.
+        dtype: of the tensor.
+        device: of the tensor.
+    """
+    with torch.inference_mode(False):
+        return torch.tensor(values, dtype=dtype, device=device)
 
 
 def sum_by_garment(values: Tensor, garment: Tensor, garment_count: int) -> Tensor:
