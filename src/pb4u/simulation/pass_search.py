@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pb4u.network.acceleration_model import GraphNetwork
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import PackedGarments
 
@@ -87,8 +87,8 @@ class ConjugatePass(PassSearch):
         x = integrate(step, accelerations).positions
         # The body's tangent planes where the whole pass leads are exact enough to choose by, and queried once.
         potential = self.potential.of(step).undifferentiated().with_contact_at(x + directions[0])
-        before, gradient = potential.energies_and_gradient(x)
-        changes = torch.stack([potential.energies_and_gradient(x + d)[1] - gradient for d in directions])
+        (before, *_), (gradient, *others) = potential.gradients(torch.stack([x, *(x + directions)]))
+        changes = torch.stack(others) - gradient
 
         def by_world(products: Tensor) -> Tensor:
             sums = products.new_zeros(*products.shape[:-1], step.garments.world_count)
@@ -101,15 +101,15 @@ class ConjugatePass(PassSearch):
         whole[0] = 1.0
         # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
         choices = torch.stack([whole, best, 0.5 * (whole + best)])
-        energies = torch.stack([self._energies(step, potential, x, directions, lengths) for lengths in choices])
+        energies = potential.energies_of_worlds(torch.stack([_moved(step, x, directions, lengths) for lengths in choices]))
         lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
-        self.freed = before.per_world(step.garments) - lowest
+        self.freed = before - lowest
         return choices.gather(0, chosen.expand(1, *best.shape))[0]
 
-    @staticmethod
-    def _energies(step: TimeStep, potential: StepPotential, x: Tensor, directions: Tensor, lengths: Tensor) -> Tensor:
-        moved = x + torch.stack([_of_world(step, n) * d for n, d in zip(lengths, directions, strict=True)]).sum(0)
-        return potential.energies(moved).per_world(step.garments)
+
+def _moved(step: TimeStep, x: Tensor, directions: Tensor, lengths: Tensor) -> Tensor:
+    """Positions (vertices, 3) [m] after each world's `lengths` (directions, worlds) of `directions`."""
+    return x + torch.stack([_of_world(step, n) * d for n, d in zip(lengths, directions, strict=True)]).sum(0)
 
 
 def _of_world(step: TimeStep, lengths: Tensor) -> Tensor:

@@ -57,7 +57,7 @@ class BodyMotionWarmStart(StepStart):
         shares = constant((0.0, *self.shares), missing.dtype, missing.device)
         # The body's tangent planes half way are exact enough to choose by, and queried once.
         frozen = potential.with_contact_at(free + 0.5 * missing)
-        energies = torch.stack([frozen.energies(free + share * missing).per_world(garments) for share in shares])
+        energies = frozen.energies_of_worlds(free + shares[:, None, None] * missing)
         best = shares[energies.argmin(dim=0)]
         start = free + best[garments.vertex_world, None] * missing
         return moved_off_the_body(potential, start) - free

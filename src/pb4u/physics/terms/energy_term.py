@@ -209,4 +209,4 @@ def sum_by_vertex(values: Tensor, index: Tensor, vertex_count: int) -> Tensor:
         vertex_count: number of vertices.
     """
     total = values.new_zeros((3, vertex_count))
-    return total.scatter_add_(1, index.expand(3, -1), values).T.contiguous()
+    return total.scatter_add(1, index.expand(3, -1), values).T.contiguous()
