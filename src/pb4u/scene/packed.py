@@ -179,7 +179,10 @@ class PackedGarments:
         """Copy with its arrays on `device`, the floating ones in `dtype` where given."""
         own = {name: value for name, value in vars(self).items() if name in {entry.name for entry in fields(self)}}
         return PackedGarments(
-            **{name: _moved(value, device, dtype) if isinstance(value, Tensor) else value for name, value in own.items()}
+            **{
+                name: _moved(value, device, dtype) if isinstance(value, Tensor) else value
+                for name, value in own.items()
+            }
         )
 
     @property

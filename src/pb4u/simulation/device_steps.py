@@ -37,7 +37,8 @@ class _Taken:
         names, wanted = rooms.taken()
         parts = (state.positions, state.velocities, wanted)
         copies = tuple(part.to("cpu", non_blocking=True) for part in parts)
-        done = torch.cuda.Event() if state.positions.device.type == "cuda" else None
+        on_card = state.positions.device.type == "cuda"
+        done = torch.cuda.Event() if on_card else None  # type: ignore[no-untyped-call]
         if done is not None:
             done.record()
         return _Taken(begun, last, copies, names, done)

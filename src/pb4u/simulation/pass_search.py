@@ -28,7 +28,7 @@ class PassSearch(ABC):
     last: Tensor | None = None
 
     def decrease_height(self, garments: PackedGarments) -> Tensor:
-        """Height () [m] to which that energy would lift the garments, the most of any world; 0 where it is not looked at.
+        """Height () [m] to which that energy would lift the garments, the most of any world; 0 where not looked at.
 
         Args:
             garments: of the step that the pass was of.
@@ -101,7 +101,9 @@ class ConjugatePass(PassSearch):
         whole[0] = 1.0
         # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
         choices = torch.stack([whole, best, 0.5 * (whole + best)])
-        energies = potential.energies_of_worlds(torch.stack([_moved(step, x, directions, lengths) for lengths in choices]))
+        energies = potential.energies_of_worlds(
+            torch.stack([_moved(step, x, directions, lengths) for lengths in choices])
+        )
         lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
         self.freed = before - lowest
         return choices.gather(0, chosen.expand(1, *best.shape))[0]

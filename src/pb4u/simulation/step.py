@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import torch
+from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact

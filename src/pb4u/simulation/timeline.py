@@ -128,9 +128,7 @@ class Timeline:
             return BlockedFrames(block, len(frames))
 
         garments, colliders = self.garments.to(device), self.colliders.to(device, rooms)
-        return Timeline(
-            garments, colliders, moved(self._body), moved(self._skinned), self.dt, self.gravity.to(device)
-        )
+        return Timeline(garments, colliders, moved(self._body), moved(self._skinned), self.dt, self.gravity.to(device))
 
     def skinned(self, frame: int) -> Tensor:
         """Garment vertices (vertices, 3) [m] at a frame where skinning alone puts them."""

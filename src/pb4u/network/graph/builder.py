@@ -277,9 +277,7 @@ class GraphBuilder:
         types = torch.full((count,), int(NodeType.BODY), device=velocity.device)
         return NodeSet(torch.cat(chosen, dim=1), types, world)
 
-    def _near_pairs(
-        self, positions: Tensor, body: Tensor, colliders: PackedColliders
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    def _near_pairs(self, positions: Tensor, body: Tensor, colliders: PackedColliders) -> tuple[Tensor, Tensor, Tensor]:
         """Garment vertex and body vertex, (pairs,) int64 each, of all pairs that the rule joins, world by world.
 
         And which of them are filled (pairs,) bool: all but those that are only room.

@@ -11,7 +11,15 @@ from torch import Tensor
 from pb4u.collision.jit import as_float64, compiled
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
-from pb4u.physics.terms.energy_term import EnergyTerm, MeasuredTerm, Tangent, constant, dot, sum_by_garment, vertex_elements
+from pb4u.physics.terms.energy_term import (
+    EnergyTerm,
+    MeasuredTerm,
+    Tangent,
+    constant,
+    dot,
+    sum_by_garment,
+    vertex_elements,
+)
 from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
