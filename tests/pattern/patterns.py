@@ -25,6 +25,15 @@ def square(name: str, size: float = 0.4, **given: object) -> Panel:
     return Panel(name, [(0, 0), (size, 0), (size, size), (0, size)], **given)
 
 
+def vest(height: float) -> Pattern:
+    """A wide vest whose hem is placed at a `height` [m]."""
+    half = [(0.25, 0.0), (0.25, 0.3), (0.18, 0.52), (0.09, 0.55)]
+    corners = [*half, (0.0, 0.45), *((-x, y) for x, y in reversed(half))]
+    front = Panel("front", corners, position=(0.0, height, 0.25))
+    back = Panel("back", corners[::-1], position=(0.0, height, -0.22))
+    return Pattern("vest", [front, back], [Seam(("front", k), ("back", 7 - k)) for k in (0, 2, 5, 7)])
+
+
 def gathered() -> Pattern:
     """A strip sewn along its bottom to the longer top of another, which has a dart and a curved hem."""
     lower = Panel(

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.pattern.patterns import skirt
+from tests.pattern.patterns import skirt, vest
 
 import pb4u
 from pb4u.body.library import load_body
@@ -10,6 +10,7 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.garment.fit import RestBody
 from pb4u.garment.material import MATERIALS
 from pb4u.pattern import files
+from pb4u.pattern.body_measurements import shoulder_height
 from pb4u.pattern.dressing import Dressed, carried, dress
 from pb4u.pattern.files import load_worn, read_dressed, write_worn
 from pb4u.pattern.mesh import mesh_pattern
@@ -131,8 +132,17 @@ def test_cloth_stays_where_it_is_on_another_mesh_of_its_panels(dressed):
 
 def test_a_pattern_too_small_for_the_body_is_refused(body):
     small = [Panel(p.name, 0.5 * p.corners, p.position + (0, 0.25, 0), label=p.label) for p in skirt().panels]
-    with pytest.raises(InputError, match=r"small is too small for woman: .*, and by \d+ % in panel (front|back)"):
+    with pytest.raises(
+        InputError,
+        match=r"small is too small for woman: .*, and by \d+ % in panel (front|back).*; (waist|hips): \d+ cm, cut for about \d+;",
+    ):
         dress(Pattern("small", small, skirt().seams), body, 200)
+
+
+def test_a_top_is_brought_to_the_shoulders_of_its_body(body):
+    worn = dress(vest(0.6), body, 400)
+    assert worn.garment.vertices[:, 1].max() == pytest.approx(shoulder_height(body, 0.09), abs=0.02)
+    assert worn.strain < 0.05
 
 
 def test_the_body_fills_out_from_straight_arms_to_its_rest(body):

@@ -43,6 +43,17 @@ def measurements_yaml(body: ShapedBody) -> str:
     return "\n".join(["body:", *rows, ""])
 
 
+def shoulder_height(body: ShapedBody, x: float) -> float:
+    """Height [m] of the shoulder of a resting body at a distance `x` [m] from its middle."""
+    return float(_Tape(body).top(x)[1])
+
+
+def trunk_girths(body: ShapedBody) -> dict[str, tuple[float, float]]:
+    """Heights and girths [m] of a resting body's trunk, by name."""
+    tape = _Tape(body)
+    return {name: (level := getattr(tape, name), tape.girth(level)) for name in ("bust", "waist", "hips")}
+
+
 class _Tape:
     """A tape around a body.
 

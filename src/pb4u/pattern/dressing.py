@@ -27,6 +27,7 @@ from pb4u.garment.garment_file import nearest_places
 from pb4u.garment.material import MATERIALS, Material
 from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.principal_stretch import face_strains
+from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
 from pb4u.pattern.mesh import PatternMesh, mesh_pattern
 from pb4u.pattern.pattern import Pattern
 from pb4u.pattern.thin_body import SewingBody
@@ -97,6 +98,9 @@ _AHEAD = 0.02
 
 _TIGHT = 0.1
 """Mean strain of the cloth from which on a pattern is too small for a body: those that fit have 0.02 to 0.05."""
+
+_SLICE = 0.03
+"""Half height [m] of a ring of cloth whose strain tells what girth it was cut for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +251,14 @@ class _Sewing:
     @cached_property
     def thin_body(self) -> SewingBody:
         """The body that the garment is sewn around."""
-        return SewingBody(self.body, sleeve_points(self.mesh, joined(self.mesh)))
+        return SewingBody(self.body, sleeve_points(self.mesh, self.placed))
+
+    @cached_property
+    def placed(self) -> np.ndarray:
+        """Places (points, 3) [m] of the panels, at the height of this body's shoulders where the garment has those."""
+        places = joined(self.mesh)
+        top = shoulder_point(self.mesh, places)
+        return places if top is None else places + (shoulder_height(self.body, abs(top[0])) - top[1]) * np.array(UP)
 
     def pose(self, share: float, done: float) -> ColliderPose:
         """The whole body, hands included; see `SewingBody.between`."""
@@ -260,7 +271,7 @@ class _Sewing:
 
     def sewn(self) -> np.ndarray:
         """Places (vertices, 3) [m] of the garment around the body in its size, without weight."""
-        start, share = self.clear_start(off_body(self.mesh, joined(self.mesh), self.thin_body.thin(1.0)))
+        start, share = self.clear_start(off_body(self.mesh, self.placed, self.thin_body.thin(1.0)))
         garment = self.garment(start)
         packed, x = pack([garment]), torch.from_numpy(start)
         solver = Solver(tolerance=1.0, max_iterations=_ITERATIONS)
@@ -367,7 +378,7 @@ class _Sewing:
         strains = face_strains(x, packed.faces, packed.inverse_rest_shape).numpy()
         strain = float(np.average(strains, weights=garment.face_areas))
         if strain > _TIGHT:
-            self._refuse_tight(strain, strains)
+            self._refuse_tight(places, strain, strains)
         skin = self.body.faces[self.body.contact[self.body.faces].all(axis=1)]
         return Dressed(
             garment,
@@ -378,14 +389,22 @@ class _Sewing:
             strain=strain,
         )
 
-    def _refuse_tight(self, mean: float, strains: np.ndarray) -> None:
+    def _refuse_tight(self, places: np.ndarray, mean: float, strains: np.ndarray) -> None:
         panels = self.mesh.pattern.panels
         of_panel = [strains[self.mesh.face_panel == number].mean() for number in range(len(panels))]
         worst = int(np.argmax(of_panel))
+        levels = places[self.mesh.sewn_faces, 1].mean(axis=1)
+        sleeve = np.array([panel.label == "arm" for panel in panels])[self.mesh.face_panel]
+        differ = ""
+        for name, (height, girth) in trunk_girths(self.body).items():
+            around = strains[(np.abs(levels - height) < _SLICE) & ~sleeve]
+            if len(around) and around.mean() > 0.5 * _TIGHT:
+                differ += f"; {name}: {100 * girth:.0f} cm, cut for about {100 * girth / (1.0 + around.mean()):.0f}"
         raise InputError(
             f"{self.mesh.pattern.name} is too small for {self.body.name}: its cloth would be strained by "
-            f"{100 * mean:.0f} % on average, and by {100 * of_panel[worst]:.0f} % in panel {panels[worst].name}; check "
-            f"the pattern's unit, or make it from the body's measures, which `pb4u measure-body` writes."
+            f"{100 * mean:.0f} % on average, and by {100 * of_panel[worst]:.0f} % in panel {panels[worst].name}"
+            f"{differ}; check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` "
+            "writes."
         )
 
 
@@ -413,6 +432,23 @@ def joined(mesh: PatternMesh) -> np.ndarray:
     shifts[:, 0] = np.where(shifts[:, 0] * middles > 0.0, shifts[:, 0], 0.0)
     places[:, :2] += shifts[mesh.panel]
     return places
+
+
+def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> np.ndarray | None:
+    """Highest point (3,) [m] of the seams that run across from front to back panels; None where there are none.
+
+    Args:
+        mesh: the panels.
+        places: (points, 3) of the panels [m].
+    """
+    facing = np.array([panel.rotation[2, 2] * panel.area for panel in mesh.pattern.panels])
+    found = []
+    for one, other in mesh.sides:
+        run = np.abs(places[one[-1]] - places[one[0]])
+        if facing[mesh.panel[one[0]]] * facing[mesh.panel[other[0]]] < 0.0 and run[0] > run[1]:
+            found.append(places[np.concatenate([one, other])])
+    points = np.concatenate(found) if found else places[:0]
+    return points[points[:, 1].argmax()] if len(points) else None
 
 
 def off_body(mesh: PatternMesh, places: np.ndarray, body: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ from pb4u.pattern.pattern import Pattern
 FORMAT_VERSION = 1
 """Format of a dressed garment's file."""
 
-ALGORITHM = 2
+ALGORITHM = 3
 """To be raised whenever `dress` gives different garments: those that are kept are then dressed again."""
 
 _LAYOUT: Layout = {
