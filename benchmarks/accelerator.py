@@ -3,7 +3,7 @@
 `python benchmarks/accelerator.py measure` takes five minutes on a card and writes accelerator.md: milliseconds a step
 beside the paper's, memory, and how far the card's steps are from the processor's. `... count` runs a step on a card
 that is not there, torch's fake tensors on "cuda:0", and writes what it launches, moves and computes, with the time that
-this means: estimates. Reading a value back, a shape that waits for data, and tensors of two devices in one operation are
+this means: estimates. Reading a value back, a shape that waits for data, tensors of two devices in one operation are
 errors of such a step; copies from the processor, each of which makes a card wait, are counted.
 """
 

@@ -1,8 +1,8 @@
 """Nearest points on a moving triangle surface, with sign: negative inside.
 
 The nearest triangle is exact: a compiled search of a tree of boxes on the processor; groups of faces in tensors
-(`batched_surface`) on other devices, and where Numba is not installed. The sign comes from angle-weighted pseudo-normals
-(Baerentzen and Aanaes 2005), which are right at edges and corners too.
+(`batched_surface`) on other devices, and where Numba is not installed. The sign comes from angle-weighted
+pseudo-normals (Baerentzen and Aanaes 2005), which are right at edges and corners too.
 """
 
 from __future__ import annotations
