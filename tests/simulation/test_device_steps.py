@@ -14,11 +14,13 @@ from tests.network_scenes import accelerations, moment, sheet
 from tests.simulation.ball_scene import ball_scene
 
 from pb4u.collision.rooms import Rooms
+from pb4u.errors import InputError
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.paper.network_presets import NETWORKS
 from pb4u.physics.contact.contact_set import ContactPlanes
 from pb4u.simulation.checkpoint import from_pretrained
-from pb4u.simulation.device_steps import states_after
+from pb4u.simulation.device_steps import require_memory, states_after
+from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.step import StepMethod, predictions
@@ -86,6 +88,24 @@ def test_a_step_with_too_little_room_is_taken_again(in_tensors: None, monkeypatc
     assert rooms.sizes["faces"] > 100
     for one, other in zip(found, on_host(model, 4), strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-8)
+
+
+def test_what_a_card_cannot_do_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    monkeypatch.setattr("torch.version.cuda", None)
+    with pytest.raises(InputError, match="no CUDA device here; use --device cpu"):
+        load_simulator("pb4u-small", device="cuda")
+    monkeypatch.setattr("torch.version.cuda", "13.0")
+    with pytest.raises(InputError, match=r"CUDA 13\.0 of this torch runs on; update the driver"):
+        load_simulator("pb4u-small", device="cuda")
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setattr("torch.cuda.is_bf16_supported", lambda including_emulation: False)
+    with pytest.raises(InputError, match="does not multiply in bfloat16"):
+        load_simulator("pb4u-small", device="cuda", precision="bfloat16")
+    garments = Timeline.of(ball_scene()).garments
+    require_memory(garments, 27_000, 64, 10**9)
+    with pytest.raises(InputError, match=r"has 0\.0 GB left, .* garments of \d+ triangles in all would fit"):
+        require_memory(garments, 27_000, 64, 10**6)
 
 
 COUNT = """

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from pb4u.collision.batched_surface import GROUP
 from pb4u.collision.rooms import Rooms
+from pb4u.errors import InputError
+from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.timeline import Timeline
@@ -52,6 +55,28 @@ class _Taken:
     @property
     def state(self) -> State:
         return State(self.copies[0], self.copies[1], self.begun.frame + 1)
+
+
+def require_memory(garments: PackedGarments, body_faces: int, width: int, free: int) -> None:
+    """Refuse a scene that a card has no room for, before its first step.
+
+    Args:
+        garments: of the scene.
+        body_faces: number of faces of its bodies.
+        width: columns of the network's latents.
+        free: bytes that the card has left.
+
+    Raises:
+        InputError: it is too large; a number of triangles that would fit is named.
+    """
+    # Six directed edges a vertex, some five arrays of latents each; and a few numbers for each group of the bodies.
+    each = 6 * 5 * 4 * width + 4 * 8 * -(-body_faces // GROUP)
+    needed = each * garments.vertex_count
+    if needed > free:
+        raise InputError(
+            f"The card has {free / 1e9:.1f} GB left, and the scene takes about {needed / 1e9:.1f} GB; garments of "
+            f"{2 * free // each:,} triangles in all would fit."
+        )
 
 
 def states_after(timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:

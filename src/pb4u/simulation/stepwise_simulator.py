@@ -23,7 +23,7 @@ from pb4u.scene.packed import ColliderPose, PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
-from pb4u.simulation.device_steps import states_after
+from pb4u.simulation.device_steps import require_memory, states_after
 from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
@@ -249,7 +249,11 @@ class NetworkSimulator(StepwiseSimulator):
         if self.device.type == "cpu" or not self._alone:
             yield from super().rollout(scene, record)
             return
-        timeline = Timeline.of(scene).to(self.device, Rooms())
+        host = Timeline.of(scene)
+        free, _ = torch.cuda.mem_get_info(self.device)
+        width = max(weights.shape[0] for weights in self.checkpoint.model.network.parameters())
+        require_memory(host.garments, len(host.colliders.faces), width, free)
+        timeline = host.to(self.device, Rooms())
         method = self.method(timeline, record)
         frame = 0
         try:
