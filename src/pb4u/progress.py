@@ -115,7 +115,7 @@ class Estimate:
 
 
 def format_duration(seconds: float) -> str:
-    """A stretch of time in words, to a minute or a tenth of an hour.
+    """A stretch of time in words, to a minute, a tenth of an hour or a day.
 
     Args:
         seconds: its length [s].
@@ -123,7 +123,7 @@ def format_duration(seconds: float) -> str:
     minutes = max(round(seconds / 60.0), 1)
     if minutes < 90:
         return f"{minutes} minute{'s' if minutes > 1 else ''}"
-    return f"{seconds / 3600.0:.1f} hours"
+    return f"{seconds / 3600.0:.1f} hours" if seconds < 48 * 3600.0 else f"{seconds / 86400.0:.0f} days"
 
 
 @contextmanager

@@ -243,6 +243,11 @@ class Run:
         """The same simulation of the default scene: runs of equal options share a simulator."""
         return Run(**{name: getattr(self, name) for name in entries("run")})
 
+    @property
+    def scene(self) -> Run:
+        """The same scene with options by default: runs of equal scenes share what is made of it."""
+        return replace(self, **{name: getattr(Run, name) for name in entries("run")})
+
     def at_rate(self, fps: float) -> Run:
         """The same stretch of time at another frame rate.
 

@@ -46,7 +46,10 @@ def test_a_dataset_is_planned_made_and_told(pb4u: Callable, jobs: Callable[[str]
 def test_failed_clips_are_listed_and_end_with_1(pb4u: Callable, jobs: Callable[[str], Path]) -> None:
     ended = pb4u("batch", jobs(SMALL.replace("1000", "10") + "[[clips]]\n"), "--out", "set")
     assert ended.code == 1
-    assert "failed: tshirt in default on woman, walk, seed 0: A built-in garment has between" in ended.err
+    assert (
+        "failed: tshirt in default on woman, walk, seed 0, 10 triangles, by skinning: A built-in garment has"
+        in ended.err
+    )
     assert ended.err.splitlines()[-1].startswith("pb4u: 1 of 1 clips failed; the index lists them")
 
 

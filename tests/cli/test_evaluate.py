@@ -51,7 +51,7 @@ def test_killed_in_mid_run_it_goes_on_where_it_was(pb4u: Callable, tmp_path: Pat
 
     other = pb4u("evaluate", *TINY, "--protocol", "ablation", "--out", out)
     assert other.code == 1
-    assert "holds a run of the protocol resolution, not ablation" in other.err
+    assert "holds an evaluation with protocol resolution, not ablation" in other.err
 
 
 @pytest.mark.parametrize(
@@ -85,6 +85,9 @@ def test_failed_rollouts_end_with_1_and_their_sentence(pb4u: Callable, tmp_path:
     broken.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
     ended = pb4u("evaluate", *TINY, "--motions", "walk", "--garments", broken, "--out", tmp_path / "run")
     assert ended.code == 1
-    assert "1 of 1 rollouts failed; the first: skinning on broken woman walk at 400 triangles:" in ended.err
+    assert (
+        "1 of 1 rollouts failed; the first: broken in default on woman, walk, seed 2000, 400 triangles, by skinning:"
+        in ended.err
+    )
     assert "Traceback" not in ended.err
     assert (tmp_path / "run" / "report.html").exists()

@@ -55,7 +55,7 @@ def test_the_tree_the_candidates_and_brute_force_agree() -> None:
     found = surface.nearest(points)
     torch.testing.assert_close(found.signed_distance.abs(), expected, rtol=0, atol=1e-12)
     torch.testing.assert_close((points - found.positions).norm(dim=1), expected, rtol=0, atol=1e-12)
-    candidate = surface._nearest_triangle(points)
+    candidate = surface.batch.closest(points[None]).triangle
     torch.testing.assert_close((points - closest[torch.arange(300), candidate]).norm(dim=1), expected)
     np.testing.assert_array_equal((found.signed_distance < 0).numpy(), winding_numbers(points, a, b, c).numpy() > 0.5)
 
@@ -142,7 +142,8 @@ def test_the_compiled_search_and_the_candidates_describe_the_same_points(cut: bo
     points = torch.from_numpy(random_points(500, 2.0, seed=5))
     kept = points[(moved.nearest(points).signed_distance.abs() > 1e-3)]
     found = moved.nearest(kept)
-    _, _, positions, normals, distance, beyond = moved._nearest_by_candidates(kept)
+    near = moved.batch.closest(kept[None])
+    positions, normals, distance, beyond = near.positions, near.normals, near.signed_distance, near.beyond_border
     zeros = (found.barycentric <= 1e-12).sum(1)
     assert {0, 1, 2} <= set(zeros.tolist())
     assert bool(beyond.any()) == cut

@@ -65,20 +65,6 @@ def test_a_scene_file_is_a_beginning_that_entries_change(tmp_path: Path) -> None
     assert kept.garments == (WornGarment("skirt", "silk"),)
 
 
-def test_a_table_has_a_clip_a_row(tmp_path: Path) -> None:
-    table = (
-        "\ufeffgarment,motion,seed,contact,body_shape,fps\n"
-        "tshirt,07_02.amc,3,true,{ height = 0.7 },24\n"
-        '"[""tanktop"", ""cardigan""]",walk,,,,\n'
-        "\n"
-    )
-    first, second = jobs(tmp_path, table, "jobs.csv")
-    assert (first.motion, first.seed, first.contact) == (tmp_path / "07_02.amc", 3, True)
-    assert (first.body_shape, first.fps) == ({"height": 0.7}, 24)
-    assert [each.name for each in second.garments] == ["tanktop", "cardigan"]
-    assert second.seed == 0
-
-
 MILLION = "[product]\n" + "".join(
     f"{name} = {list(range(1, 101))}\n" for name in ("seed", "triangles", "frames")
 )  # fmt: skip
@@ -112,27 +98,10 @@ def test_what_cannot_be_used_is_one_sentence(tmp_path: Path, text: str, says: st
         jobs(tmp_path, text)
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("garment,motion\ntshirt\n", "row 2 has 1 cells, and the header 2"),
-        ("garment,garment\ntshirt,dress\n", "two columns are called garment"),
-        ("garmet\ntshirt\n", "did you mean garment"),
-        ("garment\n", "describes no clip"),
-        ("", "no table with a header"),
-        ("seed\n1\n1.5\n", r"clip 2 \(seed = 1.5\): seed must be a whole number"),
-    ],
-)
-def test_tables_that_cannot_be_used_are_one_sentence(tmp_path: Path, text: str, says: str) -> None:
-    with pytest.raises(InputError, match=says):
-        jobs(tmp_path, text, "jobs.csv")
-
-
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no jobs file, whose name ends in \.toml or \.csv"):
+    with pytest.raises(InputError, match=r"no jobs file, whose name ends in \.toml"):
         read_jobs(tmp_path / "jobs.json")
     with pytest.raises(InputError, match="There is no jobs file"):
         read_jobs(tmp_path / "jobs.toml")
-    (tmp_path / "bytes.csv").write_bytes(b"garment\n\xff\xfe\n")
-    with pytest.raises(InputError, match="no table with a header in UTF-8"):
-        read_jobs(tmp_path / "bytes.csv")
+    with pytest.raises(InputError, match=r"no tables are read any more; write each row as a \[\[clips\]\] section"):
+        read_jobs(tmp_path / "jobs.csv")

@@ -45,8 +45,7 @@ from pb4u.compat.garment_dictionary import read_dictionary_garment
 from pb4u.compat.recording_as_released import RecordingAsItIs
 from pb4u.compat.released_weights import read_released
 from pb4u.compat.result_pickle import open_trajectory, write_result
-from pb4u.dataset.clip import DATASET_VERSION
-from pb4u.dataset.dataset_folder import DatasetFolder, FolderOfTrajectories
+from pb4u.dataset.dataset_folder import DatasetFolder
 from pb4u.dataset.jobs_file import read_jobs
 from pb4u.errors import InputError
 from pb4u.export.registry import export
@@ -56,6 +55,7 @@ from pb4u.garment.garment_file import read_garment
 from pb4u.garment.material import MATERIALS, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.obj_file import write_obj
+from pb4u.jobs.job_folder import FOLDER_VERSION
 from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.network.acceleration_model import AccelerationModel
@@ -229,7 +229,7 @@ def training_run(path: Path) -> None:
 
 
 def made_dataset(path: Path) -> None:
-    DatasetFolder(path.parent, FolderOfTrajectories(), False)
+    DatasetFolder(path.parent, None, False)
 
 
 def command(*arguments: str) -> Read:
@@ -458,9 +458,13 @@ def _texts() -> Iterator[Sample]:
     jobs = b'[fixed]\nframes = 8\n[product]\nmotion = ["walk", "run"]\nseed = {first = 0, count = 3}\n'
     jobs += b'[[clips]]\ngarment = ["tanktop", "skirt"]\nbody_shape = {height = 0.6}\nscene = "scene.toml"\n'
     yield Sample("jobs file", {"jobs.toml": jobs, "scene.toml": scene}, (read_jobs,))
-    table = b'garment,motion,frames,triangles,body_shape\ntshirt,walk,8,500,\n"[""tanktop"", ""skirt""]",run,,,\n'
-    yield Sample("jobs table", {"jobs.csv": table}, (read_jobs,))
-    manifest = {"dataset_version": DATASET_VERSION, "pb4u": __version__, "format": "folder", "half": False, "jobs": []}
+    manifest = {
+        "version": FOLDER_VERSION,
+        "pb4u": __version__,
+        "kind": "a dataset",
+        "format": "folder",
+        "precision": "full",
+    }
     shard = io.BytesIO()
     with tarfile.open(fileobj=shard, mode="w") as archive:
         archive.addfile(tarfile.TarInfo("abc.npz"), io.BytesIO(b""))

@@ -12,10 +12,9 @@ import pytest
 from tests.paper.quick_rollouts import attempt, job, note, noted
 
 from pb4u.errors import InputError, MissingExtraError
-from pb4u.jobs.job_queue import MOST_TRIES, work_through
+from pb4u.jobs.job_folder import MOST_TRIES, JobFolder
 from pb4u.jobs.worker_pool import LocalPool, RayPool, WorkerPool
-from pb4u.paper.result_folder import ResultFolder
-from pb4u.paper.rollout import RolloutJob
+from pb4u.measures.run_job import RunJob
 
 
 def local() -> WorkerPool:
@@ -39,9 +38,9 @@ def test_dying_workers_lose_nothing_and_nothing_is_done_twice(pool: WorkerPool, 
     good = [job(name, log) for name in ("a", "dies-once", "b", "c", "d", "e")]
     refused, poison = job("refused", log), job("dies", log)
     seen: list[tuple[int, int]] = []
-    with ResultFolder(tmp_path / "run", "resolution") as folder:
-        work_through([*good, refused, poison], pool, folder.take, lambda done, total: seen.append((done, total)))
-        results = {each.scene.motion: folder.result(each) for each in good}
+    with JobFolder(tmp_path / "run", "an evaluation", {}) as folder:
+        folder.work_through([*good, refused, poison], pool, lambda done, total: seen.append((done, total)))
+        results = {str(each.run.motion): folder.result(each) for each in good}
         refusal, given_up = folder.failure(refused), folder.failure(poison)
 
     assert {motion: result["motion"] for motion, result in results.items() if result} == {n: n for n in results}
@@ -63,19 +62,19 @@ def test_an_idle_worker_that_died_is_replaced(tmp_path: Path) -> None:
     pool = LocalPool(1, attempt)
     try:
         pool.submit(job("a", tmp_path / "log"))
-        assert pool.next_outcome()[0].scene.motion == "a"
+        assert pool.next_outcome()[0].run.motion == "a"
         (worker,) = pool._idle
         worker.process.kill()
         worker.process.join()
-        with ResultFolder(tmp_path / "run", "resolution") as folder:
-            work_through([job("b", tmp_path / "log")], pool, folder.take, lambda done, total: None)
+        with JobFolder(tmp_path / "run", "an evaluation", {}) as folder:
+            folder.work_through([job("b", tmp_path / "log")], pool, lambda done, total: None)
             assert folder.result(job("b", tmp_path / "log")) is not None
     finally:
         pool.close()
 
 
-def never_ends(asked: RolloutJob) -> None:
-    note(Path(asked.scene.body), str(os.getpid()))
+def never_ends(asked: RunJob) -> None:
+    note(Path(str(asked.run.body)), str(os.getpid()))
     time.sleep(600)
 
 

@@ -8,19 +8,22 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from pb4u.jobs.job import Failure
-from pb4u.paper.rollout import ModelRecord, Rollout, RolloutJob, SceneRecord, Settings
+from pb4u.jobs.job import Failure, Made
+from pb4u.measures.run_job import RunJob
+from pb4u.run import Run, WornGarment
 
 
-def job(motion: str, log: Path | str = "log", model: str = "skinning", **scene: object) -> RolloutJob:
+def job(motion: str, log: Path | str = "log", model: str = "skinning") -> RunJob:
     """A job on a motion called so; `log` is carried in the place of the body."""
-    fields = {"garment": "tshirt", "body": str(log), "seed": 2000, "triangles": 400, "frames": 3, **scene}
-    return RolloutJob(SceneRecord(motion=motion, **fields), ModelRecord(model, model), Settings())
+    run = Run(
+        (WornGarment("tshirt", triangles=400),), body=str(log), motion=motion, frames=3, model=model, device="cpu"
+    )
+    return RunJob(run, model, keep="stills")
 
 
-def attempt(asked: RolloutJob) -> Rollout | Failure:
+def attempt(asked: RunJob) -> Made | Failure:
     """Motions say what happens: "dies-once" and "dies" kill their worker, "refused" comes back as a sentence."""
-    motion, log = asked.scene.motion, Path(asked.scene.body)
+    motion, log = str(asked.run.motion), Path(str(asked.run.body))
     begun_before = f"begin {motion}" in noted(log)
     note(log, f"begin {motion}")
     time.sleep(0.05)
@@ -29,7 +32,7 @@ def attempt(asked: RolloutJob) -> Rollout | Failure:
     if motion == "refused":
         return Failure("It is refused.", "")
     note(log, f"end {motion}")
-    return Rollout({"motion": motion, "worker": os.getpid()}, None)
+    return Made({"motion": motion, "worker": os.getpid()})
 
 
 def note(log: Path, line: str) -> None:

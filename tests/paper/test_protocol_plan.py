@@ -9,16 +9,20 @@ import pytest
 import torch
 
 from pb4u.errors import InputError
+from pb4u.measures.run_job import RunJob
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation_control import FixedSteps
 from pb4u.paper.protocol_plan import EvaluationRequest, plan
 from pb4u.paper.protocols import PROTOCOLS
 from pb4u.paper.reference_energies import stored_reference
-from pb4u.paper.rollout import RolloutJob
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
 
 SMALL = EvaluationRequest(models=("skinning",), garments=("tshirt",), motions=("walk",), levels=("400",), frames=3)
+
+
+def triangles(job: RunJob) -> int:
+    return job.run.garments[0].triangles or 0
 
 
 def weights(path: Path, dt: float = 1 / 30, seed: int = 0) -> Path:
@@ -58,29 +62,29 @@ def test_models_without_weights_are_one_line_unless_they_were_named(monkeypatch:
 def test_levels_go_by_name_or_number() -> None:
     planned = plan(replace(SMALL, levels=("11k", "2500", "12K", "1.2K", "11000")))
     assert planned.protocol.levels == ("11K", "base", "12K", "1200")
-    assert [job.scene.triangles for job in planned.jobs if job.model.name == "skinning"] == [1200, 2500, 11000, 12000]
+    assert [triangles(job) for job in planned.jobs if job.run.model == "skinning"] == [1200, 2500, 11000, 12000]
 
 
 def test_jobs_of_a_scene_stand_together_coarse_ones_first() -> None:
     planned = plan(EvaluationRequest("resolution", garments=("tshirt",), levels=("1200", "400")))
-    scenes = [job.scene for job in planned.jobs]
+    scenes = [job.run.scene for job in planned.jobs]
     assert [scenes[i] for i in range(len(scenes)) if i == 0 or scenes[i] != scenes[i - 1]] == list(
         dict.fromkeys(scenes)
     )
-    assert [scene.triangles for scene in scenes] == sorted(scene.triangles for scene in scenes)
+    assert [triangles(job) for job in planned.jobs] == sorted(triangles(job) for job in planned.jobs)
 
 
 def test_floors_are_the_runs_own_solver_then_stored_then_a_job_or_absent() -> None:
     own = plan(replace(SMALL, models=("skinning", "solver")))
-    assert [job.model.name for job in own.jobs] == ["skinning", "solver"]
+    assert [job.run.model for job in own.jobs] == ["skinning", "solver"]
     assert {str(case.floor) for case in own.cases} == {str(own.jobs[1])}
 
     stored = plan(replace(SMALL, levels=("base", "400"), frames=30))
     assert stored.cases[0].floor == stored_reference("test/tshirt/walk-2000", "base", 30)
-    assert isinstance(stored.cases[1].floor, RolloutJob)
+    assert isinstance(stored.cases[1].floor, RunJob)
     for change in ({"frames": 29}, {"lead_in": 0}, {"bodies": ("man",)}, {"motions": ("walk-7",)}):
         (case,) = plan(replace(SMALL, **{"levels": ("base",), "frames": 30, **change})).cases
-        assert isinstance(case.floor, RolloutJob), change
+        assert isinstance(case.floor, RunJob), change
 
     (case,) = plan(replace(SMALL, floors=False)).cases
     assert case.floor is None
@@ -88,25 +92,23 @@ def test_floors_are_the_runs_own_solver_then_stored_then_a_job_or_absent() -> No
 
 def test_with_contact_the_floor_stays_the_bare_solver() -> None:
     planned = plan(replace(SMALL, models=("solver",), contact=True))
-    assert [job.settings.contact for job in planned.jobs] == [True, False]
-    assert isinstance(planned.cases[0].floor, RolloutJob)
-    assert not planned.cases[0].floor.settings.contact
+    assert [job.run.contact for job in planned.jobs] == [True, False]
+    assert isinstance(planned.cases[0].floor, RunJob)
+    assert not planned.cases[0].floor.run.contact
 
 
 def test_settings_reach_only_what_has_them(tmp_path: Path) -> None:
     file = weights(tmp_path / "net.safetensors")
     planned = plan(replace(SMALL, models=(str(file), "skinning", "solver"), steps=(2, 5), refine=3, device="cpu"))
-    asked = [
-        (case.job.model.label, case.job.settings.propagation_steps, case.job.settings.refine) for case in planned.cases
-    ]
+    asked = [(case.job.label, case.job.run.propagation_steps, case.job.run.refine) for case in planned.cases]
     assert asked == [("net", 2, 3), ("net", 5, 3), ("skinning", None, 0), ("solver", None, 0)]
 
 
 def test_the_quick_solver_refines_where_networks_run_alone() -> None:
     (case,) = plan(replace(SMALL, models=("quick-solver",), levels=("400",), contact=True)).cases
-    assert (case.job.settings.refine, case.job.settings.contact) == (5, True)
+    assert (case.job.run.refine, case.job.run.contact) == (5, True)
     (case,) = plan(replace(SMALL, models=("quick-solver",), levels=("400",), refine=2)).cases
-    assert case.job.settings.refine == 2
+    assert case.job.run.refine == 2
 
 
 def test_weights_count_by_content_and_equal_names_are_told_apart(tmp_path: Path) -> None:
@@ -125,7 +127,7 @@ def test_recordings_take_the_place_of_built_in_motions(test_data: Path) -> None:
     planned = plan(EvaluationRequest("efficiency", models=("skinning",), levels=("400",), recordings=folder))
     (case,) = planned.cases
     assert case.motion == "07_02"
-    assert case.job.scene.digests[0][0] == "motion"
+    assert case.job.contents[0][0] == case.job.run.motion
 
 
 @pytest.mark.parametrize(
@@ -144,11 +146,11 @@ def test_recordings_take_the_place_of_built_in_motions(test_data: Path) -> None:
         ({"levels": ("11Q",)}, "no level '11Q'"),
         ({"levels": ("100",)}, "between 200 and 200000"),
         ({"frames": 0}, "1 or more, not 0"),
-        ({"lead_in": -1}, "0 frames or more"),
-        ({"steps": (0,)}, "1 or more, not 0"),
+        ({"lead_in": -1}, "lead_in must be a whole number, 0 or more, not -1"),
+        ({"steps": (0, 1), "models": ("pb4u-small",)}, "from 1 to 500, not 0"),
         ({"levels": ()}, "--levels names nothing"),
         ({"recordings": Path("absent")}, "no folder of recordings absent"),
-        ({"device": "tpu"}, "auto, cpu or cuda"),
+        ({"device": "tpu"}, "no device 'tpu'"),
     ],
 )
 def test_what_cannot_be_used_is_refused(change: dict, says: str) -> None:
@@ -167,4 +169,4 @@ def test_networks_with_fixed_steps_too_can_be_told(tmp_path: Path) -> None:
     record = TrainingRecord(1 / 30, (0.012, 0.016), (1, 30), 10, {})
     save_checkpoint(tmp_path / "a.safetensors", AccelerationModel(configuration.network()), configuration, record)
     planned = plan(replace(SMALL, protocol="depth", models=(str(tmp_path / "a.safetensors"),)))
-    assert [case.job.settings.propagation_steps for case in planned.cases] == list(PROTOCOLS["depth"].steps)
+    assert [case.job.run.propagation_steps for case in planned.cases] == list(PROTOCOLS["depth"].steps)

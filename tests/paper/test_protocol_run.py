@@ -8,23 +8,26 @@ import re
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.paper.test_protocol_plan import weights
 from tests.simulation.ball_scene import ball_scene
 
 from pb4u.errors import InputError, Pb4uError
-from pb4u.jobs.job import Failure
+from pb4u.jobs.job import Failure, Made
 from pb4u.jobs.worker_pool import Attempt, Outcome, WorkerPool
+from pb4u.measures import run_job
 from pb4u.measures.metrics import ENERGIES
-from pb4u.paper import report, rollout
+from pb4u.measures.run_job import RunJob, attempt
+from pb4u.paper import report
+from pb4u.paper.evaluation import evaluate
 from pb4u.paper.protocol_plan import EvaluationRequest
-from pb4u.paper.protocol_run import evaluate
 from pb4u.paper.protocols import PROTOCOLS
 from pb4u.paper.report import told_once
-from pb4u.paper.rollout import RolloutJob, SceneRecord, attempt
 from pb4u.paper.summary import share_text
 from pb4u.paper.tables import terms_tables
+from pb4u.run import Run
 from pb4u.scene.scene import Scene
 
 FRAMES = 3
@@ -42,9 +45,9 @@ class Here(WorkerPool):
     def __init__(self, attempt: Attempt) -> None:
         self._attempt = attempt
         self.did: list[str] = []
-        self._waiting: deque[RolloutJob] = deque()
+        self._waiting: deque[RunJob] = deque()
 
-    def submit(self, job: RolloutJob) -> None:
+    def submit(self, job: RunJob) -> None:
         self._waiting.append(job)
 
     def next_outcome(self) -> Outcome:
@@ -56,17 +59,21 @@ class Here(WorkerPool):
         self._waiting.clear()
 
 
+def ball_of(asked: Run, **options: Any) -> tuple[Scene, tuple[str, ...]]:
+    return ball_scene(asked.frames, asked.lead_in, **options), ()
+
+
 @pytest.fixture(autouse=True)
 def balls(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     """Scenes are balls: the motion sets their speed, the level how fine the sheet is; on "turn" there is none."""
 
-    def made(record: SceneRecord) -> Scene:
-        if record.motion == "turn":
+    def made(asked: Run) -> tuple[Scene, tuple[str, ...]]:
+        if asked.motion == "turn":
             raise InputError("The ball cannot turn.")
-        speed = 0.3 if record.motion == "walk" else 0.6
-        return ball_scene(record.frames, record.lead_in, cells=5 if record.triangles == 11_000 else 6, speed=speed)
+        speed = 0.3 if asked.motion == "walk" else 0.6
+        return ball_of(asked, cells=5 if asked.garments[0].triangles == 11_000 else 6, speed=speed)
 
-    monkeypatch.setattr(rollout, "_scene", made)
+    monkeypatch.setattr(run_job, "_scene", made)
     if "plots" not in request.node.name:
         monkeypatch.setitem(PROTOCOLS, "resolution", replace(PROTOCOLS["resolution"], pictured=False))
         monkeypatch.setitem(report.VIEWS, "resolution", (terms_tables,))
@@ -146,21 +153,22 @@ def test_failures_are_told_kept_and_tried_again_when_asked(tmp_path: Path, monke
     results, did, _ = run(request, out)
     assert [failure["sentence"] for failure in results["failures"]] == ["The ball cannot turn."] * 2
     assert cell(results, model="skinning")["failed"] == 1
-    assert "skinning on tshirt woman turn at 11,000 triangles: The ball cannot turn." in (out / "tables.md").read_text()
+    told = "tshirt in default on woman, turn, seed 2000, 11,000 triangles, by skinning: The ball cannot turn."
+    assert told in (out / "tables.md").read_text()
     assert "1, 1 missing" in (out / "tables.md").read_text()
     results, did, said = run(request, out)
     assert (did, len(results["failures"])) == ([], 2)
     assert "2 failed before and left (--retry tries them again)" in said[0]
     results, did, _ = run(request, out, retry=True)
     assert (len(did), len(results["failures"])) == (2, 2)
-    monkeypatch.setattr(rollout, "_scene", lambda record: ball_scene(record.frames, record.lead_in, cells=5))
+    monkeypatch.setattr(run_job, "_scene", lambda asked: ball_of(asked, cells=5))
     results, did, _ = run(request, out, retry=True)
     assert (len(did), results["failures"]) == (2, [])
 
 
 def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
-    def interrupted(job: RolloutJob) -> rollout.Rollout | Failure:
-        if job.scene.motion == "jump":
+    def interrupted(job: RunJob) -> Made | Failure:
+        if job.run.motion == "jump":
             raise KeyboardInterrupt
         return attempt(job)
 
@@ -206,7 +214,7 @@ def test_a_run_that_broke_off_is_counted_and_has_no_ratio(tmp_path: Path, monkey
 def test_weights_that_changed_after_planning_are_not_taken_for_the_old_ones(tmp_path: Path) -> None:
     file = weights(tmp_path / "net.safetensors")
 
-    def changed(job: RolloutJob) -> rollout.Rollout | Failure:
+    def changed(job: RunJob) -> Made | Failure:
         weights(tmp_path / "net.safetensors", seed=1)
         return attempt(job)
 
@@ -217,10 +225,10 @@ def test_weights_that_changed_after_planning_are_not_taken_for_the_old_ones(tmp_
 
 
 def test_unexpected_errors_come_back_as_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(record: SceneRecord) -> Scene:
+    def broken(asked: Run) -> Scene:
         raise ZeroDivisionError("division by zero")
 
-    monkeypatch.setattr(rollout, "_scene", broken)
+    monkeypatch.setattr(run_job, "_scene", broken)
     results, _, _ = run(replace(REQUEST, levels=("11K",), motions=("walk",)), tmp_path / "run")
     assert {failure["sentence"] for failure in results["failures"]} == {
         "It broke off unexpectedly: ZeroDivisionError: division by zero"

@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.paper.test_protocol_run import Here
+from tests.paper.test_protocol_run import Here, ball_of
 from tests.simulation.ball_scene import ball_scene
 
 from pb4u.errors import InputError
+from pb4u.measures import run_job
 from pb4u.measures.divergence import SLID, SLID_FRAMES, hold_shifts, slid_from
-from pb4u.paper import rollout
+from pb4u.measures.run_job import RunJob, attempt, make
+from pb4u.paper.evaluation import evaluate
 from pb4u.paper.page import Table
-from pb4u.paper.protocol_plan import REFINE, EvaluationRequest, plan
-from pb4u.paper.protocol_run import evaluate
+from pb4u.paper.protocol_plan import ALONE, BY_DEFAULT, EvaluationRequest, plan
 from pb4u.paper.robustness import failure_pictures, failure_table, parts_tables, robustness_table
-from pb4u.paper.rollout import RolloutJob, SceneRecord, Settings, attempt
 from pb4u.paper.summary import Row, Summary
-from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.models import load_simulator
 
@@ -30,14 +29,15 @@ REQUEST = EvaluationRequest("robustness", models=("pb4u-small", "solver"), scene
 def test_scenes_follow_from_seed_and_number_and_have_every_garment_and_motion() -> None:
     few, more, other = (plan(replace(REQUEST, **change)) for change in ({"scenes": 3}, {}, {"seed": 1}))
     assert [case.job for case in few.cases] == [case.job for case in more.cases[: len(few.cases)]]
-    scenes = {case.number: case.job.scene for case in more.cases}
-    assert len({scene.garment for scene in scenes.values()}) == len({s.motion for s in scenes.values()}) == 8
-    assert all(seed is not None and seed >= 2000 for seed in (scene.seed for scene in scenes.values()))
-    shapes = np.array([[value for _, value in scene.shape] for scene in scenes.values()])
+    scenes = {case.number: case.job.run for case in more.cases}
+    assert len({run.motion for run in scenes.values()}) == 8
+    assert len({run.garments[0].name for run in scenes.values()}) == 8
+    assert all(run.seed >= 2000 for run in scenes.values())
+    shapes = np.array([list(run.body_shape.values()) for run in scenes.values()])
     assert shapes.min() < 0.2
     assert shapes.max() > 0.8
-    assert len({scene.material for scene in scenes.values()}) > 3
-    assert not set(scenes.values()) & {case.job.scene for case in other.cases}
+    assert len({run.garments[0].material for run in scenes.values()}) > 3
+    assert not set(scenes.values()) & {case.job.run for case in other.cases}
 
 
 def test_each_network_runs_alone_and_as_it_comes_each_beside_its_own_floor() -> None:
@@ -46,15 +46,15 @@ def test_each_network_runs_alone_and_as_it_comes_each_beside_its_own_floor() -> 
     assert planned.protocol.models == (
         "pb4u-small, alone", "pb4u-small, by default", "solver, alone", "solver, by default"
     )  # fmt: skip
-    assert alone.job.settings == Settings()
-    assert as_it_comes.job.settings == Settings(refine=REFINE, contact=True, self_contact=True)
+    for case, options in ((alone, ALONE), (as_it_comes, BY_DEFAULT)):
+        assert {name: getattr(case.job.run, name) for name in options} == options
     for case, floor in ((alone, solver), (as_it_comes, solver_comes)):
-        assert isinstance(case.floor, RolloutJob)
+        assert isinstance(case.floor, RunJob)
         assert case.floor.key == floor.job.key
     # A floor that is a model of the run as well is made once.
     assert len(planned.jobs) == 4
     defaults = load_simulator("pb4u-small")
-    as_run = load_simulator("pb4u-small", refine=REFINE, contact=True, self_contact=True)
+    as_run = load_simulator("pb4u-small", refine=5, contact=True, self_contact=True)
     assert as_run.settings() == defaults.settings()
     assert load_simulator("pb4u-small", self_contact=False).settings() != defaults.settings()
 
@@ -112,7 +112,7 @@ def _result(**changes: Any) -> dict[str, Any]:
 
 def test_failures_are_counted_and_named_with_what_makes_them_again() -> None:
     planned = plan(replace(REQUEST, scenes=4))
-    alone = [case for case in planned.cases if case.job.model.label == "pb4u-small, alone"]
+    alone = [case for case in planned.cases if case.job.label == "pb4u-small, alone"]
     results = [
         (_result(), 1.1),
         (_result(diverged=True, diverged_at=7), 80.0),
@@ -139,22 +139,24 @@ def test_failures_are_counted_and_named_with_what_makes_them_again() -> None:
     assert [(row[0], row[3]) for row in failures.rows] == [
         ("1", "diverged in frame 7"), ("2", "slid from frame 12, 20 cm"), ("3", "4.0 times the reference energy")
     ]  # fmt: skip
-    scene = alone[1].job.scene
-    for part in (f"--garment {scene.garment} ", f"--seed {scene.seed} ", f"--body-shape height={scene.shape[0][1]:g} "):
+    made = alone[1].job.run
+    garment = made.garments[0].garment
+    for part in (
+        f"--garment {garment} ",
+        f"--seed {made.seed} ",
+        f"--body-shape height={made.body_shape['height']:g} ",
+    ):
         assert part in failures.rows[0][2]
     by_garment = next(table for table in parts_tables(summary) if table.title == "By garment")
     assert isinstance(by_garment, Table)
-    assert {row[0]: row[1] for row in by_garment.rows}[scene.garment] == "-, -; 1 of 1"
+    assert {row[0]: row[1] for row in by_garment.rows}[garment] == "-, -; 1 of 1"
     assert failure_pictures(summary) == []
 
 
 def test_a_run_of_drawn_scenes_ends_in_a_page_and_is_not_made_twice(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def made(record: SceneRecord) -> Scene:
-        return ball_scene(record.frames, record.lead_in, cells=5, speed=0.3)
-
-    monkeypatch.setattr(rollout, "_scene", made)
+    monkeypatch.setattr(run_job, "_scene", lambda asked: ball_of(asked, cells=5, speed=0.3))
     request = replace(REQUEST, models=("skinning",), scenes=2, frames=3, lead_in=1)
     pool = Here(attempt)
     first = evaluate(request, tmp_path / "run", lambda: pool)
@@ -171,11 +173,11 @@ def test_a_run_of_drawn_scenes_ends_in_a_page_and_is_not_made_twice(
 
 
 def test_kept_frames_are_those_of_the_moment_and_of_the_worst(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(rollout, "_scene", lambda record: ball_scene(record.frames, record.lead_in, cells=5, speed=0.3))
+    monkeypatch.setattr(run_job, "_scene", lambda asked: ball_of(asked, cells=5, speed=0.3))
     job = plan(replace(REQUEST, models=("skinning",), scenes=1, frames=6, lead_in=1)).cases[0].job
-    kept = rollout.run(job)
-    assert kept.still is not None
-    (tmp_path / "still.npz").write_bytes(kept.still)
+    kept = make(job)
+    assert kept.trajectory is not None
+    (tmp_path / "still.npz").write_bytes(kept.trajectory)
     still = Trajectory.open(tmp_path / "still.npz")
     inside = kept.result["metrics"]["penetration_percent"]["per_frame"]
     whole = load_simulator("skinning").simulate(ball_scene(6, 1, cells=5, speed=0.3))

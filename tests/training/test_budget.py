@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pb4u.training.budget import ExplosionGuard
+from pb4u.training.budget import Budget, ExplosionGuard
 
 
 def watched(energies: list[float]) -> ExplosionGuard:
@@ -31,3 +31,9 @@ def test_a_loss_that_stays_high_counts_within_fifty_steps() -> None:
 
 def test_a_falling_loss_is_calm() -> None:
     assert watched(np.geomspace(100.0, 0.1, 400).tolist()).calm
+
+
+def test_minutes_keep_time_for_the_last_validation() -> None:
+    assert Budget(None, 10.0).without(120.0) == Budget(None, 8.0)
+    assert Budget(5, 1.0).without(300.0) == Budget(5, 0.5)
+    assert Budget(5).without(300.0) == Budget(5)

@@ -174,7 +174,8 @@ def test_a_curriculum_by_the_clock_ends_by_the_clock() -> None:
     budget = Budget(steps=None, minutes=0.02)
     trainer = Trainer(TINY, budget, ball_data(), ALONE, None, Listener())
     assert trainer.run() == "finished"
-    assert 1.2 <= trainer.counters.seconds < 20.0
+    # Up to half of the 1.2 s is kept for the validation at the end.
+    assert 0.6 <= trainer.counters.seconds < 20.0
 
 
 def test_the_end_of_the_minutes_does_not_wait_for_a_round(monkeypatch: pytest.MonkeyPatch) -> None:

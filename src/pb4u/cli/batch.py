@@ -25,9 +25,9 @@ def batch(
     jobs: Annotated[
         Path,
         typer.Argument(
-            metavar="JOBS.toml|CSV",
+            metavar="JOBS.toml",
             help="What to make: [fixed] entries of scene files, lists in [product] of which every combination is a "
-            "clip, and [[clips]] one by one; or a table with one clip a row.",
+            "clip, and [[clips]] one by one.",
             show_default=False,
         ),
     ],
@@ -47,7 +47,7 @@ def batch(
     most_clips: Annotated[
         int | None, typer.Option(metavar="N", help="Clips that one file may describe. Default: 100,000.")
     ] = None,
-    plan: Annotated[bool, typer.Option("--plan", help="Say what it takes in disk and time, and make nothing.")] = False,
+    plan: Annotated[bool, typer.Option("--plan", help="Say what it takes on the disk, and make nothing.")] = False,
     retry: Annotated[bool, typer.Option("--retry", help="Try clips again that failed before.")] = False,
     json: JsonFlag = None,
 ) -> None:
@@ -60,7 +60,6 @@ def batch(
     Raises:
         InputError: a number is out of range, or something is unknown or unusable.
     """
-    from pb4u.dataset.dataset_folder import FolderOfTrajectories, WebDataset
     from pb4u.dataset.dataset_run import make_dataset, told_size
     from pb4u.dataset.jobs_file import MOST_CLIPS, read_jobs
 
@@ -71,15 +70,14 @@ def batch(
     runs = read_jobs(jobs, MOST_CLIPS if most_clips is None else most_clips)
 
     def pool() -> WorkerPool:
-        from pb4u.dataset.clip import attempt
         from pb4u.jobs.worker_pool import LocalPool, RayPool
+        from pb4u.measures.run_job import attempt
 
         return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
 
     made = make_dataset(
-        runs, out, pool, WebDataset(clips_per_shard) if format == "webdataset" else FolderOfTrajectories(), half=half,
-        jobs_file=jobs.name, workers=workers if ray in (None, "local") else None, retry=retry, plan_only=plan,
-        say=say, progress=progress_bar,
+        runs, out, pool, clips_per_shard if format == "webdataset" else None, half=half, jobs_file=jobs.name,
+        retry=retry, plan_only=plan, say=say, progress=progress_bar,
     )  # fmt: skip
     if json:
         write_json(made, json)

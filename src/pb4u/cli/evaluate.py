@@ -92,8 +92,8 @@ def evaluate(
     Raises:
         InputError: a number is out of range, or something is unknown or unusable.
     """
+    from pb4u.paper.evaluation import evaluate as run
     from pb4u.paper.protocol_plan import EvaluationRequest
-    from pb4u.paper.protocol_run import evaluate as run
     from pb4u.paper.report import PAGE, PLOTS
 
     check_json_target(json)
@@ -113,7 +113,7 @@ def evaluate(
 
     def pool() -> WorkerPool:
         from pb4u.jobs.worker_pool import LocalPool, RayPool
-        from pb4u.paper.rollout import attempt
+        from pb4u.measures.run_job import attempt
 
         return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
 

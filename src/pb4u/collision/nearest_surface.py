@@ -1,13 +1,12 @@
 """Nearest points on a moving triangle surface, with sign: negative inside.
 
-The nearest triangle is exact: a compiled search of a tree of boxes on the processor; certified candidates on other
-devices, and where Numba is not installed. The sign comes from angle-weighted pseudo-normals (Baerentzen and Aanaes
-2005), which are right at edges and corners too.
+The nearest triangle is exact: a compiled search of a tree of boxes on the processor; groups of faces in tensors
+(`batched_surface`) on other devices, and where Numba is not installed. The sign comes from angle-weighted
+pseudo-normals (Baerentzen and Aanaes 2005), which are right at edges and corners too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -15,43 +14,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.collision.batched_surface import BatchedSurface, NearestPoints, PosedBatch
 from pb4u.collision.jit import COMPILES
 from pb4u.collision.nearest_points import Found, Searched, update_closest
 from pb4u.collision.wide_tree import WideTree
 from pb4u.errors import InputError
-from pb4u.geometry.closest_point import closest_barycentric
 from pb4u.geometry.topology import Topology
 from pb4u.threads import parallel_map
 
-# Faces with the nearest centres among which the nearest face is looked for; more are tried where it is not certain.
-_CANDIDATES = 32
 # Distances between points and faces worked out at a time, which bounds the memory.
 _PAIRS_PER_CHUNK = 20_000_000
 
 _POINTS_PER_PART = 2048
 """Points that one thread looks up at a time, in 3 ms: to wake another processor may take a quarter of one."""
-
-
-@dataclass(frozen=True, eq=False)
-class NearestPoints:
-    """Nearest points of a surface to some points; tensors of the points' dtype and device, without gradient.
-
-    Args:
-        triangle: (points,) int64 face of the whole surface.
-        barycentric: (points, 3) coordinates of the nearest point in that face.
-        positions: (points, 3) nearest points [m].
-        normals: (points, 3) unit direction in which the signed distance grows.
-        signed_distance: (points,) [m], negative inside.
-        beyond_border: (points,) bool, nearest to the border of an open surface or of its region, where inside has no
-            meaning: the distance there is given as positive.
-    """
-
-    triangle: Tensor
-    barycentric: Tensor
-    positions: Tensor
-    normals: Tensor
-    signed_distance: Tensor
-    beyond_border: Tensor
 
 
 class TriangleSurface:
@@ -86,23 +61,20 @@ class TriangleSurface:
         self.vertex_count = vertex_count
         self.names = np.concatenate([kept, len(faces) + np.arange(len(self.caps))])
         self._tree: WideTree | None = None
+        self._batched: dict[str, BatchedSurface] = {}
 
     @cached_property
     def topology(self) -> Topology:
         return Topology(self.faces, self.vertex_count)
 
-    @cached_property
-    def _tensors(self) -> dict[str, tuple[Tensor, Tensor, Tensor, Tensor, Tensor]]:
-        return {}
-
-    def _on(self, device: torch.device) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Faces, edge of each corner pair, border edges, border vertices and original face index on `device`."""
-        key = str(device)
-        if key not in self._tensors:
-            mesh = self.topology
-            arrays = (self.faces, mesh.face_edges.copy(), mesh.edge_face_counts == 1, mesh.border_vertices, self.names)
-            self._tensors[key] = tuple(torch.from_numpy(a).to(device) for a in arrays)  # type: ignore[assignment]
-        return self._tensors[key]
+    def batched(self, vertices: Tensor) -> BatchedSurface:
+        """This surface in tensors on the device of `vertices` (vertices, 3) [m]; the pose first given forms groups."""
+        key = str(vertices.device)
+        if key not in self._batched:
+            made = BatchedSurface.of([self], [0], [self.names], vertices)
+            assert made is not None
+            self._batched[key] = made
+        return self._batched[key]
 
     @cached_property
     def fans(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -171,36 +143,14 @@ class PosedSurface:
         return Searched(vertices, faces, self.surface.fans, tree.order, tree.children, tree.bottoms, *fitted)
 
     @cached_property
-    def _corners(self) -> tuple[Tensor, Tensor, Tensor]:
-        faces = self.surface._on(self.vertices.device)[0]
-        a, b, c = (self.vertices.index_select(0, faces[:, k]) for k in range(3))
-        return a, b, c
+    def batch(self) -> PosedBatch:
+        """The same for searches in tensors."""
+        return PosedBatch(self.surface.batched(self.vertices), self.vertices)
 
-    @cached_property
+    @property
     def face_normals(self) -> Tensor:
         """Unit normals (kept faces, 3) float64 of the faces, 0 for a degenerate one."""
-        a, b, c = self._corners
-        cross = torch.linalg.cross(b - a, c - a)
-        return cross / cross.norm(dim=1, keepdim=True).clamp_min(1e-300)
-
-    @cached_property
-    def _edge_normals(self) -> Tensor:
-        face_edges = self.surface._on(self.vertices.device)[1]
-        total = self.vertices.new_zeros((len(self.surface.topology.edges), 3))
-        for k in range(3):
-            total.index_add_(0, face_edges[:, k], self.face_normals)
-        return total
-
-    @cached_property
-    def _vertex_normals(self) -> Tensor:
-        faces = self.surface._on(self.vertices.device)[0]
-        corners = self._corners
-        total = torch.zeros_like(self.vertices)
-        for k in range(3):
-            u, v = corners[(k + 1) % 3] - corners[k], corners[(k + 2) % 3] - corners[k]
-            angle = torch.atan2(torch.linalg.cross(u, v).norm(dim=1), (u * v).sum(1))
-            total.index_add_(0, faces[:, k], angle[:, None] * self.face_normals)
-        return total
+        return self.batch.face_normals
 
     def nearest(self, points: Tensor | np.ndarray) -> NearestPoints:
         """Exact nearest points of the surface; quickest for points that lie near the ones before and after them.
@@ -218,21 +168,21 @@ class PosedSurface:
         if self.compiled:
             found = Found.nothing(len(queried))
             self.update_closest(queried.numpy(), found)
-            _, original, barycentric, position, normal, distance, beyond = (torch.from_numpy(v) for v in found)
+            _, triangle, barycentric, position, normal, distance, beyond = (torch.from_numpy(v) for v in found)
+            near = NearestPoints(triangle, barycentric, position, normal, distance, beyond)
         else:
-            triangle, barycentric, position, normal, distance, beyond = self._nearest_by_candidates(queried)
-            original = self.surface._on(self.vertices.device)[4].index_select(0, triangle)
+            near = self.batch.closest(queried[None])
 
         def back(t: Tensor) -> Tensor:
             return t.to(asked.device, asked.dtype if asked.dtype.is_floating_point else torch.float64)
 
         return NearestPoints(
-            triangle=original.to(asked.device),
-            barycentric=back(barycentric),
-            positions=back(position),
-            normals=back(normal),
-            signed_distance=back(distance),
-            beyond_border=beyond.to(asked.device),
+            triangle=near.triangle.to(asked.device),
+            barycentric=back(near.barycentric),
+            positions=back(near.positions),
+            normals=back(near.normals),
+            signed_distance=back(near.signed_distance),
+            beyond_border=near.beyond_border.to(asked.device),
         )
 
     @property
@@ -284,59 +234,6 @@ class PosedSurface:
             searched = searched._replace(corners=fitted[0], boxes=fitted[1])
         update_closest(searched, self.surface.names, np.ascontiguousarray(points), np.inf, -1.0, True, found)
 
-    def _nearest_by_candidates(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """What `nearest_points` gives, by tensors alone."""
-        triangle = self._nearest_triangle(points)
-        a, b, c = (corner.index_select(0, triangle) for corner in self._corners)
-        barycentric = closest_barycentric(points, a, b, c)
-        position = barycentric[:, :1] * a + barycentric[:, 1:2] * b + barycentric[:, 2:] * c
-        pseudo_normal, interior, beyond = self._feature(triangle, barycentric)
-        offset = points - position
-        length = offset.norm(dim=1)
-        along = (offset * pseudo_normal).sum(1)
-        sign = torch.where((along < 0) & ~beyond, -1.0, 1.0).to(torch.float64)
-        usable = ~interior & (length > 1e-9)
-        normal = torch.where(usable[:, None], offset * (sign / length.clamp_min(1e-300))[:, None], pseudo_normal)
-        return triangle, barycentric, position, normal, sign * length, beyond
-
-    def _feature(self, triangle: Tensor, barycentric: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Unit pseudo-normal of the nearest face, edge or vertex, whether it is a face, whether it is on the border."""
-        faces, face_edges, border_edge, border_vertex, _ = self.surface._on(self.vertices.device)
-        normal = self.face_normals.index_select(0, triangle)
-        zero = barycentric <= 1e-12
-        zeros = zero.sum(1)
-        on_edge, on_vertex = zeros == 1, zeros == 2
-        beyond = torch.zeros_like(on_edge)
-        if bool(on_edge.any()):
-            opposite = zero[on_edge].to(torch.int64).argmax(1)
-            edge = face_edges[triangle[on_edge], (opposite + 1) % 3]
-            normal[on_edge] = self._edge_normals[edge]
-            beyond[on_edge] = border_edge[edge]
-        if bool(on_vertex.any()):
-            vertex = faces[triangle[on_vertex], (~zero[on_vertex]).to(torch.int64).argmax(1)]
-            normal[on_vertex] = self._vertex_normals[vertex]
-            beyond[on_vertex] = border_vertex[vertex]
-        return normal / normal.norm(dim=1, keepdim=True).clamp_min(1e-300), zeros == 0, beyond
-
-    def _nearest_triangle(self, points: Tensor) -> Tensor:
-        """Nearest face among those with the nearest centres; every face where that cannot be certified."""
-        a, b, c = self._corners
-        centres = (a + b + c) / 3.0
-        radius = torch.stack([(x - centres).norm(dim=1) for x in (a, b, c)]).amax()
-        count = min(_CANDIDATES, len(centres))
-        result = torch.empty(len(points), dtype=torch.int64, device=points.device)
-        rows = max(1, _PAIRS_PER_CHUNK // len(centres))
-        for start in range(0, len(points), rows):
-            part = points[start : start + rows]
-            distance, near = torch.cdist(part, centres).topk(count, dim=1, largest=False)
-            best, bound = _closest_of(part, near, (a, b, c))
-            unsure = (distance[:, -1] < bound + radius) & (count < len(centres))
-            for row in torch.split(torch.nonzero(unsure).reshape(-1), max(1, rows // 16)):
-                every = torch.arange(len(centres), device=points.device).expand(len(row), -1)
-                best[row] = _closest_of(part[row], every, (a, b, c))[0]
-            result[start : start + rows] = best
-        return result
-
     def nearest_face_centre(self, points: Tensor | np.ndarray) -> tuple[Tensor, Tensor]:
         """Face with the nearest centre to each point: the HOOD family's convention.
 
@@ -352,25 +249,15 @@ class PosedSurface:
             distance, face = self._centre_tree.query(queried.numpy())
             near = torch.from_numpy(np.asarray(face, dtype=np.int64)), torch.from_numpy(np.asarray(distance))
         else:
-            a, b, c = self._corners
-            rows = max(1, _PAIRS_PER_CHUNK // len(a))
-            nearest = [torch.cdist(part, (a + b + c) / 3.0).min(dim=1) for part in torch.split(queried, rows)]
+            centres = self.batch.corners.mean(1)
+            rows = max(1, _PAIRS_PER_CHUNK // len(centres))
+            nearest = [torch.cdist(part, centres).min(dim=1) for part in torch.split(queried, rows)]
             near = torch.cat([n.indices for n in nearest]), torch.cat([n.values for n in nearest])
-        original = self.surface._on(self.vertices.device)[4].index_select(0, near[0])
+        original = self.batch.surface.names.index_select(0, near[0])
         return original.to(asked.device), near[1].to(asked.device, asked.dtype)
 
     @cached_property
     def _centre_tree(self) -> Any:
         from scipy.spatial import cKDTree
 
-        a, b, c = self._corners
-        return cKDTree(((a + b + c) / 3.0).numpy(), balanced_tree=False, compact_nodes=False)
-
-
-def _closest_of(points: Tensor, faces: Tensor, corners: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """The closest of the candidate `faces` (points, candidates) to each point, and its distance [m]."""
-    a, b, c = (corner[faces] for corner in corners)
-    barycentric = closest_barycentric(points[:, None].expand_as(a), a, b, c)
-    closest = barycentric[..., :1] * a + barycentric[..., 1:2] * b + barycentric[..., 2:] * c
-    distance, column = (points[:, None] - closest).norm(dim=-1).min(dim=1)
-    return faces.gather(1, column[:, None])[:, 0], distance
+        return cKDTree(self.batch.corners.mean(1).numpy(), balanced_tree=False, compact_nodes=False)

@@ -11,16 +11,14 @@ import io
 import json
 import os
 import tarfile
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pb4u import __version__
-from pb4u.dataset.clip import DATASET_VERSION, Clip, ClipJob
 from pb4u.errors import InputError
 from pb4u.io.atomic_file import MARK, move_into_place
-from pb4u.jobs.job_folder import MANIFEST, JobFolder
+from pb4u.jobs.job_folder import JobFolder
+from pb4u.measures.run_job import RunJob
 
 CLIPS, SHARDS, INDEX = "clips", "shards", "index.parquet"
 
@@ -42,17 +40,22 @@ class DatasetFolder(JobFolder):
 
     Args:
         path: the folder, made where it is not there.
-        layout: how clips lie in it.
+        clips_per_shard: clips of one tar file, as WebDataset reads them; None keeps every clip a file of its own.
         half: whether trajectories are kept in half precision.
 
     Raises:
-        InputError: it holds something else, or a dataset of another version, layout or precision, or is in use.
+        InputError: it holds something else, or a dataset of another version, format or precision, or is in use; or a
+            shard would have no clip.
     """
 
-    def __init__(self, path: Path, layout: Layout, half: bool) -> None:
-        self.layout = layout
-        self._half = half
-        super().__init__(path, "a dataset")
+    arrays = CLIPS
+
+    def __init__(self, path: Path, clips_per_shard: int | None, half: bool) -> None:
+        if clips_per_shard is not None and clips_per_shard < 1:
+            raise InputError(f"A shard has 1 clip or more, not {clips_per_shard}.")
+        self._clips_per_shard = clips_per_shard
+        form = "folder" if clips_per_shard is None else "webdataset"
+        super().__init__(path, "a dataset", {"format": form, "precision": "half" if half else "full"})
         try:
             for folder in (path, path / CLIPS, path / SHARDS):
                 for leftover in folder.glob(f".*{MARK}"):
@@ -60,42 +63,6 @@ class DatasetFolder(JobFolder):
             self._in_shards = _shard_members(path / SHARDS)
         except OSError as error:
             raise InputError(f"Cannot use the folder {path}: {error.strerror or error}.") from error
-
-    def require_same(self, manifest: dict[str, Any]) -> None:
-        held = tuple(manifest[name] for name in ("dataset_version", "pb4u", "format", "half"))
-        if held[:2] != (DATASET_VERSION, __version__):
-            raise InputError(
-                f"{self.path} holds a dataset of version {held[0]} by pb4u {held[1]}, and this is pb4u {__version__} "
-                f"with version {DATASET_VERSION}; clips of two do not belong in one dataset: give another --out."
-            )
-        if held[2:] != (self.layout.name, self._half):
-            precision = "half" if held[3] else "full"
-            raise InputError(
-                f"{self.path} holds a dataset with --format {held[2]} in {precision} precision; go on with those, or "
-                "give another --out."
-            )
-
-    def write_manifest(self, jobs_file: str, jobs: Sequence[ClipJob]) -> None:
-        """Record what the dataset consists of.
-
-        Args:
-            jobs_file: name of the file that describes it.
-            jobs: every clip of it.
-        """
-        manifest = {
-            "dataset_version": DATASET_VERSION,
-            "pb4u": __version__,
-            "format": self.layout.name,
-            "half": self._half,
-            "jobs_file": jobs_file,
-            "jobs": [{"key": job.key, "job": str(job)} for job in jobs],
-        }
-        self.write(MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
-        # After the manifest: without one, a folder with clips in it would be taken for somebody else's.
-        (self.path / CLIPS).mkdir(exist_ok=True)
-
-    def parts(self, job: ClipJob, made: Clip) -> tuple[dict[str, Any], dict[str, bytes]]:
-        return made.record, {_loose(job.key): made.trajectory}
 
     def result(self, job: Any) -> dict[str, Any] | None:
         """The record of a clip; None where it, or its trajectory, is not there whole."""
@@ -111,7 +78,7 @@ class DatasetFolder(JobFolder):
             return Place(f"{SHARDS}/{self._in_shards[key]}", f"{key}.npz")
         return Place(_loose(key), None) if (self.path / _loose(key)).is_file() else None
 
-    def pack(self, jobs: Sequence[ClipJob]) -> None:
+    def pack(self, jobs: Sequence[RunJob]) -> None:
         """Bring the trajectories of clips that are done into the layout of the dataset.
 
         Args:
@@ -125,10 +92,12 @@ class DatasetFolder(JobFolder):
         loose = [done[key] for key in sorted(done)]
         for key in self._in_shards:
             (self.path / _loose(key)).unlink(missing_ok=True)
-        for batch in self.layout.batches([job for job in loose if job.key not in self._in_shards]):
-            self._write_shard(batch)
+        if size := self._clips_per_shard:
+            left = [job for job in loose if job.key not in self._in_shards]
+            for first in range(0, len(left), size):
+                self._write_shard(left[first : first + size])
 
-    def _write_shard(self, jobs: Sequence[ClipJob]) -> None:
+    def _write_shard(self, jobs: Sequence[RunJob]) -> None:
         last = max((int(name[6:-4]) for name in self._in_shards.values()), default=-1)
         name = f"shard-{last + 1:05d}.tar"
         shards = self.path / SHARDS
@@ -149,50 +118,6 @@ class DatasetFolder(JobFolder):
         self._in_shards |= {job.key: name for job in jobs}
         for job in jobs:
             (self.path / _loose(job.key)).unlink()
-
-
-class Layout(ABC):
-    """How clips lie in the folder of a dataset.
-
-    Attributes:
-        name: what `--format` calls it.
-    """
-
-    name: str
-
-    @abstractmethod
-    def batches(self, jobs: Sequence[ClipJob]) -> list[Sequence[ClipJob]]:
-        """Clips that go into one shard each."""
-
-
-class FolderOfTrajectories(Layout):
-    """Every clip a file of its own, which `pb4u view` and `pb4u convert` take."""
-
-    name = "folder"
-
-    def batches(self, jobs: Sequence[ClipJob]) -> list[Sequence[ClipJob]]:
-        return []
-
-
-class WebDataset(Layout):
-    """Tar files of many clips, read from front to back, as WebDataset reads them.
-
-    Args:
-        clips: of one shard.
-
-    Raises:
-        InputError: `clips` is not a positive number.
-    """
-
-    name = "webdataset"
-
-    def __init__(self, clips: int) -> None:
-        if clips < 1:
-            raise InputError(f"A shard has 1 clip or more, not {clips}.")
-        self.clips = clips
-
-    def batches(self, jobs: Sequence[ClipJob]) -> list[Sequence[ClipJob]]:
-        return [jobs[first : first + self.clips] for first in range(0, len(jobs), self.clips)]
 
 
 def _loose(key: str) -> str:

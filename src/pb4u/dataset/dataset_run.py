@@ -6,18 +6,18 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from pb4u.dataset.clip import ClipJob
-from pb4u.dataset.dataset_folder import INDEX, DatasetFolder, Layout
+from pb4u.dataset.dataset_folder import CLIPS, INDEX, DatasetFolder
 from pb4u.dataset.index import require_parquet, write_index
-from pb4u.dataset.planning import Footprint, expected_seconds, footprints, plan_clips
-from pb4u.errors import InputError, Pb4uError
-from pb4u.jobs.job_queue import make_all, still_to_do
+from pb4u.dataset.planning import footprints, plan_clips
+from pb4u.errors import InputError
+from pb4u.jobs.job_folder import quiet
 from pb4u.jobs.worker_pool import WorkerPool
-from pb4u.progress import Progress, no_progress
+from pb4u.measures.run_job import RunJob
+from pb4u.progress import Progress
 from pb4u.run import Run
 
 _SPARE = 64 * 2**20
@@ -30,15 +30,14 @@ def make_dataset(
     runs: Sequence[Run],
     out: Path,
     pool: Callable[[], WorkerPool],
-    layout: Layout,
+    clips_per_shard: int | None = None,
     *,
     half: bool = False,
     jobs_file: str = "",
-    workers: int | None = 1,
     retry: bool = False,
     plan_only: bool = False,
     say: Callable[[str], None] = lambda sentence: None,
-    progress: Callable[[str], AbstractContextManager[Progress]] = lambda label: nullcontext(no_progress),
+    progress: Callable[[str], AbstractContextManager[Progress]] = quiet,
 ) -> dict[str, Any]:
     """Make the clips of many runs into a folder, going on where an earlier run stopped, and write its index.
 
@@ -46,10 +45,9 @@ def make_dataset(
         runs: what the clips are of.
         out: the folder, made where it is not there.
         pool: makes those who do the work; called only where clips are missing.
-        layout: how clips lie in the folder.
+        clips_per_shard: clips of one tar file, as WebDataset reads them; None keeps every clip a file of its own.
         half: keep trajectories in half precision.
         jobs_file: name of the file that describes the runs, for the manifest.
-        workers: how many work, for the time told; None where that is not known.
         retry: try clips again that failed before.
         plan_only: say what it takes, and make nothing.
         say: takes sentences on how it goes.
@@ -67,47 +65,25 @@ def make_dataset(
         jobs = plan_clips(runs, half, say)
     except InputError as error:
         raise InputError(f"{jobs_file}: {error}" if jobs_file else str(error)) from None
-    takes = dict(zip((job.key for job in jobs), footprints(jobs), strict=True))
-    with DatasetFolder(out, layout, half) as folder:
-        missing = still_to_do(jobs, folder, "clips", retry, say)
+    with DatasetFolder(out, clips_per_shard, half) as folder:
+        missing = folder.still_to_do(jobs, "clips", retry, say)
         if missing:
-            say(_told(missing, jobs, takes, folder, workers))
-            _require_room(sum(takes[job.key].size for job in missing), out)
+            size = sum(footprints(missing))
+            room = f"{told_size(size)} on the disk, which has {told_size(_free(out))} free"
+            say(f"{len(missing):,} clips take about {room}.")
+            _require_room(size, out)
         if plan_only:
             return _summary(jobs, folder)
-        folder.write_manifest(jobs_file, jobs)
+        folder.write_manifest(jobs, jobs_file=jobs_file)
+        # After the manifest: without one, a folder with clips in it would be taken for somebody else's.
+        (out / CLIPS).mkdir(exist_ok=True)
 
-        def stopped() -> str:
-            done = sum(folder.result(job) is not None for job in jobs)
-            return f"Stopped with {done} of {len(jobs)} clips done; the same command goes on."
-
-        with progress(f"{len(missing)} clips") if missing else nullcontext(no_progress) as show:
-            make_all(missing, pool, folder.take, show, stopped)
-        try:
+        def finish() -> None:
             folder.pack(jobs)
             write_index(folder, jobs)
-        except KeyboardInterrupt:
-            raise Pb4uError(stopped()) from None
+
+        folder.complete(jobs, missing, "clips", pool, progress, finish)
         return _summary(jobs, folder)
-
-
-def _told(
-    missing: Sequence[ClipJob],
-    jobs: Sequence[ClipJob],
-    takes: dict[str, Footprint],
-    folder: DatasetFolder,
-    workers: int | None,
-) -> str:
-    """Sentence on what the missing clips take."""
-    records = [(takes[job.key], record) for job in jobs if (record := folder.result(job)) is not None]
-    seconds = expected_seconds([(job, takes[job.key]) for job in missing], records, workers or 1)
-    size = sum(takes[job.key].size for job in missing)
-    basis = "by those that are done" if records else "a first guess"
-    doing = "of one core's time" if workers is None else f"with {workers} {'worker' if workers == 1 else 'workers'}"
-    return (
-        f"{len(missing):,} clips take about {told_size(size)} on the disk, which has "
-        f"{told_size(_free(folder.path))} free, and about {_told_time(seconds)} {doing} ({basis})."
-    )
 
 
 def _require_room(size: int, out: Path) -> None:
@@ -135,14 +111,7 @@ def told_size(size: float) -> str:
     return f"{size / 1e3:.3g} KB"
 
 
-def _told_time(seconds: float) -> str:
-    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
-        if seconds >= 2 * length:
-            return f"{seconds / length:.2g} {unit}"
-    return f"{max(seconds, 1.0):.0f} s"
-
-
-def _summary(jobs: Sequence[ClipJob], folder: DatasetFolder) -> dict[str, Any]:
+def _summary(jobs: Sequence[RunJob], folder: DatasetFolder) -> dict[str, Any]:
     results = [(job, folder.result(job)) for job in jobs]
     records = [record for _, record in results if record is not None]
     failed = [(job, failure) for job, record in results if record is None and (failure := folder.failure(job))]

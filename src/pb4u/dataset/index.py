@@ -6,11 +6,11 @@ import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from pb4u.dataset.clip import ClipJob
 from pb4u.dataset.dataset_folder import INDEX, DatasetFolder
 from pb4u.errors import MissingExtraError
 from pb4u.garment.material import Material
 from pb4u.measures.metrics import ENERGIES, OF_A_CLIP, STRAINS
+from pb4u.measures.run_job import RunJob
 
 if TYPE_CHECKING:
     import pyarrow
@@ -31,7 +31,7 @@ def require_parquet() -> None:
         raise MissingExtraError("dataset", "The index of a dataset") from error
 
 
-def write_index(folder: DatasetFolder, jobs: Sequence[ClipJob]) -> None:
+def write_index(folder: DatasetFolder, jobs: Sequence[RunJob]) -> None:
     """Write the index, beside and moved into place.
 
     Args:
@@ -51,7 +51,7 @@ def write_index(folder: DatasetFolder, jobs: Sequence[ClipJob]) -> None:
     folder.write(INDEX, content.getvalue())
 
 
-def _row(folder: DatasetFolder, job: ClipJob) -> dict[str, Any]:
+def _row(folder: DatasetFolder, job: RunJob) -> dict[str, Any]:
     result, failure, place = folder.result(job), folder.failure(job), folder.place(job.key)
     row: dict[str, Any] = {"key": job.key, "status": "done" if result else "failed" if failure else "missing"}
     row |= job.labels

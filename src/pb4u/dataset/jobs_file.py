@@ -1,29 +1,20 @@
 """Jobs files: many runs described at once, as products and lists of the entries of scene files.
 
 TOML holds `[fixed]` entries of every clip, lists in `[product]` of which every combination is a clip, and `[[clips]]`
-one by one; CSV one clip a row, its header naming the entries. Besides the entries of a scene file without their
-sections, `scene` names a scene file that the others change.
+one by one. Besides the entries of a scene file without their sections, `scene` names a scene file that the others
+change.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from pb4u.errors import InputError, unknown_name
-from pb4u.io.reading_limits import read_text
 from pb4u.run import ENTRIES, Run, read_tables
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 MOST_CLIPS = 100_000
 """Clips of one jobs file unless more are asked for: ten times the usual dataset, and what a slip of the pen exceeds."""
@@ -39,25 +30,22 @@ def read_jobs(path: Path, most: int = MOST_CLIPS) -> tuple[Run, ...]:
     """The runs of a jobs file, those of the product first, its last entry varying fastest.
 
     Args:
-        path: the file, .toml or .csv; paths in it are relative to it.
+        path: the file, .toml; paths in it are relative to it.
         most: clips that it may describe.
 
     Raises:
         InputError: it is missing or not of its format, describes none or too many, or an entry is unknown or has a
             value that cannot be used.
     """
-    readers: dict[str, tuple[Callable[[Path], Any], Callable[[Any], tuple[int, Iterator[dict[str, Any]]]]]] = {
-        ".toml": (_tables, _toml_clips),
-        ".csv": (_table_text, _csv_clips),
-    }
-    if path.suffix.lower() not in readers:
-        raise InputError(f"{path} is no jobs file, whose name ends in {' or '.join(readers)}.")
+    if path.suffix.lower() == ".csv":
+        raise InputError(f"{path}: no tables are read any more; write each row as a [[clips]] section of a .toml file.")
+    if path.suffix.lower() != ".toml":
+        raise InputError(f"{path} is no jobs file, whose name ends in .toml.")
     if not path.is_file():
         raise InputError(f"There is no jobs file {path}.")
-    read, parse = readers[path.suffix.lower()]
-    content = read(path)
+    tables = read_tables(path, "a jobs file")
     try:
-        count, clips = parse(content)
+        count, clips = _described_clips(tables)
         if not count:
             raise InputError("it describes no clip; give lists in [product], or [[clips]].")
         if count > most:
@@ -91,11 +79,7 @@ def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Pat
         raise InputError(f"clip {number} ({told}): {error}") from None
 
 
-def _tables(path: Path) -> dict[str, Any]:
-    return read_tables(path, "a jobs file")
-
-
-def _toml_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, Any]]]:
+def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, Any]]]:
     """How many clips the tables describe, and their entries."""
     for name in tables:
         if name not in _SECTIONS:
@@ -147,40 +131,3 @@ def _choices(name: str, value: Any) -> Sequence[Any]:
 
 def _is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _table_text(path: Path) -> str:
-    try:
-        # Spreadsheets write a mark of the encoding first.
-        return read_text(path, "a jobs file", encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: it is no table with a header in UTF-8: {error}.") from None
-
-
-def _csv_clips(text: str) -> tuple[int, Iterator[dict[str, Any]]]:
-    """How many clips a table describes, and their entries; an empty cell leaves an entry at its default."""
-    try:
-        header, *rows = [row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if any(row)]
-    except (csv.Error, ValueError) as error:
-        raise InputError(f"it is no table with a header in UTF-8: {error}.") from None
-    names = [name.strip() for name in header]
-    for name in names:
-        if name not in _KNOWN:
-            raise unknown_name("column", name, _KNOWN)
-        if names.count(name) > 1:
-            raise InputError(f"two columns are called {name}.")
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(names):
-            raise InputError(f"row {number} has {len(row)} cells, and the header {len(names)}.")
-    return len(rows), (
-        {name: _cell_value(cell.strip()) for name, cell in zip(names, row, strict=True) if cell.strip()} for row in rows
-    )
-
-
-def _cell_value(cell: str) -> Any:
-    """A cell as TOML would read it after an equals sign; what TOML cannot read is a text."""
-    try:
-        values = tomllib.loads(f"cell = {cell}")
-    except ValueError:
-        return cell
-    return values["cell"] if set(values) == {"cell"} else cell

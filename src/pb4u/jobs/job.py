@@ -5,30 +5,38 @@ from __future__ import annotations
 import hashlib
 import json
 import traceback
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from pb4u.errors import InputError, Pb4uError
 
 Work = TypeVar("Work")
-Made = TypeVar("Made")
 
 
-class Job(ABC):
+class Job(Protocol):
     """Work for one worker; its text, `str(job)`, tells it from the others in plain words."""
 
     @property
-    @abstractmethod
     def key(self) -> str:
         """Address of the result, as `address` makes it."""
 
     @property
-    @abstractmethod
     def device(self) -> str:
         """Where it computes: "cpu" or "cuda"."""
+
+
+class Made(NamedTuple):
+    """What a job made.
+
+    Args:
+        result: JSON but for numbers that are not finite.
+        trajectory: content of the trajectory file that belongs to it; None where there is none.
+    """
+
+    result: dict[str, Any]
+    trajectory: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -41,7 +49,7 @@ class Failure:
     """
 
     sentence: str
-    trace: str
+    trace: str = ""
 
 
 def attempted(run: Callable[[Work], Made], work: Work) -> Made | Failure:
@@ -53,12 +61,12 @@ def attempted(run: Callable[[Work], Made], work: Work) -> Made | Failure:
     """
     try:
         return run(work)
-    except Pb4uError as error:
-        return Failure(" ".join(str(error).split()), traceback.format_exc())
-    except MemoryError:
-        return Failure("There was not enough memory for it.", traceback.format_exc())
     except Exception as error:
         sentence = f"It broke off unexpectedly: {type(error).__name__}: {error}"
+        if isinstance(error, Pb4uError):
+            sentence = str(error)
+        elif isinstance(error, MemoryError):
+            sentence = "There was not enough memory for it."
         return Failure(" ".join(sentence.split()), traceback.format_exc())
 
 

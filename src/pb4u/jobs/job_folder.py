@@ -2,15 +2,17 @@
 
 * manifest.json: what the run consists of
 * jobs/KEY.json: the result of a job, named by the address of its work
-* jobs/KEY.failed.json: why there is none
+* jobs/KEY.npz: the trajectory that belongs to it
+* jobs/KEY.failed.json: why there is no result
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -18,34 +20,50 @@ from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 
+from pb4u import __version__
 from pb4u.errors import InputError, Pb4uError
 from pb4u.io.atomic_file import json_text, replace_file
 from pb4u.io.reading_limits import MOST_NUMBERS_TEXT, read_json
-from pb4u.jobs.job import Failure, Job
+from pb4u.jobs.job import Failure, Job, Made
+from pb4u.jobs.worker_pool import WorkerPool
+from pb4u.progress import Progress, no_progress
 
 MANIFEST, JOBS, LOCK = "manifest.json", "jobs", ".lock"
+
+FOLDER_VERSION = 3
+"""Raised when a job or its measuring comes to mean something else, so that no older result is taken for it.
+
+Evaluations were at 2 and datasets at 1, each by an entry of its own, when they became one."""
+
+MOST_TRIES = 3
+"""Workers that may die over a job before it is given up: two may have fallen to what else the machine was doing."""
+
 _Folder = TypeVar("_Folder", bound="JobFolder")
 
 
-class JobFolder(ABC):
+class JobFolder:
     """The files of one run; while open, it is this process's alone.
 
     Args:
         path: the folder, made where it is not there.
         kind: what such a folder is of, such as "an evaluation".
+        settings: what a run that goes on with it shares, by name of its flag; a result is no other's for it.
 
     Raises:
-        InputError: it holds something else or another run, or is in use.
+        InputError: it holds something else, a run of other settings or of another version, or is in use.
     """
 
-    def __init__(self, path: Path, kind: str) -> None:
-        self.path = path
+    arrays = JOBS
+    """Folder of the trajectories."""
+
+    def __init__(self, path: Path, kind: str, settings: Mapping[str, str]) -> None:
+        self.path, self._kind, self._settings = path, kind, dict(settings)
         self._jobs = path / JOBS
         try:
             foreign = path.exists() and (not path.is_dir() or _is_foreign(path))
             if foreign:
                 raise InputError(f"{path} exists and is no folder of {kind}; give another --out.")
-            self._read_manifest(kind)
+            self._require_same()
             self._jobs.mkdir(parents=True, exist_ok=True)
             self._lock = FileLock(path / LOCK)
             self._lock.acquire(timeout=0)
@@ -56,49 +74,75 @@ class JobFolder(ABC):
         for leftover in [*path.glob(f".{MANIFEST}.*"), *self._jobs.glob(".*")]:
             leftover.unlink(missing_ok=True)
 
-    @abstractmethod
-    def require_same(self, manifest: dict[str, Any]) -> None:
-        """Refuse the manifest of a run that this one does not go on with.
+    def _require_same(self) -> None:
+        """Refuse the manifest of a run that this one does not go on with; nothing of the folder was changed then."""
+        file = self.path / MANIFEST
+        if not file.exists():
+            return
+        try:
+            held = read_json(file)
+            versions = [held.get(name) for name in ("version", "protocol_version", "dataset_version")]
+            version, made_by = next(each for each in versions if each is not None), held["pb4u"]
+            if (version, made_by) != (FOLDER_VERSION, __version__):
+                raise InputError(
+                    f"{self.path} holds a run of version {version} by pb4u {made_by}, and this is pb4u {__version__} "
+                    f"with version {FOLDER_VERSION}; results of two do not belong together: give another --out."
+                )
+            if held["kind"] != self._kind:
+                raise InputError(f"{self.path} is a folder of {held['kind']}, not of {self._kind}; give another --out.")
+            for name, wanted in self._settings.items():
+                if held[name] != wanted:
+                    raise InputError(
+                        f"{self.path} holds {self._kind} with {name} {held[name]}, not {wanted}; go on with that, or "
+                        "give another --out."
+                    )
+        except InputError:
+            raise
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
+            raise InputError(f"{file} is not the manifest of {self._kind}; give another --out.") from error
 
-        Raises:
-            InputError: it is one; in that case nothing of the folder was changed.
-            KeyError: it lacks what every manifest of the kind has.
-        """
-
-    @abstractmethod
-    def parts(self, job: Any, made: Any) -> tuple[Mapping[str, Any], Mapping[str, bytes]]:
-        """What is kept of a job that was done: its result, and other files by path within the folder.
+    def write_manifest(self, jobs: Sequence[Job], **more: Any) -> None:
+        """Record what the run consists of.
 
         Args:
-            job: the job.
-            made: what it made.
+            jobs: every job of it.
+            more: what else to keep, as JSON.
         """
+        manifest = {
+            "version": FOLDER_VERSION,
+            "pb4u": __version__,
+            "kind": self._kind,
+            **self._settings,
+            **more,
+            "jobs": [{"key": job.key, "job": str(job)} for job in jobs],
+        }
+        self.write(MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
 
-    def take(self, job: Any, outcome: Any) -> None:
+    def trajectory(self, job: Job) -> Path:
+        """Path of the trajectory of a job; the file may be absent."""
+        return self.path / self.arrays / f"{job.key}.npz"
+
+    def take(self, job: Job, outcome: Made | Failure) -> None:
         """Keep what came of a job.
 
         Args:
             job: the job asked for.
-            outcome: what it made, or the `Failure` that says why it made nothing.
+            outcome: what it made, or why it made nothing.
 
         Raises:
             Pb4uError: the disk refuses.
         """
         if isinstance(outcome, Failure):
-            self.note_failure(job, outcome)
-        else:
-            self.keep(job, *self.parts(job, outcome))
-
-    def _read_manifest(self, kind: str) -> None:
-        file = self.path / MANIFEST
-        if not file.exists():
+            record = {"key": job.key, "job": str(job), **asdict(outcome)}
+            self.write(f"{JOBS}/{job.key}.failed.json", (json.dumps(record, indent=1) + "\n").encode())
             return
-        try:
-            self.require_same(read_json(file))
-        except InputError:
-            raise
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{file} is not the manifest of {kind}; give another --out.") from error
+        # First, so that a result is whole once it is there.
+        if outcome.trajectory is not None:
+            self.write(f"{self.arrays}/{job.key}.npz", outcome.trajectory)
+        kept = json.loads(json_text(dict(outcome.result)))
+        envelope = {"key": job.key, "checksum": _checksum(kept), "result": kept}
+        self.write(f"{JOBS}/{job.key}.json", (json.dumps(envelope) + "\n").encode())
+        self.forget_failure(job)
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file of the run, beside and moved into place.
@@ -127,24 +171,6 @@ class JobFolder(ABC):
             "command goes on."
         )
 
-    def keep(self, job: Job, result: Mapping[str, Any], beside: Mapping[str, bytes]) -> None:
-        """Keep a result, and before it the files that belong to it, so that a result is whole once it is there.
-
-        Args:
-            job: the job that was done.
-            result: JSON but for numbers that are not finite.
-            beside: content of the other files, by path within the folder.
-
-        Raises:
-            Pb4uError: the disk refuses.
-        """
-        for name, content in beside.items():
-            self.write(name, content)
-        kept = json.loads(json_text(dict(result)))
-        envelope = {"key": job.key, "checksum": _checksum(kept), "result": kept}
-        self.write(f"{JOBS}/{job.key}.json", (json.dumps(envelope) + "\n").encode())
-        self._failed(job).unlink(missing_ok=True)
-
     def result(self, job: Job) -> dict[str, Any] | None:
         """The result of a job; None where there is none, or none that is whole."""
         try:
@@ -155,19 +181,6 @@ class JobFolder(ABC):
         except (OSError, ValueError, KeyError, TypeError):
             return None
         return result if whole else None
-
-    def note_failure(self, job: Job, failure: Failure) -> None:
-        """Keep why a job has no result.
-
-        Args:
-            job: the job that was tried.
-            failure: why it has none.
-
-        Raises:
-            Pb4uError: the disk refuses.
-        """
-        record = {"key": job.key, "job": str(job), **asdict(failure)}
-        self.write(f"{JOBS}/{job.key}.failed.json", (json.dumps(record, indent=1) + "\n").encode())
 
     def failure(self, job: Job) -> Failure | None:
         """Reason why a job has no result; None where it was not tried, or came off."""
@@ -181,6 +194,93 @@ class JobFolder(ABC):
         """Let a job be tried again."""
         self._failed(job).unlink(missing_ok=True)
 
+    def still_to_do(self, jobs: Sequence[Job], noun: str, retry: bool, say: Callable[[str], None]) -> list[Any]:
+        """The jobs without a result, those left out that failed before.
+
+        Args:
+            jobs: every job of the run.
+            noun: what the jobs are called, in the plural.
+            retry: take those that failed before as well.
+            say: takes a sentence on how many are done, failed and to do.
+        """
+        undone = [job for job in jobs if self.result(job) is None]
+        failed = {job.key for job in undone if self.failure(job)}
+        if retry:
+            for job in undone:
+                self.forget_failure(job)
+            failed = set()
+        missing = [job for job in undone if job.key not in failed]
+        done = len(jobs) - len(undone)
+        parts = [f"{len(jobs)} {noun}", f"{done} done before" if done else "", f"{len(missing)} to do"]
+        parts.append(f"{len(failed)} failed before and left (--retry tries them again)" if failed else "")
+        say(", ".join(part for part in parts if part) + ".")
+        return missing
+
+    def work_through(self, jobs: Sequence[Job], pool: WorkerPool, progress: Progress) -> None:
+        """Do all jobs. What ends is kept at once; a job whose worker died is given to another.
+
+        Args:
+            jobs: in the order to start them.
+            pool: who does them.
+            progress: called with (jobs ended, jobs in all).
+        """
+        waiting = deque(jobs)
+        ended, total, under_way = 0, len(waiting), 0
+        tries: Counter[str] = Counter()
+        progress(ended, total)
+        while waiting or under_way:
+            while waiting and under_way < pool.size:
+                job = waiting.popleft()
+                tries[job.key] += 1
+                pool.submit(job)
+                under_way += 1
+            job, outcome = pool.next_outcome()
+            under_way -= 1
+            if outcome is None and tries[job.key] < MOST_TRIES:
+                waiting.appendleft(job)
+                continue
+            if outcome is None:
+                outcome = Failure(
+                    f"Its worker died {MOST_TRIES} times, for want of memory perhaps; try fewer --workers."
+                )
+            self.take(job, outcome)
+            ended += 1
+            progress(ended, total)
+
+    def complete(
+        self,
+        jobs: Sequence[Job],
+        missing: Sequence[Job],
+        noun: str,
+        pool: Callable[[], WorkerPool],
+        progress: Callable[[str], AbstractContextManager[Progress]],
+        finish: Callable[[], None] = lambda: None,
+        title: str = "",
+    ) -> None:
+        """Do the missing jobs with workers of their own, which end with them.
+
+        Args:
+            jobs: every job of the run.
+            missing: what `still_to_do` gives, in the order to start them.
+            noun: what the jobs are called, in the plural.
+            pool: makes those who do the jobs; called only where there are some.
+            progress: opens a display for a label.
+            finish: what else to do then.
+            title: what the label of the display begins with.
+
+        Raises:
+            Pb4uError: the user ended it, or what came of a job cannot be kept.
+        """
+        label = f"{title}{len(missing)} {noun}"
+        try:
+            if missing:
+                with progress(label) as show, closing(pool()) as workers:
+                    self.work_through(missing, workers, show)
+            finish()
+        except KeyboardInterrupt:
+            done = sum(self.result(job) is not None for job in jobs)
+            raise Pb4uError(f"Stopped with {done} of {len(jobs)} {noun} done; the same command goes on.") from None
+
     def _failed(self, job: Job) -> Path:
         return self._jobs / f"{job.key}.failed.json"
 
@@ -191,6 +291,11 @@ class JobFolder(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._lock.release()
+
+
+def quiet(label: str) -> AbstractContextManager[Progress]:
+    """No display."""
+    return nullcontext(no_progress)
 
 
 def _is_foreign(path: Path) -> bool:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import platform
 from typing import Any
+
+import torch
 
 from pb4u.measures.divergence import skinned_centres
 from pb4u.measures.excess import BEATEN_BY, distance_to, excess_heights, series
@@ -10,7 +14,7 @@ from pb4u.measures.limbs import Bones, limbs_sentence
 from pb4u.measures.metrics import measure
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.scene import Scene
-from pb4u.scene.trajectory import Trajectory
+from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 from pb4u.simulation.simulator import RunRecord, Simulator
 
 
@@ -49,20 +53,52 @@ def run_report(
     if reference is not None:
         measured["metrics"]["distance_to_reference"] = series(distance_to(trajectory, reference))
     said = limbs_sentence(measured.get("limbs_through_cloth", ()), trajectory.frame_count)
-    noted = ("garment", "body", "motion", "model")
+    facts = run_facts(trajectory.header, simulator, scene, record) | {"frames": trajectory.frame_count}
+    return {**facts, **measured, "notes": [*scene.notes, *([said] if said else [])]}
+
+
+def run_facts(header: TrajectoryHeader, simulator: Simulator, scene: Scene, record: RunRecord) -> dict[str, Any]:
+    """Names, counts and timing of a run, whatever came of it, as JSON; no frames.
+
+    Args:
+        header: of its trajectory.
+        simulator: what made it.
+        scene: what was simulated.
+        record: cost of the run.
+    """
     return {
-        **{name: trajectory.metadata[name] for name in noted},
-        "triangles": len(trajectory.faces),
-        "vertices": trajectory.positions.shape[1],
-        "mean_edge_length": trajectory.metadata["mean_edge_length"],
+        **{name: header.metadata[name] for name in ("garment", "body", "motion", "model")},
+        "triangles": len(header.faces),
+        "vertices": len(header.rest_positions),
+        "mean_edge_length": header.metadata["mean_edge_length"],
         "propagation_steps": simulator.propagation_steps(scene),
-        "frames": trajectory.frame_count,
-        "fps": trajectory.fps,
+        "frames": 0,
+        "fps": header.fps,
         "device": simulator.settings().get("device", "cpu"),
         "ms_per_step": record.ms_per_step,
         "solver_iterations": record.solver_iterations,
         "unsolved_steps": record.unsolved,
         "retried_steps": record.retried,
-        "notes": [*scene.notes, *([said] if said else [])],
-        **measured,
+        "notes": list(scene.notes),
     }
+
+
+def machine(device: str) -> dict[str, Any]:
+    """Processor, threads and versions that times depend on.
+
+    Args:
+        device: "cpu" or "cuda".
+    """
+    described: dict[str, Any] = {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "threads": torch.get_num_threads(),
+        "torch": torch.__version__,
+    }
+    return described | ({"device": torch.cuda.get_device_name()} if device == "cuda" else {})
+
+
+def _processor() -> str:
+    with open("/proc/cpuinfo", encoding="utf-8") if os.path.exists("/proc/cpuinfo") else open(os.devnull) as lines:
+        named = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
+    return named or platform.processor() or platform.machine()

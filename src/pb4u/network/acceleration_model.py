@@ -326,6 +326,9 @@ class AccelerationModel(nn.Module):
         self.node_normaliser.gather(torch.cat([s.features for s in node_sets]), worlds, most)
         for edge_set in graph.edges.values():
             edge_worlds = graph.nodes[edge_set.receiver_set].world[edge_set.receivers.index]
+            if edge_set.receivers.spare:
+                filled = edge_set.receivers.offsets[-2]
+                edge_worlds[filled:] = most
             self._edge_normaliser(edge_set).gather(edge_set.features, edge_worlds, most)
         self.acceleration_normaliser.gather(acceleration, graph.nodes["garment"].world, most)
 

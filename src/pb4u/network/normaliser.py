@@ -64,7 +64,7 @@ class Normaliser(nn.Module):
         Args:
             values: (rows, width), each column in its unit.
             world: (rows,) int64 world of each row.
-            most: number above that of any world; worlds without a row add nothing.
+            most: number above that of any world; worlds without a row add nothing, nor do rows of this number.
 
         Raises:
             RuntimeError: the statistics are frozen.
@@ -73,8 +73,8 @@ class Normaliser(nn.Module):
             raise RuntimeError("The statistics are frozen; they are gathered during warm-up only.")
         rows = values.to(torch.float64)
         stacked = torch.cat([torch.ones_like(rows[:, :1]), rows, rows.square()], dim=1)
-        totals = torch.zeros(most, stacked.shape[1], dtype=torch.float64, device=rows.device)
-        totals.index_add_(0, world, stacked)
+        totals = torch.zeros(most + 1, stacked.shape[1], dtype=torch.float64, device=rows.device)
+        totals = totals.index_add_(0, world, stacked)[:most]
         present = (totals[:, :1] > 0).to(torch.float64)
         means = totals[:, 1:] / totals[:, :1].clamp_min(1.0)
         self.sums += torch.cat([present, means * present], dim=1).sum(dim=0)

@@ -72,6 +72,8 @@ class Propagation(nn.Module):
             steps: K of each garment.
         """
         inflows = self._inflows(nodes, edges, graph)
+        if any(inflow.receivers.spare for inflow in inflows) and len(set(steps)) > 1:
+            return self._side_by_side(nodes[GARMENT], inflows, graph, steps)
         state, done, depths = nodes[GARMENT], 0, sorted(set(steps))
         running = dict(enumerate(pairwise(graph.vertex_offsets)))
         finished: dict[int, Tensor] = {}
@@ -85,6 +87,15 @@ class Propagation(nn.Module):
                 inflows = [inflow.restrict(spans) for inflow in inflows]
                 running = dict(zip(running, _packed(spans), strict=True))
         return state if len(depths) == 1 else torch.cat([finished[garment] for garment in sorted(finished)])
+
+    def _side_by_side(self, state: Tensor, inflows: list[EdgeSet], graph: Graph, steps: Sequence[int]) -> Tensor:
+        """State after the steps of each garment; all take those of the most, so that no shape changes."""
+        spans = list(pairwise(graph.vertex_offsets))
+        for number in range(max(steps)):
+            after = self._step(state, inflows)
+            parts = [(after if own > number else state)[a:b] for (a, b), own in zip(spans, steps, strict=True)]
+            state = torch.cat(parts)
+        return state
 
     def _inflows(self, nodes: dict[str, Tensor], edges: dict[str, Tensor], graph: Graph) -> list[EdgeSet]:
         """Edges into the garment; as their features, the part of the first layer that is the same at every step."""

@@ -14,34 +14,42 @@ from torch import Tensor
 from pb4u.network.graph.incidence import Incidence
 
 
-def _bag_sums(values: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
+def _bag_sums(values: Tensor, order: Tensor, offsets: Tensor, count: int) -> Tensor:
     if order.shape[0] == 0:
-        return values.new_zeros(offsets.shape[0] - 1, values.shape[1])
+        return values.new_zeros(count, values.shape[1])
     # The operator itself: beside tiles that stay in cache, its Python wrapper takes a tenth of the time.
-    return torch.embedding_bag(values, order, offsets, mode=0, include_last_offset=True)[0]
+    return torch.embedding_bag(values, order, offsets, mode=0, include_last_offset=True)[0][:count]
 
 
 class _Gather(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, nodes: Tensor, index: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
+    def forward(ctx: Any, nodes: Tensor, index: Tensor, order: Tensor, offsets: Tensor, count: int) -> Tensor:
         ctx.save_for_backward(order, offsets)
+        ctx.count = count
         return nodes.index_select(0, index)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         order, offsets = ctx.saved_tensors
-        return _bag_sums(gradients[0].contiguous(), order, offsets), None, None, None
+        return _bag_sums(gradients[0].contiguous(), order, offsets, ctx.count), None, None, None, None
 
 
 class _SegmentSum(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, edges: Tensor, index: Tensor, order: Tensor, offsets: Tensor) -> Tensor:
-        ctx.save_for_backward(index)
-        return _bag_sums(edges, order, offsets)
+    def forward(ctx: Any, edges: Tensor, index: Tensor, order: Tensor, offsets: Tensor, count: int) -> Tensor:
+        # Edges that are only room are last in the order.
+        ctx.save_for_backward(index, order, offsets)
+        ctx.count = count
+        return _bag_sums(edges, order, offsets, count)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        return gradients[0].index_select(0, ctx.saved_tensors[0]), None, None, None
+        index, order, offsets = ctx.saved_tensors
+        back = gradients[0].index_select(0, index)
+        if len(offsets) > ctx.count + 1:
+            room = torch.arange(len(order), device=order.device) >= offsets[ctx.count]
+            back = torch.where(torch.zeros_like(room).scatter(0, order, room)[:, None], 0.0, back)
+        return back, None, None, None, None
 
 
 def gather(nodes: Tensor, ends: Incidence) -> Tensor:
@@ -53,7 +61,7 @@ def gather(nodes: Tensor, ends: Incidence) -> Tensor:
     """
     if not torch.is_grad_enabled():
         return nodes.index_select(0, ends.index)
-    return _Gather.apply(nodes, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
+    return _Gather.apply(nodes, ends.index, ends.order, ends.offsets, ends.node_count)  # type: ignore[no-untyped-call]
 
 
 def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:
@@ -64,5 +72,5 @@ def segment_sum(edges: Tensor, ends: Incidence) -> Tensor:
         ends: node at that end of each edge.
     """
     if not torch.is_grad_enabled():
-        return _bag_sums(edges, ends.order, ends.offsets)
-    return _SegmentSum.apply(edges, ends.index, ends.order, ends.offsets)  # type: ignore[no-untyped-call]
+        return _bag_sums(edges, ends.order, ends.offsets, ends.node_count)
+    return _SegmentSum.apply(edges, ends.index, ends.order, ends.offsets, ends.node_count)  # type: ignore[no-untyped-call]

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from pb4u.errors import InputError, Pb4uError
 from pb4u.export.picture import render
 from pb4u.export.view import View
+from pb4u.measures.run_job import RunJob
 from pb4u.paper.page import Block, Plot, Remark
 from pb4u.paper.protocol_plan import Case
-from pb4u.paper.rollout import RolloutJob
 from pb4u.paper.summary import Row, Summary
 from pb4u.scene.trajectory import Trajectory
 
@@ -40,9 +40,9 @@ def picture_grid(summary: Summary) -> list[Block]:
         summary: the run.
     """
     protocol = summary.plan.protocol
-    jobs: dict[str, dict[str, tuple[RolloutJob, str]]] = {}
+    jobs: dict[str, dict[str, tuple[RunJob, str]]] = {}
     for row in summary.rows:
-        if protocol.pictures(row.case.level, row.case.motion, row.case.job.scene.body):
+        if protocol.pictures(row.case.level, row.case.motion, str(row.case.job.run.body)):
             shown = jobs.setdefault(row.coordinates["garment"], {})
             shown[row.model] = row.case.job, _state(row)
             reference = _reference(row.case, summary)
@@ -75,11 +75,11 @@ def _state(row: Row) -> str:
     return "diverged" if row.diverged else ""
 
 
-def _reference(case: Case, summary: Summary) -> RolloutJob | None:
+def _reference(case: Case, summary: Summary) -> RunJob | None:
     """The solver's rollout of the same scene, as a model of the run or as its floor."""
-    if isinstance(case.floor, RolloutJob):
+    if isinstance(case.floor, RunJob):
         return case.floor
-    jobs = (job for job in summary.plan.jobs if job.model.name == "solver" and job.scene == case.job.scene)
+    jobs = (job for job in summary.plan.jobs if job.run.model == "solver" and job.run.scene == case.job.run.scene)
     return next(jobs, None)
 
 

@@ -172,7 +172,7 @@ def _scale(axis: Any, quantity: str, means: Sequence[float]) -> None:
 
 
 def _triangles(summary: Summary, level: str) -> float:
-    return float(summary.select(level=level)[0].case.job.scene.triangles)
+    return float(summary.select(level=level)[0].case.job.run.garments[0].triangles or 0)
 
 
 def _own_steps(summary: Summary, level: str, model: str) -> list[int]:

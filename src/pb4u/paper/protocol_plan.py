@@ -4,27 +4,31 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
 from pb4u.body.library import body_names, load_body
 from pb4u.errors import InputError, unknown_name
-from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES, garment_names
-from pb4u.jobs.job import digest
+from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES
+from pb4u.measures.job_planner import JobPlanner, Model
+from pb4u.measures.run_job import RunJob
 from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
 from pb4u.motion.library import motion_names, recording_file
 from pb4u.paper.protocols import PROTOCOLS, Protocol
 from pb4u.paper.reference_energies import REFERENCE_LEAD_IN, stored_reference
-from pb4u.paper.rollout import FPS, ModelRecord, RolloutJob, SceneRecord, Settings
+from pb4u.run import Run, WornGarment
 from pb4u.scene.catalogue import SEEDS, SceneName
-from pb4u.simulation.checkpoint import weights_file, weights_name
-from pb4u.simulation.models import load_simulator, looks_at, model_descriptions
-from pb4u.simulation.stepwise_simulator import QUICK_SOLVER, NetworkSimulator
+from pb4u.simulation.checkpoint import weights_name
+from pb4u.simulation.models import looks_at, model_descriptions
+from pb4u.simulation.stepwise_simulator import QUICK_SOLVER
+
+FPS = 30.0
+"""Frames per second of every protocol."""
 
 DRAWN_SEEDS = (2000, 10000)
 """First seed of the motions that drawn scenes have, and the first beyond: trainings use none of them."""
@@ -32,7 +36,11 @@ DRAWN_SEEDS = (2000, 10000)
 REFINE = 5
 """Solver iterations after a network's step where it runs by default, as in `pb4u simulate`."""
 
-_SOLVER = ModelRecord("solver", "solver")
+ALONE: dict[str, Any] = {"refine": 0, "contact": False, "self_contact": False, "precision": "float32"}
+"""Options of a run by a method alone; the energies that tables compare do not know contact between cloths."""
+
+BY_DEFAULT: dict[str, Any] = {**ALONE, "refine": REFINE, "contact": True, "self_contact": True}
+"""Those of a run as `pb4u simulate` makes it."""
 
 _TRIAL = re.compile(r"\d+_\d+")
 
@@ -91,6 +99,7 @@ class Case:
     Args:
         level: name of the resolution.
         motion: what the motion is called.
+        seed: of a built-in motion; None for a recording.
         job: the rollout.
         floor: what the ratio is taken to: a rollout of the solver, the stored mean energies, or None.
         number: of the scene, where scenes are drawn.
@@ -98,9 +107,15 @@ class Case:
 
     level: str
     motion: str
-    job: RolloutJob
-    floor: RolloutJob | dict[str, float] | None
+    seed: int | None
+    job: RunJob
+    floor: RunJob | dict[str, float] | None
     number: int | None = None
+
+    @property
+    def garment(self) -> str:
+        """Name of the garment."""
+        return self.job.run.garments[0].name
 
 
 @dataclass(frozen=True)
@@ -116,12 +131,11 @@ class Plan:
 
     protocol: Protocol
     cases: tuple[Case, ...]
-    jobs: tuple[RolloutJob, ...]
+    jobs: tuple[RunJob, ...]
     absent: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Motion:
+class _Motion(NamedTuple):
     """A motion as scenes take it: its name or file, its seed, and what tables call it."""
 
     source: str
@@ -140,128 +154,151 @@ def plan(request: EvaluationRequest) -> Plan:
     """
     if request.protocol not in PROTOCOLS:
         raise unknown_name("protocol", request.protocol, PROTOCOLS)
-    protocol = PROTOCOLS[request.protocol]
-    _check_numbers(request)
-    levels = dict(_level(name) for name in request.levels or protocol.levels)
-    protocol = replace(
-        protocol,
-        garments=tuple(_garment(name) for name in request.garments or protocol.garments),
-        bodies=tuple(_body(name) for name in request.bodies or protocol.bodies),
-        motions=request.motions or (protocol.recordings if request.recordings else protocol.motions),
-        levels=tuple(levels),
-        frames=request.frames or protocol.frames,
-        steps=request.steps or protocol.steps,
-        excess=request.excess or protocol.excess,
-    )
-    motions = [_motion(name, request.recordings) for name in protocol.motions]
-    device = _device(request.device)
-    models, absent = _models(request, protocol, device)
-    if any(steps is not None for steps in protocol.steps) and not any(model.adapts for model in models):
-        raise InputError(
-            " ".join(["None of the models has propagation steps to vary; name a network with --models.", *absent])
+    return _Planning(request).plan()
+
+
+class _Planning:
+    """What all rollouts of a request share while it is planned."""
+
+    def __init__(self, request: EvaluationRequest) -> None:
+        _check_numbers(request)
+        protocol = PROTOCOLS[request.protocol]
+        self.request, self.planner = request, JobPlanner()
+        self.levels = dict(_level(name) for name in request.levels or protocol.levels)
+        self.protocol = replace(
+            protocol,
+            garments=request.garments or protocol.garments,
+            bodies=request.bodies or protocol.bodies,
+            motions=request.motions or (protocol.recordings if request.recordings else protocol.motions),
+            levels=tuple(self.levels),
+            frames=protocol.frames if request.frames is None else request.frames,
+            steps=request.steps or protocol.steps,
+            excess=request.excess or protocol.excess,
+            scenes=(request.scenes or protocol.scenes) if protocol.scenes else 0,
         )
-    if protocol.scenes:
-        protocol = replace(protocol, scenes=request.scenes or protocol.scenes)
-        cases = _drawn_cases(request, protocol, levels, motions, models, device)
-    else:
-        cases = _combined_cases(request, protocol, levels, motions, models, device)
-    jobs = {case.job.key: case.job for case in cases}
-    jobs |= {case.floor.key: case.floor for case in cases if isinstance(case.floor, RolloutJob)}
-    if request.floors:
-        # What pictures show beside the models.
-        pictured = (case for case in cases if protocol.pictures(case.level, case.motion, case.job.scene.body))
-        jobs |= {job.key: job for job in (_solver_on(case.job.scene) for case in pictured)}
-    # Coarse scenes first, so that tables fill early; the jobs of a scene together, so that it is made once.
-    scenes = {scene: rank for rank, scene in enumerate(dict.fromkeys(job.scene for job in jobs.values()))}
-    order = sorted(jobs.values(), key=lambda job: (job.scene.triangles, scenes[job.scene]))
-    labels = tuple(dict.fromkeys(case.job.model.label for case in cases))
-    return Plan(replace(protocol, models=labels), tuple(cases), tuple(order), absent)
+        self.motions = [_motion(name, request.recordings) for name in self.protocol.motions]
+        self.models, self.absent = self._present_models()
 
+    def plan(self) -> Plan:
+        if any(self.protocol.steps) and not any(model.adapts for model in self.models.values()):
+            told = " ".join(self.absent)
+            raise InputError(
+                f"None of the models has propagation steps to vary; name a network with --models. {told}".strip()
+            )
+        cases = list(self._drawn() if self.protocol.scenes else self._combined())
+        jobs = {case.job.key: case.job for case in cases}
+        jobs |= {case.floor.key: case.floor for case in cases if isinstance(case.floor, RunJob)}
+        if self.request.floors:
+            # What pictures show beside the models.
+            pictured = (c for c in cases if self.protocol.pictures(c.level, c.motion, str(c.job.run.body)))
+            jobs |= {job.key: job for job in (self._solver_on(case.job.run) for case in pictured)}
+        # Coarse scenes first, so that tables fill early; the jobs of a scene together, so that it is made once.
+        scenes = {scene: rank for rank, scene in enumerate(dict.fromkeys(job.run.scene for job in jobs.values()))}
+        order = sorted(jobs.values(), key=lambda job: (job.run.garments[0].triangles or 0, scenes[job.run.scene]))
+        labels = tuple(dict.fromkeys(case.job.label for case in cases))
+        return Plan(replace(self.protocol, models=labels), tuple(cases), tuple(order), self.absent)
 
-def _combined_cases(
-    request: EvaluationRequest,
-    protocol: Protocol,
-    levels: dict[str, int],
-    motions: list[_Motion],
-    models: list[ModelRecord],
-    device: str,
-) -> list[Case]:
-    """Everything with everything else."""
-    solver_runs = not request.contact and any(model.name == "solver" for model in models)
-    cases = []
-    for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, motions):
-        scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
-        floor = _solver_on(scene) if solver_runs else _floor(scene, motion, level, request)
-        if isinstance(floor, RolloutJob):
-            floor = replace(floor, excess=protocol.excess)
-        for model in models:
-            for steps in protocol.steps if model.adapts else (None,):
-                job = RolloutJob(scene, model, _settings(model, steps, request, device), protocol.excess)
-                cases.append(Case(level, motion.label, job, floor))
-    return cases
+    def _job(self, scene: Run, label: str, model: str, excess: bool = False, **options: Any) -> RunJob:
+        run = replace(scene, **{**ALONE, "device": self.request.device, **options})
+        return self.planner.job(replace(run, model=model), label, "stills", excess)
 
+    def _solver_on(self, scene: Run, excess: bool = False) -> RunJob:
+        """The run that a floor is taken from: nothing but the potential is at work."""
+        return self._job(replace(scene, propagation_steps=None), "solver", "solver", excess)
 
-def _drawn_cases(
-    request: EvaluationRequest,
-    protocol: Protocol,
-    levels: dict[str, int],
-    motions: list[_Motion],
-    models: list[ModelRecord],
-    device: str,
-) -> list[Case]:
-    """Scenes drawn by their numbers, so that more of them leave the first as they are; each model in its ways."""
-    cases = []
-    for number in range(protocol.scenes):
-        level, motion, scene = _drawn_scene(request, protocol, levels, motions, number)
-        for model in models:
-            for way, settings in _ways(model, device):
-                floor = RolloutJob(scene, _SOLVER, replace(settings, refine=0, device="cpu"))
-                job = RolloutJob(scene, replace(model, label=f"{model.label}{way}"), settings, protocol.excess)
-                if model.name == "solver":
+    def _combined(self) -> Iterator[Case]:
+        """Everything with everything else."""
+        protocol, request = self.protocol, self.request
+        solver_runs = not request.contact and any(model.name == "solver" for model in self.models.values())
+        for level, garment, body, motion in product(protocol.levels, protocol.garments, protocol.bodies, self.motions):
+            scene = self._scene(garment, body, motion, level)
+            floor = self._solver_on(scene, protocol.excess) if solver_runs else self._floor(scene, motion, level)
+            for label, model in self.models.items():
+                for steps in protocol.steps if model.adapts else (None,):
+                    options = {"propagation_steps": steps, **self._options(model.name)}
+                    job = self._job(scene, label, model.name, protocol.excess, **options)
+                    yield Case(level, motion.label, motion.seed, job, floor)
+
+    def _drawn(self) -> Iterator[Case]:
+        """Scenes drawn by their numbers, so that more of them leave the first as they are; each model in its ways."""
+        for number in range(self.protocol.scenes):
+            level, motion, scene = self._drawn_scene(number)
+            for label, model in self.models.items():
+                for way, options in _ways(model.name):
+                    job = self._job(scene, f"{label}{way}", model.name, self.protocol.excess, **options)
                     floor = job
-                cases.append(Case(level, motion.label, job, floor if request.floors else None, number))
-    return cases
+                    if model.name != "solver":
+                        floor = self._job(scene, "solver", "solver", **{**options, "refine": 0})
+                    yield Case(level, motion.label, motion.seed, job, floor if self.request.floors else None, number)
+
+    def _drawn_scene(self, number: int) -> tuple[str, _Motion, Run]:
+        """Level, motion and scene of a number. Garments and motions go in turns, so that few scenes have all."""
+        protocol = self.protocol
+        rng = np.random.default_rng([self.request.seed, number])
+        garments = protocol.garments
+        motion = self.motions[(number + number // len(garments)) % len(self.motions)]
+        if motion.source in motion_names() and motion.label == motion.source:
+            seed = int(rng.integers(*DRAWN_SEEDS))
+            motion = _Motion(motion.source, seed, f"{motion.source}-{seed}")
+        body, level, material = (
+            str(rng.choice(each)) for each in (protocol.bodies, protocol.levels, protocol.materials)
+        )
+        parameters = getattr(load_body(body), "shape", {}) if body in body_names() else {}
+        shape = {name: round(float(rng.uniform()), 2) for name in parameters}
+        scene = self._scene(garments[number % len(garments)], body, motion, level)
+        return level, motion, scene.with_entries({"material": material, "body_shape": shape})
+
+    def _scene(self, garment: str, body: str, motion: _Motion, level: str) -> Run:
+        return Run(
+            (WornGarment(garment, triangles=self.levels[level]),), body=body, motion=motion.source,
+            seed=motion.seed or 0, frames=self.protocol.frames, lead_in=self.request.lead_in, fps=FPS,
+        )  # fmt: skip
+
+    def _floor(self, scene: Run, motion: _Motion, level: str) -> RunJob | dict[str, float] | None:
+        name, garment = motion.label if motion.seed is None else motion.source, str(scene.garments[0].garment)
+        if (scene.body, scene.lead_in) == ("woman", REFERENCE_LEAD_IN) and not Path(garment).suffix:
+            stored = stored_reference(str(SceneName("test", garment, name, motion.seed)), level, self.protocol.frames)
+            if stored is not None:
+                return stored
+        return self._solver_on(scene, self.protocol.excess) if self.request.floors else None
+
+    def _options(self, model: str) -> dict[str, Any]:
+        """What is asked for, where a model looks at it."""
+        asked = {"refine": self.request.refine, "contact": self.request.contact}
+        if model == QUICK_SOLVER:
+            asked["refine"] = self.request.refine or REFINE
+        return {name: value for name, value in asked.items() if looks_at(model, name)}
+
+    def _present_models(self) -> tuple[dict[str, Model], tuple[str, ...]]:
+        """The models to run by what tables call them, and a sentence on the protocol's own that have no weights yet."""
+        wanted = tuple(dict.fromkeys(self.request.models or self.protocol.models))
+        missing = () if self.request.models else tuple(name for name in wanted if name not in model_descriptions())
+        present = [name for name in wanted if name not in missing]
+        labels = [weights_name(Path(name)) if Path(name).suffix else name for name in present]
+        # Checkpoints are often all called best: then each goes by its path.
+        labels = [name if labels.count(label) > 1 else label for name, label in zip(present, labels, strict=True)]
+        models = {}
+        for label, name in zip(labels, present, strict=True):
+            if Path(name).suffix and not Path(name).is_file():
+                raise InputError(f"There is no model file {name}.")
+            models[label] = self.planner.model(
+                Run(**{**ALONE, "refine": REFINE, "model": name, "device": self.request.device})
+            )
+            fps = models[label].fps
+            if fps is not None and not math.isclose(fps, FPS, rel_tol=1e-3):
+                raise InputError(f"{name} runs at {fps:g} frames per second; the protocols run at {FPS:g}.")
+        return models, (f"No weights are there yet for {', '.join(missing)}: left out.",) if missing else ()
 
 
-def _ways(model: ModelRecord, device: str) -> list[tuple[str, Settings]]:
+def _ways(model: str) -> list[tuple[str, dict[str, Any]]]:
     """The ways a model is run where scenes are drawn: on its own, and as `pb4u simulate` runs it."""
-    if not looks_at(model.name, "contact"):
-        return [("", Settings())]
-    place = device if model.weights is not None else "cpu"
-    iterations = REFINE if looks_at(model.name, "refine") else 0
-    as_it_comes = Settings(refine=iterations, contact=True, self_contact=True, device=place)
-    if model.name == QUICK_SOLVER:
-        return [(", by default", as_it_comes)]
-    return [(", alone", Settings(device=place)), (", by default", as_it_comes)]
-
-
-def _drawn_scene(
-    request: EvaluationRequest, protocol: Protocol, levels: dict[str, int], motions: list[_Motion], number: int
-) -> tuple[str, _Motion, SceneRecord]:
-    """Level, motion and scene of a number. Garments and motions go in turns, so that few scenes have all of them."""
-    rng = np.random.default_rng([request.seed, number])
-    garments = protocol.garments
-    garment = garments[number % len(garments)]
-    motion = motions[(number + number // len(garments)) % len(motions)]
-    if motion.source in motion_names() and motion.label == motion.source:
-        seed = int(rng.integers(*DRAWN_SEEDS))
-        motion = _Motion(motion.source, seed, f"{motion.source}-{seed}")
-    body, level, material = (str(rng.choice(each)) for each in (protocol.bodies, protocol.levels, protocol.materials))
-    shape: tuple[tuple[str, float], ...] = ()
-    if body in body_names():
-        parameters = getattr(load_body(body), "shape", {})
-        shape = tuple((name, round(float(rng.uniform()), 2)) for name in parameters)
-    scene = _scene(garment, body, motion, levels[level], protocol.frames, request.lead_in)
-    return level, motion, replace(scene, material=material, shape=shape)
+    if not looks_at(model, "contact"):
+        return [("", {})]
+    by_default = {**BY_DEFAULT, "refine": REFINE if looks_at(model, "refine") else 0}
+    return [*([] if model == QUICK_SOLVER else [(", alone", {})]), (", by default", by_default)]
 
 
 def _check_numbers(request: EvaluationRequest) -> None:
-    if request.frames is not None and request.frames < 1:
-        raise InputError(f"The number of frames must be 1 or more, not {request.frames}.")
-    if request.lead_in < 0:
-        raise InputError(f"The lead-in must be 0 frames or more, not {request.lead_in}.")
-    if any(steps < 1 for steps in request.steps or ()):
-        raise InputError(f"Numbers of propagation steps must be 1 or more, not {min(request.steps or ())}.")
     draws = bool(PROTOCOLS[request.protocol].scenes)
     if draws and (request.contact or request.refine or request.steps):
         raise InputError(
@@ -281,21 +318,6 @@ def _check_numbers(request: EvaluationRequest) -> None:
         if getattr(request, name) == ():
             flag = "propagation-steps" if name == "steps" else name
             raise InputError(f"--{flag} names nothing; give at least one, or leave it out.")
-
-
-def _garment(name: str) -> str:
-    if name in garment_names():
-        return name
-    if Path(name).suffix:
-        if not Path(name).is_file():
-            raise InputError(f"There is no garment file {name}.")
-        return name
-    raise unknown_name("garment", name, garment_names())
-
-
-def _body(name: str) -> str:
-    load_body(name)
-    return name
 
 
 def _level(name: str) -> tuple[str, int]:
@@ -335,69 +357,3 @@ def _motion(name: str, recordings: Path | None) -> _Motion:
             raise InputError(f"There is no motion file {file}.")
         return _Motion(name, None, file.stem if person is None else f"{file.stem}_{person}")
     raise InputError(f"{unknown_name('motion', name, motion_names())} CMU trials are written as 07_02.")
-
-
-def _scene(garment: str, body: str, motion: _Motion, triangles: int, frames: int, lead_in: int) -> SceneRecord:
-    files = {"garment": garment, "body": body, "motion": motion.source}
-    built_in = (*garment_names(), *body_names(), *motion_names())
-    digests = tuple(
-        (field, digest(Path(file))) for field, file in files.items() if file not in built_in and Path(file).is_file()
-    )
-    return SceneRecord(garment, body, motion.source, motion.seed, triangles, frames, lead_in, digests=digests)
-
-
-def _floor(
-    scene: SceneRecord, motion: _Motion, level: str, request: EvaluationRequest
-) -> RolloutJob | dict[str, float] | None:
-    name = motion.label if motion.seed is None else motion.source
-    if (scene.body, scene.lead_in) == ("woman", REFERENCE_LEAD_IN) and "garment" not in dict(scene.digests):
-        stored = stored_reference(str(SceneName("test", scene.garment, name, motion.seed)), level, scene.frames)
-        if stored is not None:
-            return stored
-    return _solver_on(scene) if request.floors else None
-
-
-def _solver_on(scene: SceneRecord) -> RolloutJob:
-    """The run that a floor is taken from: nothing but the potential is at work."""
-    return RolloutJob(scene, _SOLVER, Settings())
-
-
-def _settings(model: ModelRecord, steps: int | None, request: EvaluationRequest, device: str) -> Settings:
-    if model.weights is not None:
-        return Settings(steps, request.refine, request.contact, device=device)
-    if model.name == QUICK_SOLVER:
-        return Settings(refine=request.refine or REFINE, contact=request.contact)
-    refine = request.refine if looks_at(model.name, "refine") else 0
-    return Settings(refine=refine, contact=request.contact and looks_at(model.name, "contact"))
-
-
-def _device(asked: str) -> str:
-    if asked not in ("auto", "cpu", "cuda"):
-        raise InputError(f"A device is auto, cpu or cuda, not {asked!r}.")
-    return "cuda" if asked == "cuda" or (asked == "auto" and torch.cuda.is_available()) else "cpu"
-
-
-def _models(request: EvaluationRequest, protocol: Protocol, device: str) -> tuple[list[ModelRecord], tuple[str, ...]]:
-    """The models to run, and a sentence on the protocol's own that have no weights yet."""
-    wanted = tuple(dict.fromkeys(request.models or protocol.models))
-    missing = () if request.models else tuple(name for name in wanted if name not in model_descriptions())
-    present = [name for name in wanted if name not in missing]
-    labels = [weights_name(Path(name)) if Path(name).suffix else name for name in present]
-    # Checkpoints are often all called best: then each goes by its path.
-    labels = [name if labels.count(label) > 1 else label for name, label in zip(present, labels, strict=True)]
-    records = [_model(name, label, device) for name, label in zip(present, labels, strict=True)]
-    absent = (f"No weights are there yet for {', '.join(missing)}: left out.",) if missing else ()
-    return records, absent
-
-
-def _model(name: str, label: str, device: str) -> ModelRecord:
-    if Path(name).suffix and not Path(name).is_file():
-        raise InputError(f"There is no model file {name}.")
-    simulator = load_simulator(name, contact=False, self_contact=False, device=device)
-    if simulator.fps is not None and not math.isclose(simulator.fps, FPS, rel_tol=1e-3):
-        raise InputError(f"{name} runs at {simulator.fps:g} frames per second; the protocols run at {FPS:g}.")
-    if not isinstance(simulator, NetworkSimulator):
-        return ModelRecord(name, label)
-    adapts = simulator.checkpoint.model.network.propagates
-    with weights_file(name) as path:
-        return ModelRecord(name, label, digest(path), adapts)

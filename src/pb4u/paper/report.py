@@ -11,14 +11,13 @@ from typing import Any
 
 from pb4u import __version__
 from pb4u.io.atomic_file import json_text
+from pb4u.jobs.job_folder import FOLDER_VERSION, JobFolder
 from pb4u.paper.page import Block, Plot, Remark, as_html, as_markdown
 from pb4u.paper.paper_figures import PAPER
 from pb4u.paper.pictures import picture_grid
 from pb4u.paper.plots import across_levels, against_steps, over_time
 from pb4u.paper.protocol_plan import EvaluationRequest, Plan
-from pb4u.paper.result_folder import ResultFolder
 from pb4u.paper.robustness import failure_pictures, failure_table, parts_tables, robustness_table
-from pb4u.paper.rollout import PROTOCOL_VERSION
 from pb4u.paper.summary import Summary, summarise
 from pb4u.paper.tables import controls_tables, level_table, terms_tables
 
@@ -47,7 +46,7 @@ VIEWS: dict[str, tuple[View, ...]] = {
 """Protocol -> its tables and plots, in the order of the page; pictures follow where it has them."""
 
 
-def write_report(planned: Plan, folder: ResultFolder, request: EvaluationRequest) -> dict[str, Any]:
+def write_report(planned: Plan, folder: JobFolder, request: EvaluationRequest) -> dict[str, Any]:
     """Write results.json, the tables, the plots and the page of what is done.
 
     Args:
@@ -73,7 +72,7 @@ def write_report(planned: Plan, folder: ResultFolder, request: EvaluationRequest
     text = json_text(
         {
             "protocol": protocol.name,
-            "protocol_version": PROTOCOL_VERSION,
+            "protocol_version": FOLDER_VERSION,
             "pb4u": __version__,
             "reproduces": protocol.reproduces,
             "request": request.as_json(),
@@ -114,7 +113,7 @@ def _remarks(summary: Summary) -> list[Block]:
     )
     if machines:
         lines = [
-            f"pb4u {__version__}, protocols of version {PROTOCOL_VERSION}.",
+            f"pb4u {__version__}, protocols of version {FOLDER_VERSION}.",
             *machines,
             "Times are medians a step of a rollout, without metrics and files; workers beside it share the machine.",
         ]

@@ -76,7 +76,7 @@ def parts_tables(summary: Summary) -> list[Block]:
     models = summary.plan.protocol.models
     parts: dict[str, Callable[[Row], str]] = {
         "garment": lambda row: str(row.coordinates["garment"]),
-        "motion": lambda row: row.case.job.scene.label("motion"),
+        "motion": lambda row: str(row.case.job.labels["motion"]),
         "material": lambda row: str(row.coordinates.get("material")),
         "level": lambda row: row.case.level,
     }
@@ -152,12 +152,13 @@ def failure_pictures(summary: Summary) -> list[Block]:
 
 
 def _scene_words(row: Row) -> str:
-    scene = row.case.job.scene
-    shape = "".join(f" --body-shape {name}={value:g}" for name, value in scene.shape)
-    seed = "" if scene.seed is None else f" --seed {scene.seed}"
+    run, seed = row.case.job.run, row.case.seed
+    (worn,) = run.garments
+    seeded = "" if seed is None else f" --seed {seed}"
+    shape = "".join(f" --body-shape {name}={value:g}" for name, value in run.body_shape.items())
     return (
-        f"--garment {scene.garment} --triangles {scene.triangles} --material {scene.material} "
-        f"--body {scene.body}{shape} --motion {scene.motion}{seed} --frames {scene.frames} --lead-in {scene.lead_in}"
+        f"--garment {worn.garment} --triangles {worn.triangles} --material {worn.material} --body {run.body}{shape} "
+        f"--motion {run.motion}{seeded} --frames {run.frames} --lead-in {run.lead_in}"
     )
 
 

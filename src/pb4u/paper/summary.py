@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pb4u.jobs.job import Failure
+from pb4u.jobs.job_folder import JobFolder
+from pb4u.measures.run_job import RunJob
 from pb4u.paper.paper_figures import TERMS
 from pb4u.paper.protocol_plan import Case, Plan
 from pb4u.paper.reference_energies import ratio
-from pb4u.paper.result_folder import ResultFolder
-from pb4u.paper.rollout import RolloutJob
 
 MOST_INSIDE = 1.0
 """Percent of the vertices inside the body, over all frames, beyond which a rollout counts as a failure."""
@@ -125,21 +125,21 @@ class Row:
     @cached_property
     def coordinates(self) -> dict[str, Any]:
         """Coordinates of the case in the tables: model, level, garment, body, motion, seed and steps."""
-        scene, job = self.case.job.scene, self.case.job
+        case, run = self.case, self.case.job.run
         return {
-            "model": job.model.label,
-            "level": self.case.level,
-            "garment": scene.label("garment"),
-            "body": scene.label("body"),
-            "motion": self.case.motion,
-            "seed": scene.seed,
-            "steps": job.settings.propagation_steps,
-            **({} if self.case.number is None else {"number": self.case.number, "material": scene.material}),
+            "model": case.job.label,
+            "level": case.level,
+            "garment": case.garment,
+            "body": case.job.labels["body"],
+            "motion": case.motion,
+            "seed": case.seed,
+            "steps": run.propagation_steps,
+            **({} if case.number is None else {"number": case.number, "material": run.garments[0].material}),
         }
 
     @property
     def model(self) -> str:
-        return self.case.job.model.label
+        return self.case.job.label
 
     @property
     def diverged(self) -> bool:
@@ -172,7 +172,7 @@ class Row:
             return None
         diverged_at = self.result["diverged_at"]
         good = self.result["frames"] if diverged_at is None else diverged_at
-        return 100.0 * float(good) / self.case.job.scene.frames
+        return 100.0 * float(good) / (self.case.job.run.frames or 1)
 
     def value(self, quantity: str) -> float | None:
         """A quantity by the name that tables use; energies [J] are means over frames by the released convention."""
@@ -238,7 +238,7 @@ class Summary:
     plan: Plan
     rows: tuple[Row, ...]
     failures: tuple[tuple[str, str], ...]
-    still: Callable[[RolloutJob], Path] = field(repr=False)
+    still: Callable[[RunJob], Path] = field(repr=False)
 
     @cached_property
     def energies(self) -> tuple[str, ...]:
@@ -290,7 +290,7 @@ class Summary:
         return {"cells": [asdict(cell) for cell in self.cells()], "rollouts": [_row_json(row) for row in self.rows]}
 
 
-def summarise(plan: Plan, folder: ResultFolder) -> Summary:
+def summarise(plan: Plan, folder: JobFolder) -> Summary:
     """Read the results of a run.
 
     Args:
@@ -303,12 +303,12 @@ def summarise(plan: Plan, folder: ResultFolder) -> Summary:
     for case in plan.cases:
         result = results[case.job.key]
         reached, source = _reference_energies(case, results)
-        complete = result is not None and result["frames"] == case.job.scene.frames and result["failed_at"] is None
+        complete = result is not None and result["frames"] == case.job.run.frames and result["failed_at"] is None
         above = ratio(_energies(result), reached) if result and complete and reached else None
         finite = above is not None and math.isfinite(above)
         rows.append(Row(case, result, failures.get(case.job.key), above if finite else None, source))
     told = tuple((str(job), failure.sentence) for job in plan.jobs if (failure := failures.get(job.key)))
-    return Summary(plan, tuple(rows), told, folder.still)
+    return Summary(plan, tuple(rows), told, folder.trajectory)
 
 
 def _reference_energies(case: Case, results: dict[str, dict[str, Any] | None]) -> tuple[dict[str, float] | None, str]:

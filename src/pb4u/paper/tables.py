@@ -149,7 +149,7 @@ def controls_tables(summary: Summary) -> list[Block]:
                 f"{below} of {len(states)}",
             ]
         )  # fmt: skip
-        named = [[row for row in done if row.case.job.scene.label("garment") == garment] for garment in garments]
+        named = [[row for row in done if row.case.garment == garment] for garment in garments]
         parts.append([model, *(_median([height for row in own for height in _heights(row)]) for own in named)])
     return [
         Table("All scenes", _CONTROLS_NOTE, head, rows),

@@ -277,6 +277,32 @@ class StepPotential:
             gradient = gradient + part
         return Energies(energies), gradient
 
+    def energies_of_worlds(self, xs: Tensor) -> Tensor:
+        """Sums (positions, worlds) [J] of all terms at several `xs` (positions, vertices, 3) [m], contacts fixed."""
+
+        def at(x: Tensor) -> Tensor:
+            return self.energies(x).per_world(self.step.garments)
+
+        return torch.vmap(at)(xs) if self._batches else torch.stack([at(x) for x in xs])
+
+    def gradients(self, xs: Tensor) -> tuple[Tensor, Tensor]:
+        """The same sums (positions, worlds) [J], and the gradients (positions, vertices, 3) [N]."""
+
+        def at(x: Tensor) -> tuple[Tensor, Tensor]:
+            energies, gradient = self.energies_and_gradient(x)
+            return energies.per_world(self.step.garments), gradient
+
+        if self._batches:
+            return torch.vmap(at)(xs)
+        energies, gradients = zip(*map(at, xs), strict=True)
+        return torch.stack(energies), torch.stack(gradients)
+
+    @property
+    def _batches(self) -> bool:
+        """Whether several positions take as many launches as one: on an accelerator."""
+        bodies = self.step.bodies
+        return bodies is not None and bodies.colliders.rooms is not None
+
     def elements(self) -> dict[str, Tensor]:
         """The vertices that the terms couple, as in `EnergyTerm.elements`."""
         parts = {term.name: term.elements(self.step, self.contacts) for term in self.potential.terms}

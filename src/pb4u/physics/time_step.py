@@ -103,7 +103,7 @@ class TimeStep:
         origins = x.new_zeros((garments.world_count, 3))
         if self.bodies is not None:
             owner = self.bodies.colliders.vertex_world
-            counts = torch.bincount(owner, minlength=garments.world_count).clamp_min(1)
+            counts = torch.zeros_like(origins[:, 0]).index_add(0, owner, torch.ones_like(owner).to(x)).clamp_min(1.0)
             origins = origins.index_add(0, owner, self.bodies.following.positions.to(x)) / counts[:, None]
         return origins[garments.garment_world]
 

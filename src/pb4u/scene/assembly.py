@@ -150,7 +150,7 @@ def _load_garments(
     """The garments, pinned, and how each was asked for, in the order they are worn, inner first."""
     garments = []
     for each in specified:
-        garment = _load_garment(each, body)
+        garment = load_garment(each, body)
         if each.texture is not None:
             garment = garment.with_texture(read_image(Path(each.texture)))
         # A recording is replayed as its authors did, on the meshes that they did it with.
@@ -329,8 +329,16 @@ def _play(body: VertexSequence, run: Run) -> _Performance:
     return _Performance(held, min(frames or available, available), body.name)
 
 
-def _load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garment:
-    """The garment in its material, without the pins of the worn."""
+def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garment:
+    """The garment in its material, without the pins of the worn.
+
+    Args:
+        worn: which garment, in what material and at how many triangles.
+        body: who wears it.
+
+    Raises:
+        InputError: it cannot be read, or does not fit.
+    """
     garment, triangles = worn.garment, worn.triangles
     if isinstance(garment, Garment):
         require_near(garment, body)

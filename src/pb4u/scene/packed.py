@@ -8,21 +8,27 @@ material) and their world; worlds of different size, resolution and material bat
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.collision.batched_surface import BatchedSurface, Groups, PosedBatch
 from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
+from pb4u.collision.rooms import Rooms
 from pb4u.collision.surface_tree import SurfaceTree
+from pb4u.collision.wide_tree import WideTree
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.scene.scene import STANDARD_GRAVITY
+
+Formed = TypeVar("Formed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +106,25 @@ class PackedGarments:
         return self.vertex_masses.new_zeros(self.garment_count).index_add_(0, self.vertex_garment, self.vertex_masses)
 
     @cached_property
+    def garment_vertices(self) -> Tensor:
+        """Number of vertices of each garment, (garments,) int64."""
+        return torch.as_tensor(np.diff(self.vertex_offsets), device=self.device)
+
+    @cached_property
+    def world_rows(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Rows of all worlds side by side, those of shorter ones filled up with their last.
+
+        Vertex (worlds, rows) int64 of each row, whether it is no repetition (worlds, rows) bool, and the row
+        (vertices,) int64 of each vertex among all of them one after the other.
+        """
+        offsets = torch.as_tensor(self.world_offsets, device=self.device)
+        rows = torch.arange(int(max(np.diff(self.world_offsets), default=0)), device=self.device)
+        filled = rows < offsets.diff()[:, None]
+        places = offsets[:-1, None] + torch.minimum(rows, offsets.diff()[:, None] - 1)
+        own = torch.arange(self.vertex_count, device=self.device) - offsets[self.vertex_world]
+        return places, filled, self.vertex_world * len(rows) + own
+
+    @cached_property
     def world_weights(self) -> Tensor:
         """Weight (worlds,) [N] of the garments of each world: energy over it is the height that lifts them."""
         return STANDARD_GRAVITY * self.by_world(self.garment_masses)
@@ -150,6 +175,16 @@ class PackedGarments:
             return values
         return values.new_zeros(self.world_count).index_add(0, self.garment_world, values)
 
+    def to(self, device: torch.device, dtype: torch.dtype | None = None) -> PackedGarments:
+        """Copy with its arrays on `device`, the floating ones in `dtype` where given."""
+        own = {name: value for name, value in vars(self).items() if name in {entry.name for entry in fields(self)}}
+        return PackedGarments(
+            **{
+                name: _moved(value, device, dtype) if isinstance(value, Tensor) else value
+                for name, value in own.items()
+            }
+        )
+
     @property
     def garment_count(self) -> int:
         """Number of garments."""
@@ -183,6 +218,7 @@ class PackedColliders:
         surfaces: the searchable surface of each world's bodies, regions left out of contact cut away and the holes
             closed: cloth that a hand went through would come into the forearm by its open end. None for a world without
             a body that may be touched.
+        rooms: fixed numbers of what searches find, for devices on which shapes may not wait for data; None for none.
     """
 
     faces: Tensor
@@ -190,6 +226,50 @@ class PackedColliders:
     vertex_world: Tensor
     ground_height: float | None
     surfaces: tuple[TriangleSurface | None, ...]
+    rooms: Rooms | None = None
+
+    def surface_groups(self, worlds: int, positions: Tensor) -> BatchedSurface | None:
+        """The surfaces of all worlds for searches in tensors; None where there is none.
+
+        Args:
+            worlds: number of worlds, those after the last with a body included.
+            positions: (vertices, 3) [m] of the pose that forms groups, where they are not formed yet.
+        """
+        return self._formed(
+            "surface_groups",
+            lambda: BatchedSurface.of(
+                (*self.surfaces, *[None] * (worlds - len(self.surfaces))),
+                [rows.start for rows in self.world_vertices],
+                self.searched_faces,
+                positions,
+            ),
+        )
+
+    def vertex_groups(self, positions: Tensor) -> Groups | None:
+        """Vertices of each world that may be touched, in groups; None where a world has none.
+
+        Args:
+            positions: (vertices, 3) [m] of the pose that forms groups, where they are not formed yet.
+        """
+        if not all(len(rows) for rows in self.touchable):
+            return None
+
+        def of() -> Groups:
+            places = positions.detach().cpu().numpy()
+            rows = [own.cpu().numpy() for own in self.touchable]
+            return Groups.of([own[WideTree.over(places[own]).order] for own in rows], positions.device)
+
+        return self._formed("vertex_groups", of)
+
+    def _formed(self, name: str, form: Callable[[], Formed]) -> Formed:
+        kept: dict[str, Formed] = self._kept
+        if name not in kept:
+            kept[name] = form()
+        return kept[name]
+
+    @cached_property
+    def _kept(self) -> dict[str, Any]:
+        return {}
 
     @cached_property
     def whole_surfaces(self) -> tuple[TriangleSurface | None, ...]:
@@ -247,14 +327,26 @@ class PackedColliders:
         """Pose of the bodies with their vertices at `positions` (vertices, 3) [m]."""
         return ColliderPose(self, positions)
 
-    def to(self, device: torch.device) -> PackedColliders:
-        """Copy with its arrays on `device`."""
-        return replace(
+    def to(self, device: torch.device, rooms: Rooms | None = None) -> PackedColliders:
+        """Copy with its arrays on `device`, and what is known of them.
+
+        Args:
+            device: of the copy.
+            rooms: of the copy.
+        """
+        moved = replace(
             self,
             faces=self.faces.to(device),
             contact=self.contact.to(device),
             vertex_world=self.vertex_world.to(device),
+            rooms=rooms,
         )
+        vars(moved)["world_vertices"] = self.world_vertices
+        vars(moved)["searched_faces"] = self.searched_faces
+        for name in ("world_faces", "contact_faces", "touchable"):
+            vars(moved)[name] = _moved(getattr(self, name), device)
+        vars(moved)["_kept"] = {name: _moved(value, device) for name, value in self._kept.items()}
+        return moved
 
 
 class ColliderPose:
@@ -273,11 +365,19 @@ class ColliderPose:
         self.colliders, self.positions = colliders, positions
         self.found: dict[PackedGarments, Found] = {}
         self.passed: dict[PackedGarments, tuple[Tensor, np.ndarray]] = {}
+        self._batch: PosedBatch | None = None
 
     @cached_property
     def surfaces(self) -> tuple[PosedSurface | None, ...]:
         """Surface of each world's bodies, regions left out of contact cut away; None for a world without any."""
         return self._posed(self.colliders.surfaces)
+
+    def batch(self, worlds: int) -> PosedBatch | None:
+        """The surfaces of so many worlds for searches in tensors; None where there is none."""
+        if self._batch is None:
+            groups = self.colliders.surface_groups(worlds, self.positions)
+            self._batch = None if groups is None else PosedBatch(groups, self.positions.to(torch.float64))
+        return self._batch
 
     @cached_property
     def whole_surfaces(self) -> tuple[PosedSurface | None, ...]:
@@ -344,12 +444,24 @@ class ColliderFrame:
         return ColliderFrame(*(self.colliders.pose(p) for p in (2.0 * now - following, now, following)))
 
 
+def _moved(value: Any, device: torch.device, dtype: torch.dtype | None = None) -> Any:
+    """`value` on `device`: a tensor, floating ones in `dtype` where given, a tuple or a record of them."""
+    if isinstance(value, tuple):
+        return tuple(_moved(part, device) for part in value)
+    if isinstance(value, (BatchedSurface, Groups)):
+        return replace(value, **{entry.name: _moved(getattr(value, entry.name), device) for entry in fields(value)})
+    if not isinstance(value, Tensor):
+        return value
+    return value.to(device, dtype if value.is_floating_point() else None)
+
+
 def pack_colliders(
     faces: Sequence[Tensor],
     contact: Sequence[Tensor],
     worlds: Sequence[int],
     ground_height: float | None = 0.0,
     surfaces: Sequence[TriangleSurface | None] | None = None,
+    rooms: Rooms | None = None,
 ) -> PackedColliders:
     """Concatenate bodies.
 
@@ -359,6 +471,7 @@ def pack_colliders(
         worlds: world of each body, ascending.
         ground_height: height of the ground plane [m], or None.
         surfaces: the searchable surface of each world's bodies, where they are already made.
+        rooms: fixed numbers of what searches find, or None.
     """
     offsets = np.concatenate([[0], np.cumsum([len(part) for part in contact])]).tolist()
     all_faces = torch.cat([part + offset for part, offset in zip(faces, offsets, strict=False)])
@@ -367,7 +480,7 @@ def pack_colliders(
     owner = torch.tensor(list(worlds), device=all_contact.device).repeat_interleave(counts)
     if surfaces is None:
         surfaces = _surfaces(all_faces, all_contact, owner, max(worlds) + 1)
-    return PackedColliders(all_faces, all_contact, owner, ground_height, tuple(surfaces))
+    return PackedColliders(all_faces, all_contact, owner, ground_height, tuple(surfaces), rooms)
 
 
 def _surfaces(

@@ -220,6 +220,11 @@ def _device(name: str) -> str:
     import torch
 
     if name == "cuda" and not torch.cuda.is_available():
+        if torch.version.cuda is not None:
+            raise InputError(
+                f"There is no CUDA device here that CUDA {torch.version.cuda} of this torch runs on; update the driver "
+                "of the card, install a torch for an older CUDA, or use --device cpu."
+            )
         raise InputError("There is no CUDA device here; use --device cpu.")
     return "cuda" if name != "cpu" and torch.cuda.is_available() else "cpu"
 
@@ -230,6 +235,8 @@ def _precision(name: str, device: str, refine: int) -> torch.dtype:
     if name == "auto":
         # What the products are rounded by, the solver's iterations take away; alone it would add up over frames.
         name = "bfloat16" if refine and has_bfloat16_units(device) else "float32"
+    elif name == "bfloat16" and device == "cuda" and not has_bfloat16_units(device):
+        raise InputError("This card does not multiply in bfloat16; leave --precision out, or take float32.")
     return torch.bfloat16 if name == "bfloat16" else torch.float32
 
 

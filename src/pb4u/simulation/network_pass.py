@@ -237,7 +237,7 @@ class StepFeatures:
         descent, garments = features[DESCENT.name], step.garments
         owner = garments.vertex_garment
         squares = descent.new_zeros(garments.garment_count).index_add_(0, owner, descent.square().sum(1))
-        size = (squares / torch.bincount(owner, minlength=garments.garment_count)).sqrt().clamp_min(_SMALLEST_DESCENT)
+        size = (squares / garments.garment_vertices).sqrt().clamp_min(_SMALLEST_DESCENT)
         factor = (size / self._descent_size)[owner, None]
         features[DESCENT.name] = descent / factor
         return features, factor.to(accelerations)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pb4u.network.acceleration_model import GraphNetwork
-from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
+from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import PackedGarments
 
@@ -21,17 +21,21 @@ class PassSearch(ABC):
 
     Attributes:
         freed: (worlds,) energy [J] that the last pass freed; None where it is not looked at.
+        last: (vertices, 3) move of the last pass [m per step^2], where it serves the next.
     """
 
     freed: Tensor | None = None
+    last: Tensor | None = None
 
-    def decrease_height(self, garments: PackedGarments) -> float:
-        """Height [m] to which that energy would lift the garments, the most of any world; 0 where it is not looked at.
+    def decrease_height(self, garments: PackedGarments) -> Tensor:
+        """Height () [m] to which that energy would lift the garments, the most of any world; 0 where not looked at.
 
         Args:
             garments: of the step that the pass was of.
         """
-        return 0.0 if self.freed is None else float((self.freed / garments.world_weights).max())
+        if self.freed is None:
+            return garments.vertex_masses.new_zeros(())
+        return (self.freed / garments.world_weights).max()
 
     @abstractmethod
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
@@ -65,17 +69,16 @@ class ConjugatePass(PassSearch):
 
     def __init__(self) -> None:
         self.potential = IncrementalPotential()
-        self._last: Tensor | None = None
 
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
         directions = [torch.where(step.garments.pinned[:, None], 0.0, correction)]
-        if self._last is not None:
-            directions.append(self._last)
+        if self.last is not None:
+            directions.append(self.last)
         lengths = self._lengths(step, accelerations, torch.stack(directions).detach())
         joined = torch.stack([_of_world(step, length) * d for length, d in zip(lengths, directions, strict=True)]).sum(
             0
         )
-        self._last = joined.detach()
+        self.last = joined.detach()
         return joined
 
     @torch.no_grad()
@@ -84,8 +87,8 @@ class ConjugatePass(PassSearch):
         x = integrate(step, accelerations).positions
         # The body's tangent planes where the whole pass leads are exact enough to choose by, and queried once.
         potential = self.potential.of(step).undifferentiated().with_contact_at(x + directions[0])
-        before, gradient = potential.energies_and_gradient(x)
-        changes = torch.stack([potential.energies_and_gradient(x + d)[1] - gradient for d in directions])
+        (before, *_), (gradient, *others) = potential.gradients(torch.stack([x, *(x + directions)]))
+        changes = torch.stack(others) - gradient
 
         def by_world(products: Tensor) -> Tensor:
             sums = products.new_zeros(*products.shape[:-1], step.garments.world_count)
@@ -98,15 +101,17 @@ class ConjugatePass(PassSearch):
         whole[0] = 1.0
         # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
         choices = torch.stack([whole, best, 0.5 * (whole + best)])
-        energies = torch.stack([self._energies(step, potential, x, directions, lengths) for lengths in choices])
+        energies = potential.energies_of_worlds(
+            torch.stack([_moved(step, x, directions, lengths) for lengths in choices])
+        )
         lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
-        self.freed = before.per_world(step.garments) - lowest
+        self.freed = before - lowest
         return choices.gather(0, chosen.expand(1, *best.shape))[0]
 
-    @staticmethod
-    def _energies(step: TimeStep, potential: StepPotential, x: Tensor, directions: Tensor, lengths: Tensor) -> Tensor:
-        moved = x + torch.stack([_of_world(step, n) * d for n, d in zip(lengths, directions, strict=True)]).sum(0)
-        return potential.energies(moved).per_world(step.garments)
+
+def _moved(step: TimeStep, x: Tensor, directions: Tensor, lengths: Tensor) -> Tensor:
+    """Positions (vertices, 3) [m] after each world's `lengths` (directions, worlds) of `directions`."""
+    return x + torch.stack([_of_world(step, n) * d for n, d in zip(lengths, directions, strict=True)]).sum(0)
 
 
 def _of_world(step: TimeStep, lengths: Tensor) -> Tensor:
@@ -122,12 +127,28 @@ def _newton_lengths(curvature: Tensor, slope: Tensor) -> Tensor:
         slope: (worlds, directions) of descent.
     """
     finite = torch.isfinite(curvature).all((-1, -2)) & torch.isfinite(slope).all(-1)
-    curvature = torch.where(finite[:, None, None], curvature, torch.eye(slope.shape[1]).to(curvature))
+    unit = torch.eye(slope.shape[1], dtype=curvature.dtype, device=curvature.device)
+    curvature = torch.where(finite[:, None, None], curvature, unit)
     slope = torch.where(finite[:, None], slope, 0.0)
     scale = curvature.diagonal(dim1=-2, dim2=-1).abs().clamp_min(torch.finfo(curvature.dtype).tiny).sqrt()
-    values, vectors = torch.linalg.eigh(curvature / scale[:, :, None] / scale[:, None, :])
+    values, vectors = _eigenvectors(curvature / scale[:, :, None] / scale[:, None, :])
     along = vectors.mT @ (slope / scale)[..., None] / values.abs().clamp_min(_FLATTEST)[..., None]
     return (vectors @ along)[..., 0] / scale
+
+
+def _eigenvectors(matrices: Tensor) -> tuple[Tensor, Tensor]:
+    """Eigenvalues (worlds, n) and eigenvectors, the columns of (worlds, n, n), of symmetric ones of one or two rows.
+
+    In closed form: a library's solver makes an accelerator wait for its verdict.
+    """
+    if matrices.shape[-1] == 1:
+        return matrices[..., 0], torch.ones_like(matrices)
+    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    mean, half = 0.5 * (a + c), 0.5 * (a - c)
+    radius, angle = torch.hypot(half, b), 0.5 * torch.atan2(b, half)
+    x, y = angle.cos(), angle.sin()
+    vectors = torch.stack([torch.stack([x, -y], dim=1), torch.stack([y, x], dim=1)], dim=1)
+    return torch.stack([mean + radius, mean - radius], dim=1), vectors
 
 
 def search_of(network: GraphNetwork) -> PassSearch:

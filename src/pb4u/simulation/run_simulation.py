@@ -49,11 +49,24 @@ def scene_for(run: Run, simulator: Simulator) -> Scene:
     Warns:
         InputWarning: that rate is another than the scene's, or the scene has something unusual.
     """
+    return build_scene(run.at_rate(simulated_fps(run, simulator)))
+
+
+def simulated_fps(run: Run, simulator: Simulator) -> float:
+    """Frames per second [1/s] that a run is simulated at.
+
+    Args:
+        run: what is simulated.
+        simulator: what `simulator_of` gives for it.
+
+    Warns:
+        InputWarning: they are others than the run's.
+    """
     simulated = simulator.fps or run.fps
     if not math.isclose(simulated, run.fps):
         sentence = f"{simulator.name} runs at {simulated:g} frames per second; the result is resampled to {run.fps:g}."
         warnings.warn(sentence, InputWarning, stacklevel=2)
-    return build_scene(run.at_rate(simulated))
+    return simulated
 
 
 def roll_out(

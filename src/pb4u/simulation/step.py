@@ -9,7 +9,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import torch
+from torch import Tensor
 
+from pb4u.collision.rooms import Rooms
 from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
@@ -75,7 +77,7 @@ def take(step: TimeStep, method: StepMethod) -> State:
         return method.contact.cleared(step, kept, method.self_contact)
 
 
-def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:
+def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) -> Iterator[State]:
     """States at the end of `step`: the one its start leads to, and that after each pass of the network.
 
     Only the latest pass is differentiable: training learns from each before the next. Ends early where a pass gave
@@ -84,16 +86,36 @@ def predictions(step: TimeStep, method: StepMethod) -> Iterator[State]:
     Args:
         step: that is taken.
         method: whose start and network are asked.
+        rooms: of a step that waits for no decision: passes that are not worth taking are computed, and left out.
     """
     # From free flight, or part of the way that the body moves: (vertices, 3) [m per step^2].
     accelerations = method.start.accelerations(step)
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
     yield integrate(step, accelerations)
-    for number in range(method.network.passes + method.network.further):
-        if number >= method.network.passes and method.search.decrease_height(step.garments) < LARGE_DECREASE:
+    passes, most = method.network.passes, method.network.passes + method.network.further
+    made = most if rooms is None else rooms.repeats("passes", most)
+    worth: list[Tensor] = []
+    for number in range(min(made + 1, most)):
+        if number >= passes:
+            worth.append(_is_worth_another(step, method, worth))
+            if rooms is None and not bool(worth[-1]):
+                return
+        if number == made:
+            break
+        reached, last = accelerations.detach(), method.search.last
+        if rooms is None and not bool(torch.isfinite(reached).all()):
             return
-        reached = accelerations.detach()
-        if not bool(torch.isfinite(reached).all()):
-            return
-        accelerations = reached + method.search.move(step, reached, method.network.correction(step, reached))
+        move = method.search.move(step, reached, method.network.correction(step, reached))
+        if rooms is not None and worth and last is not None and method.search.last is not None:
+            move = torch.where(worth[-1], move, 0.0)
+            method.search.last = torch.where(worth[-1], method.search.last, last)
+        accelerations = reached + move
         yield integrate(step, accelerations)
+    if rooms is not None and most > passes:
+        rooms.note("passes", passes + torch.stack(worth).sum())
+
+
+def _is_worth_another(step: TimeStep, method: StepMethod, before: list[Tensor]) -> Tensor:
+    """Whether () bool another pass is worth its time, and those `before` were."""
+    worth = ~(method.search.decrease_height(step.garments) < LARGE_DECREASE)
+    return worth & before[-1] if before else worth

@@ -10,6 +10,7 @@ from torch import Tensor
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.contact_tracking import moved_off_the_body
+from pb4u.physics.terms.energy_term import constant
 from pb4u.physics.time_step import TimeStep, integrate
 
 WARM_START_SHARES = (0.25, 0.5, 0.75, 1.0)
@@ -53,10 +54,10 @@ class BodyMotionWarmStart(StepStart):
         garments, potential = step.garments, self.potential.of(step).undifferentiated()
         missing = step.skinned_motion - step.dt * step.state.velocities
         missing = torch.where(garments.pinned[:, None], 0.0, missing)
-        shares = missing.new_tensor((0.0, *self.shares))
+        shares = constant((0.0, *self.shares), missing.dtype, missing.device)
         # The body's tangent planes half way are exact enough to choose by, and queried once.
         frozen = potential.with_contact_at(free + 0.5 * missing)
-        energies = torch.stack([frozen.energies(free + share * missing).per_world(garments) for share in shares])
+        energies = frozen.energies_of_worlds(free + shares[:, None, None] * missing)
         best = shares[energies.argmin(dim=0)]
         start = free + best[garments.vertex_world, None] * missing
         return moved_off_the_body(potential, start) - free

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import require_propagation_steps
 from pb4u.network.graph.features import ADVANCE
@@ -22,7 +23,8 @@ from pb4u.scene.packed import ColliderPose, PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
-from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
+from pb4u.simulation.device_steps import require_memory, states_after
+from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.penetration_response import Contact, NoContact
@@ -242,6 +244,37 @@ class NetworkSimulator(StepwiseSimulator):
             "precision": str(self.precision).removeprefix("torch."),
             "weights_licence": self.checkpoint.licence,
         }
+
+    def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
+        if self.device.type == "cpu" or not self._alone:
+            yield from super().rollout(scene, record)
+            return
+        host = Timeline.of(scene)
+        free, _ = torch.cuda.mem_get_info(self.device)
+        width = max(weights.shape[0] for weights in self.checkpoint.model.network.parameters())
+        require_memory(host.garments, len(host.colliders.faces), width, free)
+        timeline = host.to(self.device, Rooms())
+        method = self.method(timeline, record)
+        frame = 0
+        try:
+            for begun in self.first_frame.states(timeline, method):
+                yield require_finite(begun)
+                frame = begun.frame + 1
+            for state in states_after(timeline, method, begun, scene.total_frames):
+                yield require_finite(state)
+                frame = state.frame + 1
+        except DivergedError:
+            record.failed_at = frame - scene.lead_in
+
+    @property
+    def _alone(self) -> bool:
+        """Whether nothing follows the network's passes, so that all of a step may be computed on its device."""
+        return (
+            not self.refine
+            and isinstance(self.contact, NoContact)
+            and isinstance(self.potential.self_contact, NoSelfContact)
+            and isinstance(self.first_frame, (OneLongStep, AsPlaced))
+        )
 
     def propagation_steps(self, scene: Scene) -> int | None:
         """Number K of propagation steps of the finest garment, which takes the most."""

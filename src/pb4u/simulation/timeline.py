@@ -9,6 +9,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from pb4u.collision.rooms import Rooms
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments, pack, pack_colliders
 from pb4u.scene.scene import Scene
@@ -107,6 +108,27 @@ class Timeline:
         body, skinned = frames([b.positions for b in bodies]), frames([w.placement.positions for w in scene.garments])
         gravity = torch.as_tensor(scene.gravity, dtype=dtype, device=device)
         return Timeline(garments, colliders, body, skinned, scene.dt, gravity)
+
+    def to(self, device: torch.device, rooms: Rooms) -> Timeline:
+        """This timeline with all that a step reads on `device`.
+
+        Args:
+            device: of the copy.
+            rooms: fixed numbers of what the searches of its steps find.
+        """
+        first = self.pose(0)
+        self.colliders.surface_groups(self.garments.world_count, first.positions)
+        self.colliders.vertex_groups(first.positions)
+
+        def moved(frames: Frames) -> Frames:
+            def block(start: int, stop: int) -> Tensor:
+                made = torch.stack([frames[frame] for frame in range(start, stop)])
+                return (made.pin_memory() if device.type == "cuda" else made).to(device, non_blocking=True)
+
+            return BlockedFrames(block, len(frames))
+
+        garments, colliders = self.garments.to(device), self.colliders.to(device, rooms)
+        return Timeline(garments, colliders, moved(self._body), moved(self._skinned), self.dt, self.gravity.to(device))
 
     def skinned(self, frame: int) -> Tensor:
         """Garment vertices (vertices, 3) [m] at a frame where skinning alone puts them."""

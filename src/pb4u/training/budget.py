@@ -83,6 +83,16 @@ class Budget:
         if (self.steps is not None and self.steps < 1) or (self.minutes is not None and not self.minutes > 0):
             raise InputError("The steps or minutes of a training must be above 0.")
 
+    def without(self, seconds: float) -> Budget:
+        """Budget that leaves time for something else, at least half of its own.
+
+        Args:
+            seconds: wall time of that [s].
+        """
+        if self.minutes is None:
+            return self
+        return Budget(self.steps, max(self.minutes - seconds / 60.0, 0.5 * self.minutes))
+
     def spent(self, steps: int, seconds: float) -> float:
         """Fraction of the budget that is used up.
 

@@ -16,6 +16,8 @@ from pb4u.garment.weight_cache import garment_weights
 from pb4u.motion.library import load_motion, motion_names
 from pb4u.motion.motion import Motion
 from pb4u.progress import Progress, no_progress
+from pb4u.run import WornGarment
+from pb4u.scene.assembly import load_garment
 from pb4u.scene.catalogue import RECORDINGS, SEEDS
 from pb4u.training.configuration import DataSelection
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
@@ -25,7 +27,7 @@ from pb4u.training.variation import CAPE, before_refining, cape, uneven, varied_
 def collect(
     selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress = no_progress
 ) -> TrainingData:
-    """Training data that `selection` describes.
+    """Training data that `selection` describes; garments of files are worn by the first body, which they were made for.
 
     Args:
         selection: garments, bodies and motions.
@@ -38,12 +40,16 @@ def collect(
     """
     rng = np.random.default_rng([seed, 17])
     bodies = _bodies(selection, rng)
+    if all(_is_file(name) for name in selection.garments):
+        bodies = bodies[:1]
     total = len(bodies) * (len(selection.garments) * len(selection.triangles) + 1)
     done = 0
     trials = {} if recordings is None else _trials(recordings)
     outfits, clips = [], []
     for index, body in enumerate(bodies):
         for which, name in enumerate(selection.garments):
+            if index and _is_file(name):
+                continue
             for triangles in selection.triangles:
                 garment = _garment(selection, name, body, triangles, (seed, 19, index, which, triangles))
                 outfits.append(Outfit(garment, garment_weights(garment, body), index))
@@ -80,6 +86,11 @@ def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBo
 
 def _garment(selection: DataSelection, name: str, body: ShapedBody, triangles: int, seed: tuple[int, ...]) -> Garment:
     """A garment of the selection; its draws follow from its place in it, so that one does not move the others."""
+    if _is_file(name):
+        loaded = load_garment(WornGarment(name, triangles=triangles), body)
+        if loaded.rest_uv is not None:
+            raise InputError(f"{name} is sewn of flat panels, which training does not take; give its mesh.")
+        return loaded
     rng = np.random.default_rng(seed)
     varies, refined = rng.random() < selection.varied, rng.random() < selection.uneven
     count = before_refining(triangles) if refined else triangles
@@ -88,6 +99,10 @@ def _garment(selection: DataSelection, name: str, body: ShapedBody, triangles: i
     else:
         garment = varied_garment(name, body, count, rng) if varies else build_garment(name, body, count)
     return uneven(garment, body, rng) if refined else garment
+
+
+def _is_file(name: str) -> bool:
+    return bool(Path(name).suffix)
 
 
 def _built_in_clips(

@@ -23,7 +23,8 @@ class DataSelection:
     """Selection of the garments, bodies and motions to train on.
 
     Args:
-        garments: names of built-in garments, and "cape" for one that hangs from pins.
+        garments: names of built-in garments, "cape" for one that hangs from pins, and files of your own that fit the
+            first body.
         triangles: triangle counts of each.
         bodies: names of built-in bodies.
         shapes: number of body shapes, the first of each body its default and the others drawn.

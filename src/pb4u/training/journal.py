@@ -37,6 +37,10 @@ class Reporter:
             score: result of the validation.
             best: whether it is the best so far.
         """
+        self.said(
+            f"step {step}: {100 * score.survived:.0f} % of frames kept, {1e3 * score.excess_height:.3g} mm of excess "
+            f"height{', the best so far' if best else ''}."
+        )
 
     def said(self, sentence: str) -> None:
         """Print a sentence on an incident."""

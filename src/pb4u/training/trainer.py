@@ -19,6 +19,7 @@ from pb4u.errors import InputError
 from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.time_step import TimeStep
+from pb4u.progress import format_duration
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
@@ -47,6 +48,8 @@ from pb4u.training.validation import Score, Validation
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Rollout, Sampler, WindowLoader
 
+_WORTH_SAYING = 300.0
+"""Seconds of a whole training above which its time is said beforehand."""
 IMPROVEMENT = 0.005
 """Share of the energy by which a score must be better to count: less is the noise of a validation."""
 
@@ -106,8 +109,11 @@ class Trainer:
         if self.counters.window == 0:
             self.gather_statistics()
             self.recovery.keep(self.counters)
+        if self.budget.minutes is not None:
+            self._keep_time_to_validate()
         # Neither the data nor their statistics are training, and on a busy machine they take minutes.
         self.began = time.monotonic() - self.counters.seconds
+        first, since, rounds = self.counters.step, self.began, 0
         while (ending := self._ending()) is None:
             begun = self.recovery.snapshot(self.counters)
             end = self.train_round()
@@ -116,6 +122,15 @@ class Trainer:
                 ending = "stopped"
                 break
             self.counters.window += self.configuration.interleaved
+            rounds += 1
+            if rounds == 1:  # the first one compiles
+                first, since = self.counters.step, time.monotonic()
+            elif rounds == 2 and self.budget.steps is not None and self.counters.step > first:
+                each = (time.monotonic() - since) / (self.counters.step - first)
+                left = self.budget.steps - self.counters.step
+                if left * each > _WORTH_SAYING:
+                    whole = format_duration(left * each)
+                    self.journal.say(f"A step takes {each:.2g} s; the {left:,} that are left take about {whole}.")
             if end is RoundEnd.CAME_APART:
                 self.counters = self.recovery.roll_back(self.counters)
                 continue
@@ -146,6 +161,20 @@ class Trainer:
     def progress(self) -> float:
         """Fraction of the budget spent."""
         return self.budget.spent(self.counters.step, self.counters.seconds)
+
+    def _keep_time_to_validate(self) -> None:
+        """Take the validation at the end off the minutes, so that they hold it too."""
+        seconds = torch.zeros((), dtype=torch.float64, device=self.workers.device)
+        if self.workers.leads:
+            self.journal.say("Making what validations compare with; the minutes begin after it.")
+            _ = self.validation.references
+            began = time.monotonic()
+            with self.learner.averaged():
+                score = self.validation.score(self.model.eval())
+            self.model.train()
+            # What is lost early is rolled out no further; later weights keep it to the end.
+            seconds += (time.monotonic() - began) / max(score.survived, 0.25)
+        self.budget = self.budget.without(float(self.workers.sum(seconds)))
 
     def _due(self, every: int, before: int) -> bool:
         """Whether a step since `before` was one of every so many."""

@@ -11,6 +11,7 @@ from typing import Protocol, TypeAlias
 import torch
 from torch import Tensor
 
+from pb4u.collision.rooms import found_rows
 from pb4u.errors import InputError
 from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.network.graph.features import FeatureLayout
@@ -221,24 +222,39 @@ class GraphBuilder:
         """Add the body vertices that a garment vertex sees, and the edges between them, where there are any."""
         now = self._localise(collider.now.positions, origin)
         following = self._localise(collider.following.positions, origin)
-        garment, body = self._near_pairs(positions, now, collider.colliders)
+        rooms = collider.colliders.rooms
+        garment, body, filled = self._near_pairs(positions, now, collider.colliders)
         if len(body) == 0:
             return
-        kept, body_node = torch.unique(body, return_inverse=True)
+        if rooms is None:
+            kept, body_node = torch.unique(body, return_inverse=True)
+        else:
+            near = torch.zeros(len(now) + 1, dtype=torch.bool, device=body.device)
+            near = near.index_fill(0, torch.where(filled, body, len(now)), True)[:-1]
+            kept, filled_nodes = found_rows(near, "body nodes", rooms)
+            body_node = (near.cumsum(0)[body] - 1).clamp(0, len(kept) - 1)
         velocity = (collider.now.positions - collider.previous.positions).to(self.dtype)[kept]
         normal = vertex_normals(now, collider.colliders.faces)[kept]
         ahead = (collider.following.positions - collider.now.positions).to(self.dtype)[kept]
         world = collider.colliders.vertex_world[kept]
+        if rooms is not None:
+            # What is only room is of no world.
+            world = torch.where(filled_nodes, world, len(self.static.vertex_offsets) - 1)
         nodes[BODY] = self._body_nodes(velocity, ahead, normal, duration, world)
 
         relative_now = positions.index_select(0, garment) - now.index_select(0, body)
         relative_next = positions.index_select(0, garment) - following.index_select(0, body)
         approach = velocities.index_select(0, garment) - (following - now).index_select(0, body)
-        garments, bodies = incidence(garment, len(positions)), incidence(body_node, len(kept))
+        real = None if rooms is None else filled
+        garments, bodies = incidence(garment, len(positions), real), incidence(body_node, len(kept), real)
         features = self._world_features(relative_now, relative_next, approach, duration)
         edges["body_to_garment"] = EdgeSet("world", BODY, GARMENT, bodies, garments, features, "world_edge")
         order = bodies.order
-        garments, bodies = incidence(garment[order], len(positions)), incidence(body_node[order], len(kept))
+        real = None if rooms is None else filled[order]
+        garments, bodies = (
+            incidence(garment[order], len(positions), real),
+            incidence(body_node[order], len(kept), real),
+        )
         features = self._world_features(-relative_now[order], -relative_next[order], -approach[order], duration)
         edges["garment_to_body"] = EdgeSet("world", GARMENT, BODY, garments, bodies, features, "world_edge")
 
@@ -261,16 +277,28 @@ class GraphBuilder:
         types = torch.full((count,), int(NodeType.BODY), device=velocity.device)
         return NodeSet(torch.cat(chosen, dim=1), types, world)
 
-    def _near_pairs(self, positions: Tensor, body: Tensor, colliders: PackedColliders) -> tuple[Tensor, Tensor]:
-        """Garment vertex and body vertex, (pairs,) int64 each, of all pairs that the rule joins, world by world."""
-        garment, near = [], []
+    def _near_pairs(self, positions: Tensor, body: Tensor, colliders: PackedColliders) -> tuple[Tensor, Tensor, Tensor]:
+        """Garment vertex and body vertex, (pairs,) int64 each, of all pairs that the rule joins, world by world.
+
+        And which of them are filled (pairs,) bool: all but those that are only room.
+        """
+        rule = self.world_edges
+        batched = colliders.rooms is not None and isinstance(rule, WorldEdgeRule) and not rule.whole_body
+        if batched and (groups := colliders.vertex_groups(body)) is not None:
+            assert isinstance(rule, WorldEdgeRule)
+            places, filled, _ = self.static.world_rows
+            points = torch.where(filled[..., None], positions[places], torch.nan)
+            row, near, real = rule.batched_pairs(points, body, groups, colliders.rooms)
+            return places.reshape(-1)[row], near, real
+        garment, found = [], []
         offsets = self.static.world_offsets
         for world, (start, stop) in enumerate(list(pairwise(offsets))[: len(colliders.surfaces)]):
-            rows, found = self.world_edges.pairs(positions[start:stop], body, colliders, world)
-            allowed = colliders.contact[found]
+            rows, near = rule.pairs(positions[start:stop], body, colliders, world)
+            allowed = colliders.contact[near]
             garment.append(rows[allowed] + start)
-            near.append(found[allowed])
-        return torch.cat(garment), torch.cat(near)
+            found.append(near[allowed])
+        pairs = torch.cat(found)
+        return torch.cat(garment), pairs, torch.ones_like(pairs, dtype=torch.bool)
 
     def _world_features(
         self, relative_now: Tensor, relative_next: Tensor, approach: Tensor, duration: Columns

@@ -55,6 +55,7 @@ class GarmentGraph:
         vertex_offsets: first vertex of each garment, and the total.
         world_offsets: first vertex of each world, and the total.
         faces: (faces, 3) int64 vertex indices.
+        world_rows: rows of all worlds side by side, as in `PackedGarments`.
     """
 
     edges: dict[str, GarmentEdges]
@@ -70,6 +71,7 @@ class GarmentGraph:
     vertex_offsets: tuple[int, ...]
     world_offsets: tuple[int, ...]
     faces: Tensor
+    world_rows: tuple[Tensor, Tensor, Tensor]
 
 
 def garment_graph(
@@ -104,6 +106,7 @@ def garment_graph(
         vertex_offsets=garments.vertex_offsets,
         world_offsets=garments.world_offsets,
         faces=garments.faces,
+        world_rows=garments.world_rows,
     )
 
 

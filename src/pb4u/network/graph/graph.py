@@ -66,7 +66,7 @@ class EdgeSet:
 
     def degrees(self) -> Tensor:
         """Number of edges that end at each receiver, (receivers, 1), dimensionless."""
-        return self.receivers.offsets.diff().to(self.features.dtype)[:, None]
+        return self.receivers.offsets.diff()[: self.receivers.node_count].to(self.features.dtype)[:, None]
 
     def restrict(self, nodes: Sequence[Span]) -> EdgeSet:
         """Edges that end in the given spans of receivers, which are renumbered.

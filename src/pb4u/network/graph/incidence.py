@@ -19,16 +19,18 @@ class Incidence:
         index: (edges,) int64 node at this end of each edge.
         offsets: (nodes + 1,) int64; edges order[offsets[i]:offsets[i + 1]] touch node i.
         order: (edges,) int64 edges in ascending order of their node (the identity where they are stored so).
+        spare: whether the last of the nodes counted by `offsets` is none, but has the edges that are only room.
     """
 
     index: Tensor
     offsets: Tensor
     order: Tensor
+    spare: bool = False
 
     @property
     def node_count(self) -> int:
         """Number of nodes."""
-        return self.offsets.shape[0] - 1
+        return self.offsets.shape[0] - 1 - self.spare
 
     def restrict(self, edges: Sequence[Span], nodes: Sequence[Span]) -> Incidence:
         """Incidence of the given spans alone, renumbered.
@@ -48,16 +50,18 @@ class Incidence:
         return Incidence(torch.cat(index), torch.cat(offsets), torch.cat(order))
 
 
-def incidence(index: Tensor, node_count: int) -> Incidence:
+def incidence(index: Tensor, node_count: int, filled: Tensor | None = None) -> Incidence:
     """Incidence of one end of a list of edges.
 
     Args:
         index: (edges,) int64 node at that end of each edge.
         node_count: number of nodes.
+        filled: (edges,) bool, False where an edge is only room; None where all are edges.
     """
-    ordered, order = torch.sort(index, stable=True)
-    nodes = torch.arange(node_count + 1, device=index.device)
-    return Incidence(index, torch.searchsorted(ordered, nodes), order)
+    spare = filled is not None
+    ordered, order = torch.sort(index if filled is None else torch.where(filled, index, node_count), stable=True)
+    nodes = torch.arange(node_count + 1 + spare, device=index.device)
+    return Incidence(index, torch.searchsorted(ordered, nodes), order, spare)
 
 
 def both_directions(pairs: Tensor, node_count: int) -> tuple[Incidence, Incidence]:

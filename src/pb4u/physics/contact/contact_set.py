@@ -160,20 +160,25 @@ def nearest_planes(
         within: distance [m] from which on a vertex need only be known to be so far.
         patience: way [m] that a vertex may have gone since it was queried.
     """
-    if all(surface is None or surface.compiled for surface in pose.surfaces):
+    if _compiled(pose):
         return _of_found(_renewed(pose, garments, x, within, patience), x)
-    planes = _blank(x)
-    for world, (surface, rows) in enumerate(zip(pose.surfaces, _worlds(garments), strict=False)):
-        if surface is None or rows.start == rows.stop:
-            continue
-        nearest = surface.nearest(x.detach()[rows])
-        planes.points[rows] = nearest.positions
-        planes.normals[rows] = nearest.normals
-        planes.distance[rows] = nearest.signed_distance
-        planes.touchable[rows] = ~nearest.beyond_border
-        planes.triangle[rows] = pose.colliders.world_contact_faces[world][nearest.triangle]
-        planes.barycentric[rows] = nearest.barycentric
-    return planes
+    batch = pose.batch(garments.world_count)
+    if batch is None:
+        return _blank(x)
+    places, _, rows = garments.world_rows
+    near = batch.closest(x.detach().to(torch.float64)[places], pose.colliders.rooms)
+    return ContactPlanes(
+        points=near.positions[rows].to(x),
+        normals=near.normals[rows].to(x),
+        distance=near.signed_distance[rows].to(x),
+        touchable=~near.beyond_border[rows],
+        triangle=near.triangle[rows],
+        barycentric=near.barycentric[rows].to(x),
+    )
+
+
+def _compiled(pose: ColliderPose) -> bool:
+    return pose.colliders.rooms is None and all(surface is None or surface.compiled for surface in pose.surfaces)
 
 
 def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: float, patience: float) -> Found:

@@ -11,7 +11,15 @@ from torch import Tensor
 
 from pb4u.collision.jit import as_float64, compiled
 from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.energy_term import EnergyTerm, MeasuredTerm, Tangent, dot, sum_by_garment, vertex_elements
+from pb4u.physics.terms.energy_term import (
+    EnergyTerm,
+    MeasuredTerm,
+    Tangent,
+    constant,
+    dot,
+    sum_by_garment,
+    vertex_elements,
+)
 from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
@@ -80,7 +88,7 @@ class Collision(EnergyTerm):
                 depth = (self.clearance - planes.signed_distance(x)).clamp_min(0.0)
                 yield torch.where(planes.touchable, depth, 0.0), planes.normals
         if step.ground_height is not None:
-            up = x.new_tensor(UP).expand_as(x)
+            up = constant(UP, x.dtype, x.device).expand_as(x)
             yield (self.clearance - (x[:, 1] - step.ground_height)).clamp_min(0.0), up
 
 

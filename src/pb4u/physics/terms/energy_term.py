@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -147,6 +148,19 @@ class MeasuredTerm(EnergyTerm):
         return energies.detach(), gradient
 
 
+@lru_cache
+def constant(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Tensor of `values`, in their unit, made once: an accelerator would wait for each.
+
+    Args:
+        values: any numbers.
+        dtype: of the tensor.
+        device: of the tensor.
+    """
+    with torch.inference_mode(False):
+        return torch.tensor(values, dtype=dtype, device=device)
+
+
 def sum_by_garment(values: Tensor, garment: Tensor, garment_count: int) -> Tensor:
     """Sums (garments,) of `values` over the rows that belong to each garment, in their unit.
 
@@ -195,4 +209,4 @@ def sum_by_vertex(values: Tensor, index: Tensor, vertex_count: int) -> Tensor:
         vertex_count: number of vertices.
     """
     total = values.new_zeros((3, vertex_count))
-    return total.scatter_add_(1, index.expand(3, -1), values).T.contiguous()
+    return total.scatter_add(1, index.expand(3, -1), values).T.contiguous()

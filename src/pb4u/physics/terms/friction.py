@@ -11,7 +11,15 @@ from torch import Tensor
 from pb4u.collision.jit import as_float64, compiled
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
-from pb4u.physics.terms.energy_term import EnergyTerm, MeasuredTerm, Tangent, dot, sum_by_garment, vertex_elements
+from pb4u.physics.terms.energy_term import (
+    EnergyTerm,
+    MeasuredTerm,
+    Tangent,
+    constant,
+    dot,
+    sum_by_garment,
+    vertex_elements,
+)
 from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
@@ -90,7 +98,7 @@ class Friction(EnergyTerm):
             on_ground = (height < self.radius) & (height < distance)
             touching = touching | on_ground
             anchor = torch.where(on_ground[:, None], before, anchor)
-            normal = torch.where(on_ground[:, None], before.new_tensor(UP), normal)
+            normal = torch.where(on_ground[:, None], constant(UP, before.dtype, before.device), normal)
         force = STANDARD_GRAVITY * step.garments.vertex_masses
         if self.load is not None and now is not None:
             # Cloth deep inside is a fault to be mended, not a load: its force would freeze it there.
@@ -203,7 +211,7 @@ class ReleasedFriction(MeasuredTerm):
 
 def _directional(x: Tensor) -> Tensor:
     """(3,) weights of the squared slip along each axis: |s|^2 c^2 = s . W s."""
-    return x.new_tensor([1.0 + _FLOOR, _FLOOR, 1.0 + _FLOOR])
+    return constant((1.0 + _FLOOR, _FLOOR, 1.0 + _FLOOR), x.dtype, x.device)
 
 
 def _slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:

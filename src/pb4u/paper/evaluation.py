@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from pb4u.jobs.job_queue import make_all, still_to_do
+from pb4u.jobs.job_folder import JobFolder, quiet
 from pb4u.jobs.worker_pool import WorkerPool
 from pb4u.paper.protocol_plan import EvaluationRequest, plan
 from pb4u.paper.report import write_report
-from pb4u.paper.result_folder import ResultFolder
-from pb4u.progress import Progress, no_progress
+from pb4u.progress import Progress
 
 
 def evaluate(
@@ -21,7 +20,7 @@ def evaluate(
     pool: Callable[[], WorkerPool],
     retry: bool = False,
     say: Callable[[str], None] = lambda sentence: None,
-    progress: Callable[[str], AbstractContextManager[Progress]] = lambda label: nullcontext(no_progress),
+    progress: Callable[[str], AbstractContextManager[Progress]] = quiet,
 ) -> dict[str, Any]:
     """Run a protocol into a folder, going on where an earlier run stopped, and write its report.
 
@@ -43,18 +42,8 @@ def evaluate(
     planned = plan(request)
     for sentence in planned.absent:
         say(sentence)
-    with ResultFolder(out, planned.protocol.name) as folder:
-        folder.write_manifest(request.as_json(), planned.jobs)
-        missing = still_to_do(planned.jobs, folder, "rollouts", retry, say)
-
-        def stopped() -> str:
-            done = sum(folder.result(job) is not None for job in planned.jobs)
-            return f"Stopped with {done} of {len(planned.jobs)} rollouts done; the same command goes on."
-
-        with (
-            progress(f"{planned.protocol.name}: {len(missing)} rollouts")
-            if missing
-            else nullcontext(no_progress) as show
-        ):
-            make_all(missing, pool, folder.take, show, stopped)
+    with JobFolder(out, "an evaluation", {"protocol": request.protocol}) as folder:
+        folder.write_manifest(planned.jobs, request=request.as_json())
+        missing = folder.still_to_do(planned.jobs, "rollouts", retry, say)
+        folder.complete(planned.jobs, missing, "rollouts", pool, progress, title=f"{request.protocol}: ")
         return write_report(planned, folder, request)

@@ -10,22 +10,20 @@ from tests.paper.quick_rollouts import job
 
 from pb4u.errors import InputError, Pb4uError
 from pb4u.jobs import job_folder
-from pb4u.jobs.job import Failure
-from pb4u.paper import result_folder
-from pb4u.paper.result_folder import ResultFolder
-from pb4u.paper.rollout import Rollout
+from pb4u.jobs.job import Failure, Made
+from pb4u.jobs.job_folder import JobFolder
 
 JOB = job("walk")
 
 
-def opened(path: Path, protocol: str = "resolution") -> ResultFolder:
-    return ResultFolder(path, protocol)
+def opened(path: Path, protocol: str = "resolution") -> JobFolder:
+    return JobFolder(path, "an evaluation", {"protocol": protocol})
 
 
 def kept(path: Path) -> Path:
     with opened(path) as folder:
-        folder.write_manifest({}, (JOB,))
-        folder.take(JOB, Rollout({"value": 1.5}, b"frame"))
+        folder.write_manifest((JOB,))
+        folder.take(JOB, Made({"value": 1.5}, b"frame"))
     return path / "jobs" / f"{JOB.key}.json"
 
 
@@ -33,14 +31,14 @@ def test_results_are_there_again(tmp_path: Path) -> None:
     kept(tmp_path / "run")
     with opened(tmp_path / "run") as folder:
         assert folder.result(JOB) == {"value": 1.5}
-        assert folder.still(JOB).read_bytes() == b"frame"
+        assert folder.trajectory(JOB).read_bytes() == b"frame"
         assert folder.result(job("jump")) is None
 
 
 def test_results_of_long_runs_are_there_again_too(tmp_path: Path) -> None:
     series = [0.1234567890123456] * 500_000
     with opened(tmp_path / "run") as folder:
-        folder.take(JOB, Rollout({"series": series}, None))
+        folder.take(JOB, Made({"series": series}))
         assert folder.result(JOB) == {"series": series}
 
 
@@ -74,34 +72,43 @@ def test_what_a_killed_run_had_begun_to_write_is_swept_away(tmp_path: Path) -> N
 
 def test_failures_are_kept_until_they_are_forgotten_or_mended(tmp_path: Path) -> None:
     with opened(tmp_path / "run") as folder:
-        folder.note_failure(JOB, Failure("No garment.", "trace"))
+        folder.take(JOB, Failure("No garment.", "trace"))
     with opened(tmp_path / "run") as folder:
         failure = folder.failure(JOB)
         assert failure is not None
         assert failure == Failure("No garment.", "trace")
         folder.forget_failure(JOB)
         assert folder.failure(JOB) is None
-        folder.note_failure(JOB, Failure("No garment.", "trace"))
-        folder.take(JOB, Rollout({}, None))
+        folder.take(JOB, Failure("No garment.", "trace"))
+        folder.take(JOB, Made({}))
         assert folder.failure(JOB) is None
 
 
 def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept(tmp_path / "run")
-    present = result_folder.PROTOCOL_VERSION
-    monkeypatch.setattr(result_folder, "PROTOCOL_VERSION", 70)
-    with pytest.raises(InputError, match=rf"with protocols of version {present}, and this is .* with version 70"):
+    present = job_folder.FOLDER_VERSION
+    monkeypatch.setattr(job_folder, "FOLDER_VERSION", 70)
+    with pytest.raises(InputError, match=rf"holds a run of version {present} .*, and this is .* with version 70"):
         opened(tmp_path / "run")
     monkeypatch.undo()
-    monkeypatch.setattr(result_folder, "__version__", "9.9")
-    with pytest.raises(InputError, match=r"holds a run by pb4u .* and this is pb4u 9\.9"):
+    monkeypatch.setattr(job_folder, "__version__", "9.9")
+    with pytest.raises(InputError, match=r"by pb4u .* and this is pb4u 9\.9"):
         opened(tmp_path / "run")
+
+
+@pytest.mark.parametrize("held", [{"protocol_version": 2, "protocol": "resolution"}, {"dataset_version": 1}])
+def test_folders_of_before_say_what_they_hold(tmp_path: Path, held: dict) -> None:
+    (tmp_path / "manifest.json").write_text(json.dumps({"pb4u": "0.3.0", **held}))
+    with pytest.raises(InputError, match=r"holds a run of version \d by pb4u 0\.3\.0, .* give another --out"):
+        opened(tmp_path)
 
 
 def test_other_protocols_and_other_folders_are_refused(tmp_path: Path) -> None:
     kept(tmp_path / "run")
-    with pytest.raises(InputError, match="holds a run of the protocol resolution, not depth"):
+    with pytest.raises(InputError, match="holds an evaluation with protocol resolution, not depth"):
         opened(tmp_path / "run", "depth")
+    with pytest.raises(InputError, match="is a folder of an evaluation, not of a dataset"):
+        JobFolder(tmp_path / "run", "a dataset", {})
     (tmp_path / "run" / "manifest.json").write_text(json.dumps({"jobs": []}))
     with pytest.raises(InputError, match="is not the manifest of an evaluation"):
         opened(tmp_path / "run")
@@ -128,4 +135,4 @@ def test_a_disk_that_refuses_is_a_sentence(tmp_path: Path, monkeypatch: pytest.M
     with opened(tmp_path / "run") as folder:
         monkeypatch.setattr(job_folder, "replace_file", full)
         with pytest.raises(Pb4uError, match="No space left on device; what is done is kept"):
-            folder.take(JOB, Rollout({}, None))
+            folder.take(JOB, Made({}))

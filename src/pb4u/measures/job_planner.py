@@ -1,0 +1,135 @@
+"""From runs to jobs. What can be refused is refused here, before any work."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.library import load_body
+from pb4u.errors import InputError, unknown_name
+from pb4u.garment.dictionary_entry import DictionaryEntry
+from pb4u.garment.library import garment_names
+from pb4u.garment.material import MATERIALS, load_material
+from pb4u.jobs.job import digest
+from pb4u.measures.run_job import RunJob
+from pb4u.motion.library import motion_names, recording_file
+from pb4u.run import Run, with_companions
+from pb4u.scene.assembly import DEFAULT_MOTION
+from pb4u.simulation.checkpoint import weights_file
+from pb4u.simulation.models import default_model, simulator_of
+from pb4u.simulation.stepwise_simulator import NetworkSimulator
+
+
+class Model(NamedTuple):
+    """A model as the jobs of a plan have it.
+
+    Args:
+        name: its name or file.
+        device: where it computes: "cpu" or "cuda".
+        weights: SHA-256 of a network's weights; None for what has none.
+        adapts: whether it has a number of propagation steps that can be set.
+        fps: frame rate that it has to run at [1/s]; None where it takes any.
+    """
+
+    name: str
+    device: str
+    weights: str | None = None
+    adapts: bool = False
+    fps: float | None = None
+
+
+class JobPlanner:
+    """Makes jobs of runs; what many of them share, such as the content of a file, is looked at once."""
+
+    def __init__(self) -> None:
+        self._contents: dict[str, tuple[tuple[str, str, str], ...]] = {}
+        self._checked: set[tuple[str, str]] = set()
+        self._models: dict[Run, Model] = {}
+        self._has_bones = lru_cache(maxsize=None)(_has_bones)
+
+    def job(
+        self, run: Run, label: str = "", keep: Literal["full", "half", "stills"] = "full", excess: bool = False
+    ) -> RunJob:
+        """Job of a run.
+
+        Args:
+            run: what is simulated.
+            label: what tables call its model.
+            keep: what is kept of the trajectory.
+            excess: measure excess heights too.
+
+        Raises:
+            InputError: a name or a file that the run needs is not there, or its model cannot be had so.
+        """
+        self._require_names(run)
+        model = self.model(run)
+        given = {"model": model.name, "device": model.device}
+        if run.motion is None and self._has_bones(str(run.body)):
+            # Named, so that its label says what the body performs.
+            given["motion"] = DEFAULT_MOTION
+        resolved = run.with_entries(given)
+        contents = [row for value in dict.fromkeys(map(str, filter(None, resolved.files))) for row in self._read(value)]
+        return RunJob(resolved, label, tuple(contents), model.weights, keep, excess)
+
+    def model(self, run: Run) -> Model:
+        """Model of a run.
+
+        Args:
+            run: whose scene is not looked at.
+
+        Raises:
+            InputError: there is none, or it cannot be had so.
+        """
+        if run.options not in self._models:
+            self._models[run.options] = _resolved(run)
+        return self._models[run.options]
+
+    def _require_names(self, run: Run) -> None:
+        """Refuse names and files that are not there."""
+        known = {"garment": garment_names(), "motion": motion_names(), "material": tuple(MATERIALS)}
+        worn = [(kind, getattr(each, kind)) for each in run.garments for kind in ("garment", "material")]
+        given = [*worn, *((kind, getattr(run, kind)) for kind in ("motion", "body", "omitted", "model"))]
+        for kind, value in given:
+            if value is None or (kind, str(value)) in self._checked or not isinstance(value, str | Path):
+                continue
+            self._checked.add((kind, str(value)))
+            file = _file(str(value))
+            if file.suffix and not file.exists():
+                raise InputError(f"There is no {kind} file {file}.")
+            if kind == "body":
+                load_body(value)
+            elif kind == "material":
+                load_material(value)
+            elif not file.suffix and kind in known and str(value) not in known[kind]:
+                raise unknown_name(kind, str(value), known[kind])
+
+    def _read(self, value: str) -> tuple[tuple[str, str, str], ...]:
+        """The files that are read for a value, with their digests; none for a name."""
+        if value not in self._contents:
+            file = _file(value)
+            is_name = (not file.suffix and "/" not in value) or not file.exists()
+            files = () if is_name else with_companions(file)
+            self._contents[value] = tuple((value, str(each), digest(each)) for each in files)
+        return self._contents[value]
+
+
+def _file(value: str) -> Path:
+    """The file that a value names, without the entry or the person of it."""
+    entry = DictionaryEntry.parse(value)
+    return recording_file(value)[0] if entry is None else entry.path
+
+
+def _has_bones(body: str) -> bool:
+    return isinstance(load_body(body), ShapedBody)
+
+
+def _resolved(run: Run) -> Model:
+    simulator = simulator_of(run)
+    name = default_model() if str(run.model) == "auto" else str(run.model)
+    device = "cuda" if str(simulator.settings().get("device")) == "cuda" else "cpu"
+    if not isinstance(simulator, NetworkSimulator):
+        return Model(name, device, fps=simulator.fps)
+    with weights_file(name) as path:
+        return Model(name, device, digest(path), simulator.checkpoint.model.network.propagates, simulator.fps)

@@ -1,0 +1,277 @@
+"""A run as a job: its address, its simulation, its metrics, and what is kept of its trajectory."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pb4u import __version__
+from pb4u.errors import InputWarning, Pb4uError
+from pb4u.jobs.job import Failure, Made, address, attempted, require_content
+from pb4u.jobs.job_folder import FOLDER_VERSION
+from pb4u.run import Run, WornGarment
+
+# torch and all that needs it is imported where it is used: a worker sets its number of threads before.
+if TYPE_CHECKING:
+    from pb4u.measures.excess import Reference
+    from pb4u.scene.scene import Scene
+    from pb4u.scene.trajectory import Trajectory
+    from pb4u.simulation.simulator import Simulator
+
+PICTURED = 0.6
+"""Where in the clip, as a fraction of its length, the frame to draw lies: by then every motion is under way."""
+
+
+@dataclass(frozen=True)
+class RunJob:
+    """A run to be simulated and measured.
+
+    Args:
+        run: what is simulated, model and device by name.
+        label: what tables call its model.
+        contents: (value in `run`, file that is read for it, SHA-256 of the file); a result belongs to the content of
+            its files, not to their place.
+        weights: SHA-256 of a network's weights; None for what has none.
+        keep: what is kept of the trajectory: all in full or "half" precision, or "stills": the frame at `PICTURED`, and
+            the worst.
+        excess: also measure what single steps leave on states shared by all models, and the distance from the solver's
+            rollout; costs two solves a frame for each scene.
+    """
+
+    run: Run
+    label: str = ""
+    contents: tuple[tuple[str, str, str], ...] = ()
+    weights: str | None = None
+    keep: Literal["full", "half", "stills"] = "full"
+    excess: bool = False
+
+    @cached_property
+    def key(self) -> str:
+        """Address of the result: the same for the same work, another for any other."""
+        files: dict[str, list[str]] = {}
+        for value, file, content in self.contents:
+            files.setdefault(value, []).append(f"{Path(file).name} {content}")
+        identity = {
+            "version": FOLDER_VERSION,
+            "pb4u": __version__,
+            "run": _plain(self.run, files),
+            "weights": self.weights,
+            "keep": self.keep,
+            "excess": self.excess,
+        }
+        return address(identity)
+
+    @property
+    def device(self) -> str:
+        """Where it computes: "cpu" or "cuda"."""
+        return self.run.device
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        """What the run was asked to be, as JSON: names as they were given, files by their stem."""
+        run, names = self.run, {value: Path(file).stem for value, file, _ in reversed(self.contents)}
+
+        def named(value: object) -> str | None:
+            return None if value is None else names.get(str(value), str(value))
+
+        return {
+            "garment": "+".join(each.name for each in run.garments),
+            "material": "+".join(named(each.material) or "default" for each in run.garments),
+            "pins": "+".join(named(each.pins) or "own" for each in run.garments),
+            "triangles_asked": [each.triangles for each in run.garments],
+            "body": named(run.body),
+            "body_shape": dict(run.body_shape),
+            "motion": named(run.motion) or "own",
+            "frames_asked": run.frames,
+            "crop": None if run.crop is None else list(run.crop),
+            "model": named(run.model),
+            "half": self.keep == "half",
+            **{name: getattr(run, name) for name in _AS_THEY_ARE},
+        }
+
+    def __str__(self) -> str:
+        told = self.labels
+        counts = [f"{count:,}" for count in told["triangles_asked"] if count]
+        size = f", {'+'.join(counts)} triangles" if counts else ""
+        steps = "" if self.run.propagation_steps is None else f", K {self.run.propagation_steps}"
+        scene = f"{told['garment']} in {told['material']} on {told['body']}, {told['motion']}, seed {told['seed']}"
+        return f"{scene}{size}, by {self.label or told['model']}{steps}"
+
+
+_AS_THEY_ARE = (
+    "seed", "fps", "lead_in", "arms_away", "refine", "contact", "self_contact", "first_frame", "device",
+)  # fmt: skip
+
+
+def attempt(job: RunJob) -> Made | Failure:
+    """Do a job; whatever goes wrong comes back as a `Failure` with a sentence."""
+    return attempted(make, job)
+
+
+def make(job: RunJob) -> Made:
+    """Simulate, measure and encode.
+
+    Args:
+        job: the run to make.
+
+    Raises:
+        InputError: something of it cannot be used, or changed since it was planned.
+        Pb4uError: the state stopped being finite before the first frame to write, of which no stills are to be kept.
+    """
+    from pb4u.measures.divergence import hold_shifts, slid_from
+    from pb4u.measures.run_report import machine, run_facts, run_report
+    from pb4u.simulation.run_simulation import roll_out, simulated_fps
+    from pb4u.simulation.simulator import RunRecord
+
+    began = time.perf_counter()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", InputWarning)
+        for _, file, expected in job.contents:
+            require_content(Path(file), expected)
+        simulator = _simulator(job.run.options, job.weights)
+        scene, warned = _scene(job.run.at_rate(simulated_fps(job.run, simulator)).scene)
+        record, trajectory = RunRecord(), None
+        try:
+            trajectory = roll_out(job.run, simulator, scene, record=record)
+        except Pb4uError as error:
+            if record.failed_at is None:
+                raise
+            if job.keep != "stills":
+                raise Pb4uError("The state stopped being finite before the first frame to write.") from error
+    notes = [*warned, *(str(each.message) for each in caught)]
+    result: dict[str, Any] = {"metrics": {}, "metrics_paper": {}, "diverged": True, "diverged_at": 0}
+    content = None
+    if trajectory is None:
+        result |= run_facts(simulator.header(scene), simulator, scene, record)
+    else:
+        result |= run_report(trajectory, simulator, scene, record)
+        for measured, described in zip(result["garments"], trajectory.header.garments, strict=True):
+            measured |= {
+                "vertices": described["vertices"][1] - described["vertices"][0],
+                "triangles": described["triangles"][1] - described["triangles"][0],
+                **described["material"],
+            }
+        if job.excess:
+            result["metrics"] |= _against_reference(job.run.scene, simulator, trajectory)
+        if job.keep == "stills":
+            shifts = hold_shifts(scene, trajectory)
+            result["hold_shift"] = {"per_frame": shifts.max(axis=1).tolist(), "max": float(shifts.max())}
+            result["slid_at"] = slid_from(shifts)
+            result["pictured_frame"] = min(round(PICTURED * (scene.frames - 1)), trajectory.frame_count - 1)
+        content = _encoded(job, trajectory, result)
+    scene_notes = len(scene.notes)
+    told = [*result["notes"][:scene_notes], *notes, *result["notes"][scene_notes:]]
+    result |= {
+        "solver_iterations": sum(result["solver_iterations"]),
+        "own_steps": _own_steps(simulator, result["mean_edge_length"]) or result["propagation_steps"],
+        "failed_at": record.failed_at,
+        "machine": machine(job.device),
+        "notes": list(dict.fromkeys(told)),
+        "bytes": len(content or b""),
+        "seconds": time.perf_counter() - began,
+    }
+    return Made({**result, **job.labels}, content)
+
+
+@lru_cache(maxsize=1)
+def _simulator(options: Run, weights: str | None) -> Simulator:
+    """The simulator of the options; jobs mostly share one, whose weights need not be read for each."""
+    from pb4u.simulation.checkpoint import weights_file
+    from pb4u.simulation.models import simulator_of
+
+    if weights:
+        with weights_file(str(options.model)) as path:
+            require_content(path, weights)
+    return simulator_of(options)
+
+
+# Jobs of an evaluation come sorted by scene: the garment is cut and meshed once for all the models.
+@lru_cache(maxsize=1)
+def _scene(run: Run) -> tuple[Scene, tuple[str, ...]]:
+    """The scene of a run, and what is warned of."""
+    from pb4u.scene.assembly import build_scene
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", InputWarning)
+        scene = build_scene(run)
+    return scene, tuple(str(each.message) for each in caught)
+
+
+@lru_cache(maxsize=1)
+def _reference(run: Run) -> Reference:
+    """Solver's rollout of a scene, and the states that all models are compared on."""
+    from pb4u.measures.excess import Reference
+    from pb4u.simulation.first_frame import Settled
+    from pb4u.simulation.simulator import RunRecord
+    from pb4u.simulation.stepwise_simulator import SolverSimulator
+    from pb4u.simulation.timeline import Timeline
+
+    scene, _ = _scene(run)
+    timeline = Timeline.of(scene)
+    first = next(iter(Settled().states(timeline, SolverSimulator().method(timeline, RunRecord()))))
+    return Reference.of(timeline, first, scene.total_frames, scene.lead_in)
+
+
+def _against_reference(run: Run, simulator: Simulator, trajectory: Trajectory) -> dict[str, Any]:
+    """Distance [m] of each frame from the reference's, and excess heights [m] on its shared states."""
+    import numpy as np
+
+    from pb4u.measures.excess import BEATEN_BY, series
+    from pb4u.simulation.simulator import RunRecord
+    from pb4u.simulation.stepwise_simulator import StepwiseSimulator
+
+    reference = _reference(run)
+    pairs = zip(trajectory.positions, reference.states[run.lead_in :], strict=False)
+    away = [float(np.linalg.norm(x - y.positions.numpy(), axis=1).mean()) for x, y in pairs]
+    found: dict[str, Any] = {"distance_to_reference": series(away)}
+    if isinstance(simulator, StepwiseSimulator):
+        heights = reference.excess(simulator.method(reference.timeline, RunRecord()))
+        below = sum(height < -BEATEN_BY for height in heights)
+        found["excess_height"] = {**series(heights), "states": len(heights), "below_reference": below}
+    return found
+
+
+def _own_steps(simulator: Simulator, mean_edge_length: float) -> int | None:
+    """K that a network's own rule takes, whatever it was told; None for what has none."""
+    from pb4u.simulation.stepwise_simulator import NetworkSimulator
+
+    if not isinstance(simulator, NetworkSimulator):
+        return None
+    return simulator.checkpoint.model.network.propagation_steps(mean_edge_length) or None
+
+
+def _encoded(job: RunJob, trajectory: Trajectory, result: dict[str, Any]) -> bytes:
+    """What is kept of a trajectory, as the bytes of a trajectory file."""
+    if job.keep != "stills":
+        return trajectory.encode(job.keep == "half")
+    kept = [result["pictured_frame"], _worst_frame(result, trajectory.frame_count)]
+    arrays = {name: getattr(trajectory, name)[kept] for name in ("positions", "velocities", "body_positions")}
+    return replace(trajectory, **arrays).encode()
+
+
+def _worst_frame(result: dict[str, Any], frames: int) -> int:
+    """The frame that shows best what is wrong: where it diverged or slid for good, else where most is inside."""
+    if result["diverged"]:
+        return min(int(result["diverged_at"]), frames - 1)
+    values = result["metrics"].get("penetration_percent", {}).get("per_frame", [0.0])
+    if result["slid_at"] is not None:
+        values = result["hold_shift"]["per_frame"]
+    return max(range(len(values)), key=values.__getitem__)
+
+
+def _plain(specification: object, files: Mapping[str, list[str]]) -> Any:
+    """A specification as JSON, files by their names and contents."""
+    if isinstance(specification, Run | WornGarment):
+        return {each.name: _plain(getattr(specification, each.name), files) for each in fields(specification)}
+    if isinstance(specification, tuple):
+        return [_plain(each, files) for each in specification]
+    if isinstance(specification, str | Path):
+        return files.get(str(specification), str(specification))
+    return specification

@@ -1,0 +1,79 @@
+"""A result's address: the same for the same work, another for any other; and what is measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pb4u.jobs import job_folder
+from pb4u.measures import run_job
+from pb4u.measures.job_planner import JobPlanner
+from pb4u.measures.run_job import RunJob, make
+from pb4u.paper.protocol_plan import ALONE
+from pb4u.run import Run, WornGarment
+
+RUN = Run((WornGarment("tshirt", triangles=400),), motion="walk", frames=3, model="solver", seed=2000, device="cpu")
+JOB = RunJob(RUN)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        *(
+            replace(JOB, run=RUN.with_entries(change))
+            for change in (
+                {"garment": "dress"}, {"body": "man"}, {"motion": "jump"}, {"seed": 2001}, {"triangles": 401},
+                {"frames": 4}, {"lead_in": 0}, {"material": "silk"}, {"body_shape": {"height": 0.5}},
+                {"propagation_steps": 3}, {"refine": 1}, {"contact": False}, {"self_contact": True}, {"device": "cuda"},
+                {"model": "skinning"},
+            )
+        ),
+        replace(JOB, excess=True),
+        replace(JOB, weights="digest"),
+        replace(JOB, keep="half"),
+    ],
+)  # fmt: skip
+def test_other_work_has_another_address(other: RunJob) -> None:
+    assert other.key != JOB.key
+
+
+def test_the_name_in_tables_is_no_part_of_the_address() -> None:
+    assert replace(JOB, label="ours").key == JOB.key
+
+
+def test_versions_change_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = replace(JOB).key
+    monkeypatch.setattr(run_job, "FOLDER_VERSION", job_folder.FOLDER_VERSION + 1)
+    raised = replace(JOB).key
+    monkeypatch.setattr(run_job, "__version__", "99.0")
+    assert len({before, raised, replace(JOB).key}) == 3
+
+
+def test_a_file_counts_by_its_content_and_not_by_its_place(tmp_path: Path) -> None:
+    def on(folder: str, content: str) -> str:
+        file = tmp_path / folder / "07_02.amc"
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(content)
+        return JobPlanner().job(replace(RUN, motion=str(file))).key
+
+    assert on("here", "one") == on("there", "one")
+    assert on("here", "one") != on("there", "two")
+
+
+def test_a_job_names_itself_in_plain_words() -> None:
+    job = RunJob(replace(RUN, propagation_steps=5), "best")
+    assert str(job) == "tshirt in default on woman, walk, seed 2000, 400 triangles, by best, K 5"
+
+
+def test_excess_is_measured_on_states_that_all_models_share() -> None:
+    def metrics(model: str) -> dict:
+        run = replace(RUN, **{**ALONE, "model": model, "frames": 4, "lead_in": 2})
+        return make(RunJob(run, keep="stills", excess=True)).result["metrics"]
+
+    start, descent = metrics("warm-start"), metrics("gradient-descent")
+    assert start["excess_height"]["states"] == descent["excess_height"]["states"] == 1
+    assert 0.0 < descent["excess_height"]["mean"] < start["excess_height"]["mean"]
+    assert len(start["distance_to_reference"]["per_frame"]) == 4
+    assert 0.0 < start["distance_to_reference"]["mean"] < 0.2

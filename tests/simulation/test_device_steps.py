@@ -1,0 +1,156 @@
+"""Steps on an accelerator without one: nothing waits for the host, and a processor computes the same either way."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from tests.network_scenes import accelerations, moment, sheet
+from tests.simulation.ball_scene import ball_scene
+
+from pb4u.collision.rooms import Rooms
+from pb4u.errors import InputError
+from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.paper.network_presets import NETWORKS
+from pb4u.physics.contact.contact_set import ContactPlanes
+from pb4u.simulation.checkpoint import from_pretrained
+from pb4u.simulation.device_steps import require_memory, states_after
+from pb4u.simulation.models import load_simulator
+from pb4u.simulation.network_pass import NetworkPass
+from pb4u.simulation.pass_search import search_of
+from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step_start import start_of
+from pb4u.simulation.timeline import Timeline
+
+ROOT = Path(__file__).parents[2]
+
+
+def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
+    network = model.network
+    dtype = next(model.parameters()).dtype
+    prepared = model.prepare(timeline.garments, dtype=dtype)
+    passes = NetworkPass(model, prepared, network.passes, further=network.further_passes)
+    return StepMethod(start_of(network), passes, search=search_of(network))
+
+
+def on_host(model: AccelerationModel, steps: int) -> list[torch.Tensor]:
+    timeline = Timeline.of(ball_scene(frames=steps + 2))
+    method, state = method_of(model, timeline), timeline.skinned_state(1)
+    made = []
+    for _ in range(steps):
+        *_, state = predictions(timeline.step_from(state), method)
+        made.append(state.positions.detach())
+    return made
+
+
+@pytest.fixture
+def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on an accelerator: no compiled kernels, and contact normals that do not hang on which of two faces is named.
+
+    Where two faces are equally near, rounding decides; their normals differ, and so friction would.
+    """
+    monkeypatch.setattr(ContactPlanes, "transported_normals", lambda self, pose: self.normals)
+
+
+def on_device(
+    model: AccelerationModel, steps: int, monkeypatch: pytest.MonkeyPatch, rooms: Rooms
+) -> list[torch.Tensor]:
+    monkeypatch.setattr("pb4u.network.recorded_passes.COMPILES", False)
+    monkeypatch.setattr("pb4u.physics.incremental_potential.COMPILES", False)
+    timeline = Timeline.of(ball_scene(frames=steps + 2)).to(torch.device("cpu"), rooms)
+    states = states_after(timeline, method_of(model, timeline), timeline.skinned_state(1), steps + 2)
+    return [state.positions for state in states]
+
+
+@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 5)])
+def test_both_ways_lead_to_the_same_states(
+    dtype: torch.dtype, near: float, steps: int, in_tensors: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = from_pretrained("pb4u-wide").model.to(dtype)
+    expected = on_host(model, steps)
+    found = on_device(model, steps, monkeypatch, Rooms())
+    assert len(found) == steps
+    assert float((expected[-1] - expected[0]).abs().max()) > 5e-3
+    for one, other in zip(found, expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=near)
+
+
+def test_a_step_with_too_little_room_is_taken_again(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = from_pretrained("pb4u-wide").model.double()
+    rooms = Rooms()
+    rooms.sizes = {"faces": 10, "world edges": 3, "body nodes": 2, "passes": 2}
+    found = on_device(model, 4, monkeypatch, rooms)
+    assert rooms.sizes["faces"] > 100
+    for one, other in zip(found, on_host(model, 4), strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=1e-8)
+
+
+def test_what_a_card_cannot_do_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    monkeypatch.setattr("torch.version.cuda", None)
+    with pytest.raises(InputError, match="no CUDA device here; use --device cpu"):
+        load_simulator("pb4u-small", device="cuda")
+    monkeypatch.setattr("torch.version.cuda", "13.0")
+    with pytest.raises(InputError, match=r"CUDA 13\.0 of this torch runs on; update the driver"):
+        load_simulator("pb4u-small", device="cuda")
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setattr("torch.cuda.is_bf16_supported", lambda including_emulation: False)
+    with pytest.raises(InputError, match="does not multiply in bfloat16"):
+        load_simulator("pb4u-small", device="cuda", precision="bfloat16")
+    garments = Timeline.of(ball_scene()).garments
+    require_memory(garments, 27_000, 64, 10**9)
+    with pytest.raises(InputError, match=r"has 0\.0 GB left, .* garments of \d+ triangles in all would fit"):
+        require_memory(garments, 27_000, 64, 10**6)
+
+
+COUNT = """
+from dataclasses import replace
+from accelerator import NETWORKS, count
+from tests.simulation.ball_scene import ball_scene
+small = dict(width=8, blocks=1)
+NETWORKS["whole"] = replace(NETWORKS["pb4u_small_conjugate"], passes=1, further_passes=1, **small)
+NETWORKS["bare"] = replace(NETWORKS["literal"], **small)
+for name in ("bare", "whole"):
+    counted, _ = count(name, ball_scene(cells=8))
+    print(sum(counted.launches.values()), dict(counted.transfers))
+"""
+
+
+def test_a_step_on_a_card_waits_for_nothing() -> None:
+    """In a process of its own, on fake tensors: reading a value back there is an error, and copies are counted."""
+    path = os.pathsep.join([str(ROOT), str(ROOT / "benchmarks"), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT],
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    bare, whole = (line.split(" ", 1) for line in done.stdout.splitlines())
+    assert 100 < int(bare[0]) < 1000 < int(whole[0])
+    assert bare[1] == whole[1] == "{}", "copies between processor and card in a step"
+
+
+def test_garments_of_different_k_step_side_by_side() -> None:
+    """Where shapes may not change, a garment rests after its last propagation step instead of leaving."""
+    torch.manual_seed(0)
+    model = AccelerationModel(replace(NETWORKS["literal"], width=8, blocks=1).network()).double()
+    at = moment([sheet(8, 8), sheet(6, 6, edge=0.02)])
+    assert at.collider is not None
+    expected = accelerations(model, at, (4, 2))
+    bodies = at.collider.colliders.to(torch.device("cpu"), Rooms())
+    poses = (at.collider.previous, at.collider.now, at.collider.following)
+    padded = replace(at, collider=type(at.collider)(*(bodies.pose(pose.positions) for pose in poses)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pb4u.network.recorded_passes.COMPILES", False)
+        found = accelerations(model, padded, (4, 2))
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-10)
+        parts = [torch.autograd.grad(made.square().sum(), list(model.parameters())) for made in (found, expected)]
+    for one, other in zip(*parts, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-8, atol=1e-12)

@@ -1,0 +1,44 @@
+"""Training data of the user's own garment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pb4u.body.library import load_body
+from pb4u.errors import InputError
+from pb4u.garment.library import build_garment
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.obj_file import write_obj
+from pb4u.training.collection import collect
+from pb4u.training.configuration import DataSelection
+
+
+@pytest.fixture(scope="module")
+def shirt(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("own") / "shirt.obj"
+    garment = build_garment("tshirt", load_body("man"), 700)  # type: ignore[arg-type]
+    write_obj(file, PolygonMesh(garment.vertices, tuple(garment.faces)))
+    return file
+
+
+def selection(*garments: str, bodies: tuple[str, ...] = ("man", "woman")) -> DataSelection:
+    return DataSelection(garments, (600,), bodies, shapes=2, motions=("walk",), clips=1, clip_frames=8)
+
+
+def test_a_garment_of_a_file_is_worn_by_the_body_that_it_was_made_for(shirt: Path) -> None:
+    data = collect(selection("skirt", str(shirt)))
+    assert [(outfit.garment.name, outfit.body) for outfit in data.outfits] == [("skirt", 0), ("shirt", 0), ("skirt", 1)]
+    assert np.isclose(data.outfits[1].garment.triangle_count, 600, rtol=0.1)
+
+
+def test_with_files_alone_the_first_body_is_the_only_one(shirt: Path) -> None:
+    data = collect(selection(str(shirt)))
+    assert len(data.bodies) == len(data.outfits) == 1
+
+
+def test_a_file_that_is_missing_is_refused() -> None:
+    with pytest.raises(InputError, match=r"There is no garment file none\.obj"):
+        collect(selection("none.obj"))
