@@ -59,7 +59,7 @@ def result(clip: Clip, model: str, args: argparse.Namespace) -> dict[str, object
         triangles=args.triangles,
         crop=clip.crop,
     )
-    simulator, record = load_simulator(model, body_surface=args.surface), RunRecord()
+    simulator, record = load_simulator(model), RunRecord()
     stamps = [time.perf_counter()]
     frames = []
     for frame in simulator.written_frames(scene, record):
@@ -98,7 +98,6 @@ def main() -> None:
     parser.add_argument("--triangles", type=int, default=2500)
     parser.add_argument("--only", default="", help="names of clips, by comma")
     parser.add_argument("--data", type=Path)
-    parser.add_argument("--surface", action="store_true", help="with the body's surface in contact")
     parser.add_argument("--keep", type=Path, help="folder for the trajectories")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()

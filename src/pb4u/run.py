@@ -96,6 +96,7 @@ class WornGarment:
         triangles: Triangles to simulate. Default: the file's own, or 2,500 of a built-in garment.
         texture: Image laid on the garment by its UVs, or from front and back where it has none. Default: the images
             and colours of its own file (OBJ with MTL, glTF).
+        tacks: Pairs A:B of vertices that are sewn together, counted from 0 in the author's mesh.
         tucked: Whether it goes into what is worn from the waist, such as trousers, wherever it stands in the order.
 
     Raises:
@@ -107,6 +108,7 @@ class WornGarment:
     pins: Annotated[str | Path | Sequence[int] | None, Flag(GARMENT, "[NAME=]PINS", is_file=True)] = None
     triangles: Annotated[int | None, Flag(GARMENT, "[NAME=]N")] = None
     texture: Annotated[str | Path | None, Flag(GARMENT, "[NAME=]FILE", is_file=True)] = None
+    tacks: Annotated[Sequence[tuple[int, int]], Flag(GARMENT, "[NAME=]A:B")] = ()
     tucked: Annotated[bool, Flag(GARMENT)] = False
 
     def __post_init__(self) -> None:
@@ -115,6 +117,9 @@ class WornGarment:
             if not all(isinstance(index, Integral) and not isinstance(index, bool) for index in indices):
                 raise InputError(f"The pins must be a name, a file or a list of vertex indices, not {self.pins!r}.")
             object.__setattr__(self, "pins", tuple(map(int, indices)))
+        if not _are_pairs(self.tacks):
+            raise InputError(f"Tacks are pairs of vertices, such as [[10, 210]], not {self.tacks!r}.")
+        object.__setattr__(self, "tacks", tuple((int(a), int(b)) for a, b in self.tacks))
         _check(self)
 
     @property
@@ -155,11 +160,10 @@ class Run:
             name, .safetensors file or .pth of the released code. Default: pb4u-wide.
         refine: Most solver iterations after each step of a network, or of the quick solver. A step that they leave
             failed is retried.
-        contact: Push the garment out of the body after each step.
+        contact: Push the garment out of the body after each step; with self_contact also no face or edge of the body
+            goes through cloth.
         self_contact: Cloth feels cloth, within a garment and between garments. Default: on for the solver and
             networks; skinning cannot.
-        body_surface: Keep cloth clear of faces and edges of the body too, not at its vertices alone; takes about half
-            as long again.
         propagation_steps: Propagation steps of a network. Default: as many as the mesh calls for.
         passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
             it, or 1 with --refine.
@@ -196,7 +200,6 @@ class Run:
     refine: Annotated[int, _model("N", least=0, most=10_000)] = 5
     contact: Annotated[bool, _model()] = True
     self_contact: Annotated[bool | None, _model()] = None
-    body_surface: Annotated[bool, _model()] = False
     propagation_steps: Annotated[int | None, _model("K", least=1, most=500)] = None
     passes: Annotated[int | None, _model("N", least=1, most=1000)] = None
     device: Annotated[Literal["auto", "cpu", "cuda"], _model()] = "auto"
@@ -526,6 +529,13 @@ def _is_whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
+def _are_pairs(value: object) -> bool:
+    """Whether a value is a list of pairs of whole numbers."""
+    return isinstance(value, list | tuple) and all(
+        isinstance(pair, list | tuple) and len(pair) == 2 and all(map(_is_whole, pair)) for pair in value
+    )
+
+
 def _is_same(garment: object, other: object) -> bool:
     if isinstance(garment, str | Path) and isinstance(other, str | Path):
         return Path(garment) == Path(other)
@@ -554,9 +564,9 @@ def _located(name: str, value: Any, folder: Path | None) -> Any:
 
 
 def _one_each(name: str, value: Any, count: int) -> Sequence[Any]:
-    """The value for each of `count` garments; a list of whole numbers is one choice of pins."""
+    """The value for each of `count` garments; a list of whole numbers is one choice of pins, one of pairs of tacks."""
     is_indices = name == "pins" and isinstance(value, list | tuple) and all(map(_is_whole, value))
-    if not isinstance(value, list | tuple) or is_indices:
+    if not isinstance(value, list | tuple) or is_indices or (name == "tacks" and _are_pairs(value)):
         return [value] * count
     if len(value) != count:
         raise InputError(f"{name} has {len(value)} values for {count} garments; give one for all, or one each.")
@@ -570,7 +580,11 @@ def _is_file(value: str) -> bool:
 def _written(record: Run | WornGarment, section: str, folder: Path) -> dict[str, Any]:
     """What is set of a section, as TOML holds it."""
     values = {name: getattr(record, name) for name in entries(section)}
-    return {name: _plain(name, value, folder) for name, value in values.items() if value is not None and value != {}}
+    return {
+        name: _plain(name, value, folder)
+        for name, value in values.items()
+        if value is not None and value != {} and (name, value) != ("tacks", ())
+    }
 
 
 def _plain(name: str, value: Any, folder: Path) -> Any:

@@ -47,6 +47,19 @@ class GarmentValue(NamedTuple):
         except ValueError:
             raise typer.BadParameter(f"it takes a whole number or NAME=N; {text!r} is neither.") from None
 
+    @classmethod
+    def parse_pair(cls, text: str) -> GarmentValue:
+        """Value from `A:B` or `NAME=A:B`.
+
+        Raises:
+            BadParameter: A and B are no whole numbers.
+        """
+        name, value = cls.parse(text)
+        pair = value.split(":")
+        if len(pair) != 2 or not all(part.strip().isdecimal() for part in pair):
+            raise typer.BadParameter(f"it takes two vertices A:B or NAME=A:B; {text!r} is neither.")
+        return cls(name, (int(pair[0]), int(pair[1])))
+
 
 TuckFlag: TypeAlias = Annotated[
     list[str] | None,
@@ -115,7 +128,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
         InputError: a flag names a garment that is not there, or is given for none in particular.
     """
     given = {name: value for name, value in flags.items() if value is not None}
-    tuck, method = given.pop("tuck", []), given.pop("as_released", None)
+    tuck, tack, method = given.pop("tuck", []), given.pop("tack", []), given.pop("as_released", None)
     named = given.get("garment")
     worn = [WornGarment(name).name for name in named] if named else [each.name for each in described_run.garments]
     for name in ("material", "pins", "triangles", "texture"):
@@ -126,6 +139,11 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
             raise unknown_name("garment in this scene", name, worn)
     if tuck:
         given["tucked"] = [True if name in tuck else None for name in worn]
+    if tack:
+        given["tacks"] = [[each.value for each in tack if each.garment in (None, name)] for name in worn]
+        for each in tack:
+            if each.garment not in worn and (each.garment is not None or len(worn) > 1):
+                raise unknown_name("garment in this scene", each.garment or "--tack without NAME=", worn)
     for entry in described(Run).values():
         if entry.name in given and _is_on_or_off(entry):
             given[entry.name] = given[entry.name] == "on"
@@ -140,6 +158,11 @@ def _garment_parameters() -> list[inspect.Parameter]:
     for entry in described(WornGarment).values():
         if entry.name == "tucked":
             made.append(_parameter("tuck", TuckFlag))
+        elif entry.name == "tacks":
+            parser = GarmentValue.parse_pair
+            made.append(
+                _parameter("tack", Annotated[list[GarmentValue] | None, _option(entry, " Repeatable.", parser)])
+            )
         elif entry.name == "garment":
             made.append(
                 _parameter(entry.name, Annotated[list[str] | None, _option(entry, " Repeatable, inner first.")])
@@ -187,7 +210,7 @@ def _kind(entry: Entry) -> Any:
 
 def _option(entry: Entry, more: str = "", parser: Callable[[str], Any] | None = None) -> Any:
     text = entry.help + more
-    if "Default:" not in text and entry.default is not None:
+    if "Default:" not in text and entry.default not in (None, ()):
         shown = (
             {True: "on", False: "off"}.get(entry.default, entry.default) if entry.kind == "switch" else entry.default
         )

@@ -12,7 +12,7 @@ import numpy as np
 from pb4u.collision.element_distance import free_share, gather, nearest
 from pb4u.collision.element_pairs import ElementPairs
 from pb4u.collision.jit import compiled
-from pb4u.collision.surface_tree import SurfaceTree
+from pb4u.collision.surface_tree import SurfaceTree, any_corner
 
 SMALLEST_GAP = 1e-4
 """Distance [m] that no two elements come within: rounding to float32 at two metres moves a vertex by 1e-7 m."""
@@ -119,7 +119,7 @@ def past_obstacles(
     for attempt in range(_IMPULSES + _ZONES):
         if (shares >= 1.0).all():
             # Changed moves may meet others than the first ones did.
-            pairs, gaps = _met(tree, before, moves, passed, pairs, (moves != looked_up).any(axis=1))
+            pairs, gaps = _met(tree, before, moves, passed, pairs, _differ(moves, looked_up))
             looked_up = moves.copy()
             shares = free_shares(pairs, gaps, before, moves)
             if (shares >= 1.0).all():
@@ -138,7 +138,7 @@ def past_obstacles(
         else:
             moves = _merge_touching(moves, hit.corners, joined, masses)
             moves[firm] = previous[firm]
-        changed = (moves != previous).any(axis=1)[pairs.corners].any(axis=1)
+        changed = any_corner(pairs.corners, _differ(moves, previous))
         shares[changed] = free_shares(pairs.chosen(changed), gaps[changed], before, moves)
     # All of a world together, as far as nothing touches: it always can be, but for obstacles.
     pairs, gaps = _met(tree, before, moves, passed, pairs)
@@ -197,6 +197,15 @@ def _met(
     if passed.any():
         pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, passed))
     return pairs, smallest_gaps(pairs, before)
+
+
+@compiled
+def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Which rows (vertices,) bool of two arrays (vertices, 3) are not the same."""
+    differ = np.empty(len(one), dtype=np.bool_)
+    for row in range(len(one)):
+        differ[row] = one[row, 0] != other[row, 0] or one[row, 1] != other[row, 1] or one[row, 2] != other[row, 2]
+    return differ
 
 
 @compiled

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pb4u.collision.box_tree import EVERY, boxes_meet, meeting_leaves, still_boxes, with_room
+from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.collision.crossings import self_crossings
 from pb4u.collision.jit import compiled
 from pb4u.collision.surface_tree import SurfaceTree, asked_for
@@ -38,7 +39,8 @@ class CrossingSearch:
         tree, faces = self._tree, self._tree.faces
         first = tree.first_obstacle
         found, own = np.zeros(len(vertices), dtype=bool), np.arange(len(vertices)) < first
-        node_boxes, face_boxes, *_ = tree.fitted(vertices, np.zeros_like(vertices), 0.5 * _TOUCHING)
+        # As wide as for a move from there, which then finds its boxes fitted.
+        node_boxes, face_boxes, *_ = tree.fitted(vertices, np.zeros_like(vertices), 0.5 * SMALLEST_GAP)
         shape = tree.boxes.arrays
         asked = asked_for(shape[:3], faces, tree.edges[:0], own if among is None else among & own)
         pairs = _touching_faces(vertices, faces, node_boxes, face_boxes, shape, False, self._most, asked)

@@ -206,7 +206,9 @@ class SurfaceTree:
         asked = (among, *asked_for(tree, self.faces, self.edges, among))
         whole = np.count_nonzero(among) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
-        searches = [partial(_search, boxes, tree, elements, asked, part) for part in parts]
+        # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
+        way = vertices, moves, 2.0 * margin, 2.0 * (margin + room), self.first_obstacle
+        searches = [partial(_search, boxes, tree, elements, asked, part, way) for part in parts]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = zip(*(np.array_split(pairs, _PIECES if whole else 1) for pairs in self._around), strict=True)
         searches += [partial(_search_around, boxes, elements, asked, *piece) for piece in pieces]
@@ -401,7 +403,7 @@ def asked_for(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which nodes, faces and edges have a vertex `among` (vertices,) those asked for."""
     order, children, ranges = tree
-    asked_edges, asked_faces = _any_corner(edges, among), _any_corner(faces, among)
+    asked_edges, asked_faces = any_corner(edges, among), any_corner(faces, among)
     asked_nodes = np.empty(len(children), dtype=np.bool_)
     for node in range(len(children) - 1, -1, -1):
         asked = False
@@ -416,11 +418,12 @@ def asked_for(
 
 @compiled
 def _search(
-    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray
+    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray, way: tuple
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corners (pairs, 4) of vertex and face, and of two edges, with one `asked` for and boxes that meet.
 
-    Of the elements in the pairs of nodes `parts` (parts, 2), of faces that share no vertex.
+    Of the elements in the pairs of nodes `parts` (parts, 2), of faces that share no vertex. Those of obstacles that
+    `_beside` tells of, on the `way`, are left out.
     """
     order, children, ranges = tree
     faces, edges, owned_vertices, owned_edges = elements
@@ -438,6 +441,10 @@ def _search(
                 if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes, f, face_boxes, g):
                     continue
                 if _share_a_vertex(faces, f, g):
+                    continue
+                if faces[f, 0] >= way[4] and _beside(faces[g], faces[f], way):
+                    continue
+                if faces[g, 0] >= way[4] and _beside(faces[f], faces[g], way):
                     continue
                 for one, two in ((f, g), (g, f)):
                     for k in range(3):
@@ -462,7 +469,37 @@ def _search(
 
 
 @compiled
-def _any_corner(elements: np.ndarray, among: np.ndarray) -> np.ndarray:
+def _beside(face: np.ndarray, other: np.ndarray, way: tuple) -> bool:
+    """Whether another face (3,) stays on one side of the plane of a `face` (3,).
+
+    By more than a distance [m] at the beginning of the moves and another at their end, as the `way` says: vertices
+    (vertices, 3) [m], moves (vertices, 3) [m], these two distances [m].
+    """
+    vertices, moves, begun, ended = way[0], way[1], way[2], way[3]
+    normal, a = np.empty(3), face[0]
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        normal[axis] = (vertices[face[1], i] - vertices[a, i]) * (vertices[face[2], j] - vertices[a, j])
+        normal[axis] -= (vertices[face[1], j] - vertices[a, j]) * (vertices[face[2], i] - vertices[a, i])
+    length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    low, high, after_low, after_high = np.inf, -np.inf, np.inf, -np.inf
+    own_low, own_high = np.inf, -np.inf
+    for corner in range(3):
+        v, w = other[corner], face[corner]
+        height, rise, own_rise = 0.0, 0.0, 0.0
+        for axis in range(3):
+            height += normal[axis] * (vertices[v, axis] - vertices[a, axis])
+            rise += normal[axis] * moves[v, axis]
+            own_rise += normal[axis] * (vertices[w, axis] - vertices[a, axis] + moves[w, axis])
+        low, high = min(low, height), max(high, height)
+        after_low, after_high = min(after_low, height + rise), max(after_high, height + rise)
+        own_low, own_high = min(own_low, own_rise), max(own_high, own_rise)
+    above = low > begun * length and after_low - own_high > ended * length
+    return above or (high < -begun * length and own_low - after_high > ended * length)
+
+
+@compiled
+def any_corner(elements: np.ndarray, among: np.ndarray) -> np.ndarray:
     """Whether any corner of each of the `elements` (elements, corners) is `among` (vertices,)."""
     found = np.zeros(len(elements), dtype=np.bool_)
     for element in range(len(elements)):

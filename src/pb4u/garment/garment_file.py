@@ -60,7 +60,7 @@ def read_garment(
         uv_faces = None if source.polygon_uvs is None else np.concatenate(source.polygon_uvs)[corners]
         looks = None if source.appearances is None else source.appearances.at(surface.polygon[surface.kept])
         garment = Garment(path.stem, vertices, faces, material, uvs=source.uvs, uv_faces=uv_faces, appearances=looks)
-        garment = replace(garment, source=_map_to_same(source, simulated, vertices, faces))
+        garment = replace(garment, source=map_to_same(source, simulated, vertices, faces))
     else:
         assert triangles is not None
         from pb4u.collision.remeshing import remesh
@@ -71,8 +71,15 @@ def read_garment(
     return garment if pins is None else garment.with_pins(resolve_pins(pins, garment))
 
 
-def _map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
-    """Source map of a mesh that holds the `simulated` source vertices, in order; others keep to it."""
+def map_to_same(source: PolygonMesh, simulated: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> SourceMap:
+    """Source map of a mesh that holds some vertices of its source, in order; others keep to it.
+
+    Args:
+        source: the author's mesh.
+        simulated: (vertices,) int64 vertices of the source that the mesh holds.
+        vertices: (vertices, 3) of the mesh [m].
+        faces: (faces, 3) int64 of the mesh.
+    """
     triangle = np.zeros(len(source.vertices), dtype=np.int64)
     barycentric = np.zeros((len(source.vertices), 3))
     corner_of = np.zeros(len(vertices), dtype=np.int64)

@@ -31,6 +31,7 @@ from pb4u.garment.library import SEWN, build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
+from pb4u.garment.tacks import tacked
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.motion.character_lead_in import character_lead_in
@@ -343,21 +344,22 @@ def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garmen
     if isinstance(garment, Garment):
         require_near(garment, body)
         cloth = garment.material if worn.material is None else _load_material(worn.material)
-        return _remeshed(garment, triangles).with_material(cloth)
+        return tacked(_remeshed(garment, triangles), worn.tacks).with_material(cloth)
     if not isinstance(garment, str | Path):
         raise InputError(f"The garment must be a name, a path or a Garment, not {garment!r}.")
     cloth = _load_material(worn.material or DEFAULT_MATERIAL)
     entry = DictionaryEntry.parse(garment)
     if entry is not None:
         read = resolve_name("pb4u.compat.garment_dictionary:read_dictionary_garment")
-        return _worn(_remeshed(read(entry, cloth), triangles), body)
+        return _worn(tacked(_remeshed(read(entry, cloth), triangles), worn.tacks), body)
     if loader := SEWN.get(Path(garment).suffix.lower()):
-        loaded = resolve_name(loader)(Path(garment), body, cloth, triangles)
+        loaded = tacked(resolve_name(loader)(Path(garment), body, cloth, triangles), worn.tacks)
         return _held(loaded, body) if worn.pins is None else loaded
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
         if triangles is not None:
             loaded = _outside_as_made(loaded, RestBody.of(body))
+        loaded = tacked(loaded, worn.tacks)
         if worn.pins is None:
             loaded = _held(loaded, body)
         require_worn(loaded, body, garment, pins_given=worn.pins is not None)
@@ -369,7 +371,7 @@ def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garmen
             "give the garment as a mesh file that fits its first frame."
         )
     options = {} if triangles is None else {"triangles": triangles}
-    return build_garment(str(garment), body, **options).with_material(cloth)
+    return tacked(build_garment(str(garment), body, **options), worn.tacks).with_material(cloth)
 
 
 def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:

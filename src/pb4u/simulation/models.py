@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from pb4u.simulation.first_frame import FirstFrame
 
 OPTIONS: dict[str, frozenset[str]] = {
-    "solver": frozenset({"contact", "self_contact", "body_surface", "first_frame"}),
-    "quick-solver": frozenset({"contact", "self_contact", "body_surface", "first_frame", "refine"}),
-    "gradient-descent": frozenset({"contact", "self_contact", "body_surface", "first_frame", "refine", "passes"}),
-    "warm-start": frozenset({"contact", "self_contact", "body_surface", "first_frame", "refine"}),
+    "solver": frozenset({"contact", "self_contact", "first_frame"}),
+    "quick-solver": frozenset({"contact", "self_contact", "first_frame", "refine"}),
+    "gradient-descent": frozenset({"contact", "self_contact", "first_frame", "refine", "passes"}),
+    "warm-start": frozenset({"contact", "self_contact", "first_frame", "refine"}),
     "skinning": frozenset(),
 }
 """Models that are no networks, each with the options of `load_simulator` that it looks at; a network looks at all."""
@@ -76,8 +76,8 @@ def load_simulator(name: str | Path = "auto", **options: Any) -> Simulator:
     Args:
         name: "auto", "solver", "quick-solver", "gradient-descent", "warm-start", "skinning", a shipped network, a
             checkpoint file, or a .pth of the released code of Pb4U-GNet, HOOD or ContourCraft.
-        options: fields of `Run` on the simulation by name: contact, self_contact, body_surface, refine,
-            propagation_steps, passes, device, precision, first_frame.
+        options: fields of `Run` on the simulation by name: contact, self_contact, refine, propagation_steps, passes,
+            device, precision, first_frame.
 
     Raises:
         InputError: an unknown name, a bad file or an impossible option.
@@ -108,7 +108,7 @@ def simulator_of(run: Run) -> Simulator:
     _require_possible(run, model)
     potential = IncrementalPotential()
     if run.self_contact is not False:
-        potential = potential.with_self_contact(run.body_surface)
+        potential = potential.with_self_contact(bodies=run.contact)
     contact: Contact = ContactResponse() if run.contact else NoContact()
     # The solver improves a state more, and settles it better, than one long step of a network at the same cost.
     solves = (model in OPTIONS and not looks_at(model, "refine")) or run.refine > 0
@@ -151,10 +151,6 @@ def _require_possible(run: Run, model: str) -> None:
             f"{model} carries every vertex with the body and keeps no cloth from crossing, so --self-contact cannot be "
             "on; leave it out, or take --model solver or a network."
         )
-    if run.body_surface and run.self_contact is False:
-        raise InputError("Cloth is kept off the body's surface by self-contact; leave one of the two out.")
-    if run.body_surface and not looks_at(model, "body_surface"):
-        raise InputError(f"--body-surface does nothing with --model {model}; leave it out.")
     if model in OPTIONS:
         return
     if model not in model_descriptions():

@@ -120,7 +120,10 @@ class ContactResponse(Contact):
         obstacle = Obstacle.at(step.garments, step.bodies.following, state.positions)
         if obstacle is None or not obstacle.passed.any():
             return state
-        return self.faces.lift(step.garments, state, step.bodies.following, cloth)
+        lifted = self.faces.lift(step.garments, state, step.bodies.following, cloth)
+        # Lifted past them, cloth is through nothing more than it was.
+        obstacle.reached(step.garments, step.bodies.following, lifted.positions)
+        return lifted
 
     def depth(self, step: TimeStep, x: Tensor) -> float:
         return float(torch.where(step.garments.pinned, 0.0, _depths(step, x)).max()) if len(x) else 0.0

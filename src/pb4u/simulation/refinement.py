@@ -65,7 +65,8 @@ _MOST_PRESSING = 5
 """Iterations at which that ends."""
 
 _TURNED_ASIDE = 1e-2
-"""How far [m] bodies may turn cloth aside before the energies count their faces and edges."""
+"""How far [m] bodies may turn cloth aside before the energies count their faces and edges, where it is strained: in a
+run that is every step, and takes as long as the step."""
 
 
 class Refinement(ABC):
@@ -161,7 +162,8 @@ class SolverRefinement(Refinement):
     def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
         reached = past_bodies(self_contact, step, state)
         felt = self.potential.self_contact.feels_bodies
-        if not felt or float((reached.positions - state.positions).norm(dim=1).max()) < _TURNED_ASIDE:
+        aside = (reached.positions - state.positions).norm(dim=1)
+        if not felt or float(aside.max()) < _TURNED_ASIDE or not _has_failed(step, reached.positions):
             return reached
         pressed = self.potential.pressed_by_bodies().of(step)
         solved = self._pressing.minimise(pressed, reached.positions)

@@ -1,0 +1,91 @@
+"""Tacks: vertices of a garment sewn together, such as the end of a strap on the panel that it was left unsewn at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from pb4u.errors import InputError
+from pb4u.garment.garment import Garment, SourceMap
+from pb4u.garment.garment_file import map_to_same
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.topology import Topology
+
+FARTHEST = 0.1
+"""Distance [m] over which a tack may pull two vertices together; what is farther apart is another place."""
+
+
+def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
+    """The garment with vertices made one, halfway between them; its triangles keep their shapes at rest.
+
+    Args:
+        garment: as it is simulated.
+        tacks: pairs of vertices of the author's mesh, counted from 0.
+
+    Raises:
+        InputError: a vertex that does not exist, two that are too far apart, or a seam that no cloth can have.
+    """
+    if not len(tacks):
+        return garment
+    pairs, source = np.asarray(tacks, dtype=np.int64), garment.source
+    count = len(garment.vertices) if source is None else len(source.source.vertices)
+    if bad := [pair for pair in pairs.tolist() if not all(0 <= vertex < count for vertex in pair)]:
+        raise InputError(
+            f"{garment.name}: the tack {_told(bad[0])} names a vertex that is not there; it has {count}, from 0 on."
+        )
+    ends = pairs
+    if source is not None:
+        ends = garment.faces[source.triangle[pairs], source.barycentric[pairs].argmax(axis=2)]
+    gaps = np.linalg.norm(garment.vertices[ends[:, 0]] - garment.vertices[ends[:, 1]], axis=1)
+    if (gaps > FARTHEST).any():
+        raise InputError(
+            f"{garment.name}: the vertices of the tack {_told(pairs[gaps.argmax()])} lie {100 * gaps.max():.0f} cm "
+            f"apart; choose vertices within {100 * FARTHEST:.0f} cm of each other."
+        )
+    size = len(garment.vertices)
+    graph = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (size, size))
+    joined, name = connected_components(graph, directed=False)
+    faces = name[garment.faces].astype(np.int64)
+    sides = np.sort(faces, axis=1)
+    if (np.diff(sides, axis=1) == 0).any() or len(Topology(faces, joined).non_manifold_edges):
+        raise InputError(
+            f"{garment.name}: its tacks would fold a triangle onto itself or sew three edges into one; choose vertices "
+            "of borders that lie against each other."
+        )
+    members = np.bincount(name, minlength=joined)[:, None]
+    vertices = np.stack([np.bincount(name, axis, joined) for axis in garment.vertices.T], axis=1) / members
+    pinned = np.bincount(name, garment.pinned, joined) > 0.0
+    first, skinning = np.unique(name, return_index=True)[1], garment.skinning
+    if skinning is not None:
+        skinning = skinning.at(np.repeat(first[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (joined, 1)))
+    return replace(
+        garment, vertices=vertices, faces=faces, pinned=pinned, source=source or _source_of(garment), coarse_edges=(),
+        skinning=skinning, rest_uv=_flat(garment.rest_corners),
+    )  # fmt: skip
+
+
+def _told(pair: Sequence[int]) -> str:
+    return f"{pair[0]}:{pair[1]}"
+
+
+def _source_of(garment: Garment) -> SourceMap:
+    """Map to the garment's own mesh as it was before its tacks; triangles keep their numbers."""
+    uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
+    mesh = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
+    every = np.arange(len(garment.vertices))
+    return map_to_same(mesh, every, garment.vertices, garment.faces)
+
+
+def _flat(corners: np.ndarray) -> np.ndarray:
+    """Corners (faces, 3, 2) [m] of triangles (faces, 3, 3) [m] laid flat."""
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    length = np.linalg.norm(one, axis=1)
+    flat = np.zeros((len(corners), 3, 2))
+    flat[:, 1, 0] = length
+    flat[:, 2, 0] = (one * other).sum(axis=1) / length
+    flat[:, 2, 1] = np.linalg.norm(np.cross(one, other), axis=1) / length
+    return flat
