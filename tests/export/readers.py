@@ -56,8 +56,8 @@ class Glb:
     def array(self, accessor: int) -> np.ndarray:
         entry = self.json["accessors"][accessor]
         view = self.json["bufferViews"][entry["bufferView"]]
-        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[entry["type"]]
-        dtype = {5126: "<f4", 5125: "<u4"}[entry["componentType"]]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[entry["type"]]
+        dtype = {5126: "<f4", 5125: "<u4", 5123: "<u2"}[entry["componentType"]]
         values = np.frombuffer(self._binary, dtype, entry["count"] * width, view["byteOffset"])
         return values.reshape(-1, width)
 

@@ -212,3 +212,12 @@ JsonFlag: TypeAlias = Annotated[
     str | None,
     typer.Option(metavar="FILE|-", help="Write the result as JSON to a file; '-' is standard output."),
 ]
+BonesFlag: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        help="Give each surface of a .glb this many bones (48 at most) in the place of morph targets, which game "
+        "engines play; says how far off they leave the garment.",
+        rich_help_panel="Output",
+    ),
+]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pb4u.cli.console import FORMATS, check_json_target, check_writable, keep_inputs, say, write_json, wrote
+from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, check_writable, keep_inputs, say, write_json, wrote
 from pb4u.cli.picture_flags import (
     BackgroundFlag,
     ColourFlag,
@@ -22,7 +22,7 @@ from pb4u.cli.picture_flags import (
 )
 from pb4u.cli.run_flags import run_of
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
-from pb4u.export.registry import check_target, export, is_drawn
+from pb4u.export.registry import check_bones, check_target, export, is_drawn
 from pb4u.progress import announced, progress_bar
 from pb4u.run import Run
 
@@ -96,6 +96,7 @@ def simulate(
             rich_help_panel=_OUTPUT,
         ),
     ] = None,
+    bones: BonesFlag = None,
     view: SideFlag = None,
     elevation: ElevationFlag = None,
     turntable: TurntableFlag = None,
@@ -118,8 +119,12 @@ def simulate(
     targets = list(out) if out else _default_targets(run)
     for target in targets:
         check_target(target)
+    baked = [target for target in targets if target.suffix.lower() == ".glb"]
+    if bones is not None:
+        for target in baked or targets[:1]:
+            check_bones(target, bones)
     seen = view_of(targets, view, elevation, turntable, size, colour, background)
-    _simulate(run, targets, seen, save_scene, live, json, bool(measure), reference)
+    _simulate(run, targets, seen, save_scene, live, json, bool(measure), reference, bones)
 
 
 def _refuse_useless(model: str, flags: Mapping[str, Any]) -> None:
@@ -151,6 +156,7 @@ def _simulate(
     json: str | None,
     excess: bool,
     reference: Path | None,
+    bones: int | None,
 ) -> None:
     from pb4u.export.live_caches import check_live_folder
     from pb4u.simulation.models import simulator_of
@@ -173,7 +179,7 @@ def _simulate(
     record = RunRecord()
     left = list(targets)
     trajectory = _trajectory(run, simulator, scene, left, live, record)
-    _export(trajectory, left, next((target for target in targets if target not in left), None), view)
+    _export(trajectory, left, next((target for target in targets if target not in left), None), view, bones)
     if json != "-":
         print(wrote(targets, trajectory.frame_count))
     diverged, through = None, None
@@ -190,8 +196,8 @@ def _simulate(
         from pb4u.measures.metrics import first_diverged
 
         diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
-        bones = Bones.of(scene, trajectory)
-        through = limbs_through_cloth(bones.names, bones.through_cloth(trajectory))
+        limbs = Bones.of(scene, trajectory)
+        through = limbs_through_cloth(limbs.names, limbs.through_cloth(trajectory))
     if record.failed_at is not None:
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
@@ -269,14 +275,17 @@ def _trajectory(
         return roll_out(run, simulator, scene, file, record, stepped, kept, caches.append)
 
 
-def _export(trajectory: Trajectory, targets: list[Path], saved: Path | None, view: View | None) -> None:
-    """Write the files asked for; `saved` is the trajectory's, where it has one already; `view` is for pictures."""
+def _export(
+    trajectory: Trajectory, targets: list[Path], saved: Path | None, view: View | None, bones: int | None
+) -> None:
+    """Write the files asked for; `saved` is the trajectory's; `view` is for pictures, `bones` for GLB."""
     from pb4u.scene.trajectory import interrupted_path
 
     try:
         for target in targets:
             with progress_bar(f"writing {target.name}") as progress:
-                export(trajectory, target, progress, view if is_drawn(target) else None, say)
+                of_glb = bones if target.suffix.lower() == ".glb" else None
+                export(trajectory, target, progress, view if is_drawn(target) else None, say, of_glb)
     except KeyboardInterrupt as error:
         kept = saved or trajectory.save(interrupted_path(targets[0]))
         raise Interrupted(f"all {trajectory.frame_count} frames are in {kept}", getattr(error, "signal", 2)) from error

@@ -11,6 +11,7 @@ import typer
 
 from pb4u.cli.console import (
     FORMATS,
+    BonesFlag,
     FrameRange,
     JsonFlag,
     check_json_target,
@@ -49,6 +50,7 @@ def convert(
             help="First frame and the frame after the last, counted from 0.",
         ),
     ] = None,
+    bones: BonesFlag = None,
     on: Annotated[
         Literal["simulated", "source"],
         typer.Option(help="The simulated mesh, or the author's own with its vertex order, polygons and UVs."),
@@ -63,10 +65,12 @@ def convert(
 ) -> None:
     """Write a trajectory in another format."""
     from pb4u.compat.result_pickle import open_trajectory
-    from pb4u.export.registry import check_target, export
+    from pb4u.export.registry import check_bones, check_target, export
     from pb4u.export.selection import on_source, select_frames
 
     check_target(out)
+    if bones is not None:
+        check_bones(out, bones)
     check_json_target(json)
     keep_inputs([trajectory], [("--json", json)], [out])
     seen = view_of([out], view, elevation, turntable, size, colour, background)
@@ -75,7 +79,7 @@ def convert(
     if on == "source":
         chosen = on_source(chosen)
     with progress_bar(f"writing {out.name}") as report:
-        export(chosen, out, report, seen, say)
+        export(chosen, out, report, seen, say, bones)
     summary = {"out": str(out), "frames": chosen.frame_count, "vertices": chosen.positions.shape[1], "fps": chosen.fps}
     if json:
         write_json(summary, json)

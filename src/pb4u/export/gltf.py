@@ -3,6 +3,7 @@
 One target a frame would be exact, but grow with the clip beyond what viewers take (a texture layer each in most).
 Instead each surface gets the few targets that reproduce all of its frames to within a millimetre (`shape_basis`),
 and a weight for each at every frame, interpolated in straight lines. The error is stated in the `extras` of the mesh.
+Engines that play no morph targets take bones instead (`bone_baking`).
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pb4u.errors import InputWarning
+from pb4u.export.bone_baking import BakedBones, bake_bones
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.shading import SKIN, ClothPart, cloth_parts
 from pb4u.export.shape_basis import fit_shapes
@@ -30,11 +33,17 @@ _TOLERANCE = 1e-3
 """Largest distance of a vertex from the trajectory [m]: less than can be seen beside a body."""
 _MOST_TARGETS = 256
 """Texture layers that every WebGL 2 device has."""
-_FLOAT, _UNSIGNED_INT = 5126, 5125
+_FLOAT, _UNSIGNED_INT, _UNSIGNED_SHORT = 5126, 5125, 5123
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
-def write_glb(trajectory: Trajectory, path: Path, progress: Progress = no_progress, body: bool = True) -> None:
+def write_glb(
+    trajectory: Trajectory,
+    path: Path,
+    progress: Progress = no_progress,
+    body: bool = True,
+    bones: int | None = None,
+) -> str | None:
     """Write one GLB file; vertices keep their order, copies with a second UV at a seam follow after the last.
 
     The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning tells where
@@ -45,13 +54,17 @@ def write_glb(trajectory: Trajectory, path: Path, progress: Progress = no_progre
         path: file to write.
         progress: told of the passes over the frames.
         body: whether the body is written as well.
+        bones: of each surface, in the place of its morph targets: what game engines play.
+
+    Returns:
+        How far off bones leave the garment, as a predicate without its subject; None without them.
     """
     header, frames = trajectory.header, trajectory.frame_count
     passes = 2 if body else 1
     binary = path.with_name(f"{path.name}.bin")
     try:
         with binary.open("wb") as file:
-            document = _Document(file, trajectory)
+            document = _Document(file, trajectory, bones)
             uv = (header.uvs, header.uv_faces)
             cloth = cloth_parts(header)
             document.add_surface("garment", trajectory.positions, header.faces, uv, cloth, _part(progress, 0, passes))
@@ -65,6 +78,7 @@ def write_glb(trajectory: Trajectory, path: Path, progress: Progress = no_progre
         _assemble(described, binary, path)
     finally:
         binary.unlink(missing_ok=True)
+    return document.told
 
 
 def _part(progress: Progress, before: int, passes: int) -> Progress:
@@ -85,8 +99,10 @@ def _assemble(document: dict[str, Any], binary: Path, path: Path) -> None:
 class _Document:
     """The JSON of a glTF file, while its arrays go to a binary file."""
 
-    def __init__(self, file: BinaryIO, trajectory: Trajectory) -> None:
+    def __init__(self, file: BinaryIO, trajectory: Trajectory, bones: int | None) -> None:
         self._file = file
+        self._bones = bones
+        self.told: str | None = None
         self._frames = trajectory.frame_count
         self._times: int | None = None
         self._seconds = (np.arange(self._frames) / trajectory.fps).astype(np.float32)
@@ -125,7 +141,9 @@ class _Document:
             looks: its parts, each of which has a primitive and a material of its own.
             progress: called with (passes done, passes in all).
         """
-        basis = fit_shapes(positions, faces, _TOLERANCE, _MOST_TARGETS, progress)
+        # With bones the first frame alone is a shape.
+        shown = positions if self._bones is None else positions[:1]
+        basis = fit_shapes(shown, faces, _TOLERANCE, _MOST_TARGETS, progress)
         if basis.error > _TOLERANCE:
             warnings.warn(
                 f"{_MOST_TARGETS} morph targets leave the {name} up to {1000 * basis.error:.1f} mm from the "
@@ -140,6 +158,11 @@ class _Document:
         }
         if uvs is not None:
             attributes["TEXCOORD_0"] = self._vectors(uvs * (1.0, -1.0) + (0.0, 1.0))  # v downward
+        baked = None if self._bones is None else bake_bones(np.asarray(positions), self._bones, progress)
+        if baked is not None:
+            joints, weights = baked.joints[of_vertex].astype("<u2"), baked.weights[of_vertex].astype("<f4")
+            attributes["JOINTS_0"] = self._add(joints, "VEC4", _UNSIGNED_SHORT, _ARRAY_BUFFER)
+            attributes["WEIGHTS_0"] = self._add(weights, "VEC4", _FLOAT, _ARRAY_BUFFER)
         # The parts share their vertices; none but theirs are read of them.
         primitives: list[dict[str, Any]] = [
             {
@@ -165,10 +188,42 @@ class _Document:
                 primitive["targets"] = targets
             mesh["weights"] = [0.0] * len(basis.shapes)
             mesh["extras"]["targetNames"] = [f"shape {k}" for k in range(len(basis.shapes))]
-            self._animate(node, basis.weights)
+            self._animate(node, "weights", basis.weights.reshape(-1), "SCALAR")
         self._json["nodes"].append({"name": name, "mesh": len(self._json["meshes"])})
         self._json["scenes"][0]["nodes"].append(node)
         self._json["meshes"].append(mesh)
+        if baked is not None:
+            self._add_skin(node, baked)
+            mesh["extras"] = {"largest_error": baked.largest_error, "rms_error": baked.rms_error}
+            if name == "garment":
+                self.told = (
+                    f"has {len(baked.centres)} bones, which leave the garment {1000 * baked.rms_error:.1f} mm off "
+                    f"(root mean square) and {1000 * baked.largest_error:.1f} mm at most."
+                )
+
+    def _add_skin(self, node: int, baked: BakedBones) -> None:
+        """Bones of a mesh's node, each a joint that moves and turns."""
+        nodes, first = self._json["nodes"], len(self._json["nodes"]) + 1
+        name, count = nodes[node]["name"], len(baked.centres)
+        self._json["scenes"][0]["nodes"].append(first - 1)
+        nodes.append({"name": f"{name} bones", "children": list(range(first, first + count))})
+        inverse = np.tile(np.eye(4, dtype="<f4"), (count, 1, 1))
+        inverse[:, 3, :3] = -baked.centres  # column by column
+        skin = {
+            "joints": list(range(first, first + count)),
+            "inverseBindMatrices": self._add(inverse, "MAT4", _FLOAT),
+            "skeleton": first - 1,
+        }
+        nodes[node]["skin"] = len(self._json.setdefault("skins", []))
+        self._json["skins"].append(skin)
+        for bone in range(count):
+            turns = Rotation.from_matrix(baked.rotations[:, bone]).as_quat()
+            # Of the two quaternions of a rotation the one nearer to that of the frame before.
+            turns *= np.cumprod(np.r_[1.0, np.where((turns[1:] * turns[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)])[:, None]
+            at = baked.translations[:, bone]
+            nodes.append({"name": f"{name} bone {bone}", "translation": at[0].tolist(), "rotation": turns[0].tolist()})
+            self._animate(first + bone, "translation", at, "VEC3")
+            self._animate(first + bone, "rotation", turns, "VEC4")
 
     def finished(self) -> dict[str, Any]:
         """The whole document; nothing can be added after."""
@@ -177,12 +232,12 @@ class _Document:
             self._json["animations"] = [{"name": "cloth", "samplers": self._samplers, "channels": self._channels}]
         return self._json
 
-    def _animate(self, node: int, weights: np.ndarray) -> None:
+    def _animate(self, node: int, path: str, values: np.ndarray, kind: str) -> None:
         if self._times is None:
             self._times = self._add(self._seconds, "SCALAR", _FLOAT)
             self._json["accessors"][self._times] |= {"min": [0.0], "max": [float(self._seconds[-1])]}
-        output = self._add(weights.reshape(-1), "SCALAR", _FLOAT)
-        target = {"node": node, "path": "weights"}
+        output = self._add(values.astype("<f4"), kind, _FLOAT)
+        target = {"node": node, "path": path}
         self._channels.append({"sampler": len(self._samplers), "target": target})
         self._samplers.append({"input": self._times, "output": output, "interpolation": "LINEAR"})
 

@@ -216,12 +216,31 @@ def check_view(path: Path, view: View) -> None:
         )
 
 
+def check_bones(path: Path, bones: int) -> None:
+    """Refuse bones where none are written.
+
+    Args:
+        path: file to write.
+        bones: how many of each surface.
+
+    Raises:
+        InputError: the file is no GLB, or the number is out of range.
+    """
+    from pb4u.export.bone_baking import MOST_BONES
+
+    if path.suffix.lower() != ".glb":
+        raise InputError(f"{path.suffix} has no bones; --bones is for .glb.")
+    if not 1 <= bones <= MOST_BONES:
+        raise InputError(f"The number of bones must be from 1 to {MOST_BONES}, not {bones}.")
+
+
 def export(
     trajectory: Trajectory,
     path: str | Path,
     progress: Progress | None = None,
     view: View | None = None,
     say: Callable[[str], None] | None = None,
+    bones: int | None = None,
 ) -> Path:
     """Write a trajectory in the format its suffix names; files appear when they are complete, or not at all.
 
@@ -232,6 +251,7 @@ def export(
         progress: told of what is done.
         view: camera, size and colours of pictures.
         say: called with a sentence where there is more to know of what was written, as a video's codec.
+        bones: of each surface of a GLB, in the place of morph targets; None for those.
 
     Raises:
         InputError: the target cannot be written, or not with this view.
@@ -247,7 +267,10 @@ def export(
         trajectory = _function("pb4u.export.selection:on_source")(trajectory)
     shown = _function("pb4u.export.finite_frames:hold_finite")(trajectory) if form.finite else trajectory
     writer = _function(form.writer)
-    seen = {"view": view} if form.drawn else {}
+    seen: dict[str, Any] = {"view": view} if form.drawn else {}
+    if bones is not None:
+        check_bones(path, bones)
+        seen["bones"] = bones
     try:
         with working_folder(path) as folder:
             told = writer(shown, folder / path.name, progress or no_progress, **seen)
