@@ -12,7 +12,6 @@ from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import strongest_influences
 from pb4u.errors import InputError
 from pb4u.io.array_archive import read_arrays
-from pb4u.io.reading_limits import read_text
 from pb4u.io.restricted_pickle import load_pickle
 from pb4u.io.stored_numbers import stored_numbers
 
@@ -168,10 +167,8 @@ def read_contact(path: Path, vertices: int) -> np.ndarray:
     if path.suffix.lower() != ".pkl":
         try:
             omitted = np.array(
-                [int(word) for word in read_text(path, "a list of vertices").replace(",", " ").split()], dtype=np.int64
+                [int(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()], dtype=np.int64
             )
-        except InputError:
-            raise
         except (OSError, ValueError, OverflowError):
             raise InputError(f"{path} is no list of vertex numbers; write one a line.") from None
         if len(omitted) and not 0 <= omitted.min() <= omitted.max() < vertices:

@@ -87,8 +87,6 @@ def _read_material(path: Path) -> Material:
         raise InputError(f"There is no material file {path}.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"The material file {path} cannot be read: {error}.") from None
-    except InputError:
-        raise
     except ValueError as error:
         raise InputError(f"The material file {path} is not JSON: {error}.") from None
     known = [entry.name for entry in fields(Material)]

@@ -11,7 +11,6 @@ import numpy as np
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, from_euler, multiply, rotate
-from pb4u.io.reading_limits import MOST_JOINTS, Allowance, read_lines, read_text
 from pb4u.motion.correspondences import CMU
 from pb4u.motion.recording import Recording, finite_frames
 
@@ -137,7 +136,7 @@ def _sections(path: Path) -> dict[str, list[str]]:
     """The lines under each `:keyword`, comments dropped."""
     sections: dict[str, list[str]] = {}
     current: list[str] = []
-    for line in read_text(path, "an ASF skeleton", encoding="latin-1").splitlines():
+    for line in path.read_text(encoding="latin-1").splitlines():
         text = line.split("#")[0].strip()
         if text.startswith(":"):
             keyword, _, rest = text[1:].partition(" ")
@@ -179,8 +178,8 @@ def _bones(path: Path, lines: list[str]) -> dict[str, _Bone]:
             if not set(channels) <= set(_DEGREES_OF_FREEDOM):
                 raise InputError(f'{path}: bone {name} has an unknown degree of freedom in "{" ".join(channels)}".')
             direction /= float(np.linalg.norm(direction))
-            if name in bones or len(bones) == MOST_JOINTS:
-                raise InputError(f"{path} describes the bone {name} twice, or more than {MOST_JOINTS} bones.")
+            if name in bones:
+                raise InputError(f"{path} describes the bone {name} twice.")
             bones[name] = _Bone(direction * length, angles, order, channels)
             fields = None
         elif fields is not None:
@@ -226,7 +225,7 @@ def _parents(path: Path, lines: list[str], bones: dict[str, _Bone]) -> dict[str,
 
 def _read_frames(path: Path, rest: AcclaimSkeleton, asf: Path) -> tuple[list[str], np.ndarray, bool]:
     """Bone names in file order, channel values (frames, channels), and whether angles are in degrees."""
-    lines = (line.split() for line in read_lines(path, "a recording"))
+    lines = map(str.split, path.read_text(encoding="latin-1").splitlines())
     degrees = True
     for words in lines:
         if [word.upper() for word in words] == [":RADIANS"]:
@@ -264,7 +263,6 @@ def _read_frames(path: Path, rest: AcclaimSkeleton, asf: Path) -> tuple[list[str
     _require_bones(path, moving, names, asf)
     if row < len(names):
         raise InputError(f"{path} is cut short: frame {frames} has {row} of its {len(names)} bones.")
-    Allowance(path).take(32 * frames * rest.skeleton.bone_count, "rotations of its bones")
     return names, finite_frames(np.frombuffer(values).reshape(frames, -1), path), degrees
 
 

@@ -10,14 +10,11 @@ import numpy as np
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_euler
-from pb4u.io.reading_limits import MOST_JOINTS, MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, read_text
 from pb4u.motion.correspondences import BVH_SOURCES, SkeletonRoles
 from pb4u.motion.recording import Recording, finite_frames, require_rate
 
 _HEADING = 200
 """Characters of the MOTION section that hold its number of frames and its frame time."""
-_NUMBERS_AT_ONCE = 1 << 20
-"""Characters of a text of numbers that are taken apart at once."""
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -40,18 +37,15 @@ def read_bvh(path: Path) -> Recording:
         InputError: it is cut short or malformed (naming the joint or frame), has no frames or no frame time, or its
             joints are not of a known skeleton.
     """
-    text = read_text(path, "a recording", MOST_NUMBERS_TEXT, errors="replace")
+    text = path.read_text(encoding="utf-8", errors="replace")
     head, motion, tail = text.partition("MOTION")
     if not motion or not head.lstrip().upper().startswith("HIERARCHY"):
         missing = "MOTION section; it is cut short" if "HIERARCHY" in head else "HIERARCHY; it is not a BVH recording"
         raise InputError(f"{path} has no {missing}.")
-    if len(head) > MOST_TEXT:
-        raise InputError(f"{path}: its HIERARCHY has {len(head):,} characters; {MOST_TEXT:,} are the most.")
     joints = _hierarchy(path, head)
     source = _source(path, joints)
     values, fps = _motion(path, tail, sum(len(joint.channels) for joint in joints))
 
-    Allowance(path).take(32 * len(values) * len(joints), "rotations of its joints")
     local = np.empty((len(values), len(joints), 4))
     rest = np.zeros((len(joints), 3))
     for i, joint in enumerate(joints):
@@ -102,8 +96,6 @@ def _hierarchy(path: Path, text: str) -> list[_Joint]:
             if not end_site:
                 parent = open_joints[-1] if open_joints else -1
                 joints.append(_Joint(name, parent, np.zeros(3), (), count))
-                if len(joints) > MOST_JOINTS:
-                    raise InputError(f"{path} has over {MOST_JOINTS} joints, which no recording of a person has.")
             open_joints.append(-2 if end_site else len(joints) - 1)
         elif keyword == "}":
             if not open_joints:
@@ -169,7 +161,7 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
     if frame_time <= 0.0:
         raise InputError(f"{path}: the frame time is {frame_time:g} s; it should be positive, such as 0.00833333.")
     try:
-        values = _parsed_numbers(following + text[_HEADING:])
+        values = np.array([float(word) for word in (following + text[_HEADING:]).split()])
     except ValueError as problem:
         raise InputError(f"{path} has a word where a number should be: {problem}.") from None
     count = len(values)
@@ -182,23 +174,3 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
     require_rate(1.0 / frame_time, path)
     return finite_frames(values.reshape(frames, channels), path), 1.0 / frame_time
-
-
-def _parsed_numbers(text: str) -> np.ndarray:
-    """The numbers (n,) float64 of a text, in any unit, some at a time: words take eight times the room.
-
-    Args:
-        text: numbers between blanks.
-
-    Raises:
-        ValueError: a word is none.
-    """
-    parts: list[np.ndarray] = []
-    start = 0
-    while start < len(text):
-        stop = min(start + _NUMBERS_AT_ONCE, len(text))
-        while stop < len(text) and not text[stop].isspace():
-            stop += 1
-        parts.append(np.array([float(word) for word in text[start:stop].split()]))
-        start = stop
-    return np.concatenate(parts) if parts else np.zeros(0)

@@ -14,7 +14,7 @@ from pb4u.body.smpl import JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.io.array_archive import member_names, read_arrays
-from pb4u.io.reading_limits import Allowance, told_names
+from pb4u.io.reading_limits import told_names
 from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames, require_rate
@@ -171,7 +171,6 @@ def smpl_recording(
     if not len(poses):
         raise InputError(f"{path} holds no frames.")
     require_rate(fps, path)
-    Allowance(path).take(32 * poses.size // 3, "rotations of its joints")
     skeleton = nominal_skeleton(_FAMILY_OF_WIDTH[poses.shape[1]])
     numbers = np.concatenate([poses, translations], axis=1, dtype=np.float64)
     local = from_axis_angle(finite_frames(numbers, path)[:, :-3].reshape(len(poses), -1, 3))

@@ -161,7 +161,7 @@ def read_dressed(path: str | Path) -> tuple[PatternMesh, np.ndarray, tuple[str, 
     if not all(np.isfinite(members[name]).all() for name in ("points", "vertices")):
         raise refuse("it holds numbers that are not finite")
     try:
-        record = parse_json(str(members["pattern"]), path)
+        record = parse_json(str(members["pattern"]))
         pattern = pattern_of(record, str(record["name"]))
     except InputError:
         raise

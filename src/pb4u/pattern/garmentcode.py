@@ -30,8 +30,6 @@ def read_pattern(path: str | Path) -> Pattern:
     path = Path(path)
     try:
         record = read_json(path)
-    except InputError:
-        raise
     except OSError as error:
         raise InputError(f"The pattern {path} cannot be read: {error.strerror or error}.") from None
     except ValueError as error:

@@ -19,9 +19,8 @@ import numpy as np
 from pb4u.errors import InputError, Interrupted
 from pb4u.garment.garment import Garment
 from pb4u.geometry.appearance import Appearances
-from pb4u.io.array_archive import DamagedArchiveError
 from pb4u.io.atomic_file import move_into_place, working_folder
-from pb4u.io.reading_limits import Allowance, told_error
+from pb4u.io.reading_limits import require_room
 from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_indices, joined_uvs, offsets
 from pb4u.scene.mapped_archive import map_archive
 from pb4u.scene.scene import Scene
@@ -305,20 +304,12 @@ class Trajectory:
             InputError: the file is cut short, of a newer format, not a trajectory, or holds what does not fit together.
         """
         path = Path(path)
+        if not path.is_file():
+            raise InputError(f"There is no trajectory file {path}.")
         try:
-            if not path.is_file():
-                raise InputError(f"There is no trajectory file {path}.")
             members = map_archive(path)
-        except DamagedArchiveError as error:
-            raise InputError(
-                f"{path} cannot be read as a trajectory (cut short or another format): {error.reason}."
-            ) from error
-        except InputError:
-            raise
-        except Exception as error:  # zipfile and numpy let through whatever their parsers trip over
-            raise InputError(
-                f"{path} cannot be read as a trajectory (cut short or another format): {told_error(error)}."
-            ) from error
+        except InputError as error:
+            raise InputError(f"It cannot be read as a trajectory: {error}") from error
         version = members.get("format_version", np.array(FORMAT_VERSION))
         if version.shape != () or version.dtype.kind not in "iu":
             raise InputError(f"{path} is not a pb4u trajectory: its format version is not a whole number.")
@@ -339,7 +330,7 @@ class Trajectory:
 def _whole_precision(members: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
     """The streamed members of a file in half precision, as they are in one of the first format."""
     # Each takes twice its size in the file, and is no longer mapped.
-    Allowance(path).take(4 * sum(members[name].size for name in _STREAMED), "its frames at full precision")
+    require_room(path, 4 * sum(members[name].size for name in _STREAMED))
     whole = {name: np.asarray(members[name], dtype=np.float32) for name in _STREAMED}
     for name, origins in _ORIGINS.items():
         whole[name] = whole[name] + members[origins][:, None]

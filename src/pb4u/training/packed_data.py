@@ -17,7 +17,7 @@ from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.io.array_archive import DamagedArchiveError, read_arrays
+from pb4u.io.array_archive import read_arrays
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.reading_limits import parse_json, told_error
 
@@ -195,17 +195,13 @@ def load_training_data(path: Path | str) -> TrainingData:
         raise InputError(f"There is no training pack {path}; write one with `pb4u assets pack`.")
     try:
         arrays = read_arrays(path)
-        header = parse_json(str(arrays["header"]), path)
+        header = parse_json(str(arrays["header"]))
         if header["format_version"] > FORMAT_VERSION:
             raise InputError(f"{path} is a training pack of a newer format; upgrade pb4u or write the pack again.")
         bodies: list[ShapedBody] = []
         for i, record in enumerate(header["bodies"]):
             bodies.append(_body(i, record, arrays, bodies))
         return TrainingData(tuple(bodies), tuple(_outfits(header, arrays)), tuple(_clips(header, arrays)))
-    except DamagedArchiveError as error:
-        raise InputError(
-            f"{path} is no whole training pack ({error.reason}); write it again with `pb4u assets pack`."
-        ) from error
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, OSError, IndexError) as error:
