@@ -19,7 +19,7 @@ from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology, connected_labels
 from pb4u.io.gltf_file import GltfFile, read_gltf
-from pb4u.io.reading_limits import told_names
+from pb4u.io.reading_limits import refusing, told_names
 
 # Words of meshes and materials that are no skin; a material called skin, body or face outweighs its mesh's name.
 _NOT_SKIN = re.compile(
@@ -92,12 +92,8 @@ def read_character(path: Path, clip: str | None = None, parts: Collection[str] |
         InputError: it is no glTF, is compressed by Draco or meshopt, has no skin, no such clip or part, or is damaged.
     """
     file = read_gltf(path)
-    try:
+    with refusing(path, "is damaged; export it again"):
         return _character(file, clip, parts)
-    except InputError:
-        raise
-    except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{path} is damaged ({type(error).__name__}: {str(error)[:120]}); export it again.") from error
 
 
 def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) -> Character:

@@ -281,18 +281,13 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
         if lengths.std() > _GRADED * lengths.mean():
             sentence = f"Edge lengths vary by {lengths.std() / lengths.mean():.2f} of their mean, more than {_GRADED}."
             add("graded", warning, sentence, f"simulate it evenly meshed with `--triangles {len(surface.faces)}`")
-    if surface.many_sided:
-        fix = "none is needed: triangles are cut of them to simulate, and `pb4u convert --on source` writes them whole"
-        add("polygons", Severity.NOTE, f"{surface.many_sided} faces have four corners or more.", fix)
     return findings
 
 
 def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str) -> list[Finding]:
     """Units, axes and place of (vertices, 3); `mend` is the command to mend them."""
     if fit.is_identity:
-        fix = "look whether it sits where it should, and move it in the program it comes from"
-        doubt = [] if fit.doubt is None else [Finding("closer", Severity.NOTE, fit.doubt, fix)]
-        return [*_far_finding(vertices, body), *doubt]
+        return _far_finding(vertices, body)
     if fit.is_unsure:
         sentence = (
             "It cannot be told where on the body the garment belongs: it fits about as well in "

@@ -52,7 +52,6 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     used = np.unique(np.concatenate(source.polygons))
     fit = find_fit(source.vertices[used], body)
     if fit.is_identity:
-        said += [] if fit.doubt is None else [fit.doubt]
         return source
     if fit.is_unsure:
         said.append("It was not moved: where on the body it belongs cannot be found out from its shape.")

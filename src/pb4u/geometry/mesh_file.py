@@ -12,6 +12,7 @@ import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.geometry.appearance import Appearance, Appearances, as_png
+from pb4u.io.reading_limits import refusing
 
 _TRIMESH = "pb4u.geometry.mesh_file:read_with_trimesh"
 READERS = {
@@ -53,12 +54,10 @@ def read_mesh(path: Path, refuse_large: Callable[[int], None]) -> PolygonMesh:
     Raises:
         InputError: the file is missing, damaged, empty of faces or too large.
     """
-    try:
+    with refusing(path, "cannot be read as a mesh"):
         # Counted before anything is parsed: a huge file is refused in the time it takes to read it.
         refuse_large(path.read_bytes().count(b"\nf ") if path.suffix.lower() == ".obj" else 0)
         mesh: PolygonMesh = resolve_name(READERS[path.suffix.lower()])(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
     refuse_large(sum(len(polygon) - 2 for polygon in mesh.polygons))
     return mesh
 
@@ -77,11 +76,9 @@ def read_with_trimesh(path: Path) -> PolygonMesh:
     """
     import trimesh
 
-    try:
+    with refusing(path, "cannot be read as a mesh"):
         loaded: Any = trimesh.load(path, process=False)
         parts: list[Any] = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
-    except Exception as error:  # each format's reader raises its own kinds
-        raise InputError(f"{path} cannot be read as a mesh: {str(error) or type(error).__name__}.") from None
     parts = [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     if not parts:
         raise InputError(f"{path} has no faces: export it as a polygon mesh.")

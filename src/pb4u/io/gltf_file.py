@@ -15,7 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.io.reading_limits import parse_json
+from pb4u.io.reading_limits import parse_json, refusing
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -107,7 +107,7 @@ def read_gltf(path: Path) -> GltfFile:
     Raises:
         InputError: it is none, is cut short, lacks a buffer, or is compressed by Draco or meshopt.
     """
-    try:
+    with refusing(path, "is no whole glTF file"):
         content = path.read_bytes()
         document, binary = _parted(path, content)
         if not isinstance(document, dict) or not str(document.get("asset", {}).get("version", "")).startswith("2"):
@@ -125,12 +125,6 @@ def read_gltf(path: Path) -> GltfFile:
                 raise InputError(f"{path} is cut short: a buffer has {len(held):,} of {buffer['byteLength']:,} bytes.")
             buffers.append(held)
         return GltfFile(path, document, tuple(buffers))
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except (LookupError, ValueError, TypeError, AttributeError, struct.error) as error:
-        raise InputError(f"{path} is no whole glTF file ({type(error).__name__}: {str(error)[:120]}).") from error
 
 
 def _parted(path: Path, content: bytes) -> tuple[Any, bytes]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -84,3 +85,25 @@ def told_error(error: BaseException) -> str:
     """What a library says of a file, cut to a sentence's length: some repeat the file."""
     text = str(error) or type(error).__name__
     return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]} .."
+
+
+@contextmanager
+def refusing(path: Path, sentence: str) -> Iterator[None]:
+    """Whatever stops the reading of a file as one InputError: a damaged one can raise nearly anything.
+
+    Args:
+        path: the file.
+        sentence: what is wrong with it, as a predicate of its name; what was raised follows in brackets.
+
+    Raises:
+        InputError: in the place of what was raised.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except Exception as error:
+        kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+        raise InputError(f"{path} {sentence} ({kind}{told_error(error)}).") from error

@@ -16,7 +16,7 @@ import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.io.array_archive import open_archive
-from pb4u.io.reading_limits import told_error
+from pb4u.io.reading_limits import refusing
 
 
 class _Refused(Exception):
@@ -37,7 +37,7 @@ def load_pickle(path: str | Path) -> Any:
         InputError: the file cannot be read, or names anything else.
     """
     path = Path(path)
-    with _one_sentence(path, "pickle of plain arrays"), path.open("rb") as file:
+    with _plain(path, "pickle of plain arrays"), path.open("rb") as file:
         return _Unpickler(file).load()
 
 
@@ -51,7 +51,7 @@ def load_object_array(path: str | Path) -> Any:
         InputError: it is no such .npy, or names anything else.
     """
     path = Path(path)
-    with _one_sentence(path, ".npy of plain data"), path.open("rb") as file:
+    with _plain(path, ".npy of plain data"), path.open("rb") as file:
         version = np.lib.format.read_magic(file)
         header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = header(file)
@@ -72,7 +72,7 @@ def load_tensors(path: str | Path) -> Any:
     import torch
 
     path = Path(path)
-    with _one_sentence(path, "file that torch 1.6 or later saved"):
+    with _plain(path, "file that torch 1.6 or later saved"):
         with open_archive(path):
             pass
         try:
@@ -84,18 +84,14 @@ def load_tensors(path: str | Path) -> Any:
 
 
 @contextmanager
-def _one_sentence(path: Path, whole: str) -> Iterator[None]:
-    """Whatever stops the reading of `path` as one InputError: a damaged pickle can raise nearly anything."""
+def _plain(path: Path, whole: str) -> Iterator[None]:
     try:
-        yield
-    except InputError:
-        raise
-    except _Refused as refusal:
-        raise InputError(f"{path}: {refusal}; only plain data is read, nothing in it was run.") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except Exception as error:
-        raise InputError(f"{path}: not a complete {whole} ({type(error).__name__}: {told_error(error)}).") from error
+        with refusing(path, f"is not a complete {whole}"):
+            yield
+    except InputError as error:
+        if not isinstance(error.__cause__, _Refused):
+            raise
+        raise InputError(f"{path}: {error.__cause__}; only plain data is read, nothing in it was run.") from None
 
 
 class _Shell:
@@ -185,7 +181,7 @@ class _Unpickler(pickle._Unpickler):
         if isinstance(built, np.dtype):
             # Its state can make foreign memory of an array's bytes: all of it but the order of bytes is left alone.
             if stack.pop()[1] == ">":
-                built.__setstate__((3, ">", None, None, None, -1, -1, 0))
+                built.__setstate__((3, ">", None, None, None, -1, -1, 0))  # type: ignore[attr-defined]
             return
         if isinstance(built, np.ndarray):
             _, shape, kind, _, content = stack[-1]  # numpy trusts a shape that a file can forge
@@ -203,7 +199,7 @@ class _Unpickler(pickle._Unpickler):
 
 
 def _dtype(code: object, *flags: object) -> np.dtype:
-    kind = np.dtype(code, copy=True) if isinstance(code, str) else None  # type: ignore[call-overload]
+    kind = np.dtype(code, copy=True) if isinstance(code, str) else None
     if kind is None or kind.kind not in "biufcSUO":
         raise _Refused(f"it holds an array of data type {code!r}")
     return kind

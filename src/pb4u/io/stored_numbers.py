@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.io.reading_limits import told_names
 
 Layout = Mapping[str, tuple[str, tuple[str | int | None, ...]]]
 """Member -> kinds of its numbers as numpy's letters, and its shape. Counts of one name agree over all members; None is
@@ -19,6 +21,7 @@ _KINDS = {
     "iu": "whole numbers",
     "i": "whole numbers",
     "fiu": "numbers",
+    "fiub": "numbers",
     "U": "text",
 }
 
@@ -34,15 +37,47 @@ def stored_numbers(value: object, where: str | Path, name: str) -> np.ndarray:
     Raises:
         InputError: it holds something else.
     """
-    try:
-        values = np.asarray(value)
-        if values.dtype.kind == "O":
-            values = values.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):
-        values = np.empty(0, dtype=object)
-    if values.dtype.kind not in "fiub":
+    values = _array(value)
+    if values is None or values.dtype.kind not in "fiub":
         raise InputError(f'{where}: "{name}" is not an array of numbers.')
     return values
+
+
+def _array(value: Any) -> Any:
+    if hasattr(value, "tocsr"):  # a sparse matrix of scipy
+        return value
+    try:
+        values = np.asarray(value)
+        return values.astype(np.float64) if values.dtype.kind == "O" else values
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def read_members(
+    content: object, layout: Layout, refuse: Callable[[str], InputError], optional: Collection[str] = ()
+) -> tuple[dict[str, Any], dict[str, int]]:
+    """Arrays (...) of a dictionary that a file holds, in the units of the file.
+
+    Args:
+        content: whatever the file holds.
+        layout: kinds and shapes that its members should have.
+        refuse: gives the error for a sentence on what does not fit.
+        optional: members that may be missing.
+
+    Returns:
+        The arrays by name, and every count by its name.
+
+    Raises:
+        InputError: whatever `refuse` gives, for the first member that is missing or does not fit.
+    """
+    if not isinstance(content, Mapping):
+        raise refuse(f"it holds a {type(content).__name__}, no dictionary")
+    if missing := [name for name in layout if name not in content and name not in optional]:
+        raise refuse(f"it has no {' and no '.join(missing)}; it holds {told_names(content)}")
+    arrays = {name: _array(content[name]) for name in layout if name in content}
+    if odd := [name for name, values in arrays.items() if values is None]:
+        raise refuse(f'"{odd[0]}" is not an array of numbers')
+    return arrays, require_layout(arrays, layout, refuse)
 
 
 def require_layout(
@@ -67,7 +102,7 @@ def require_layout(
         if values is None:
             continue
         if values.dtype.kind not in kinds:
-            raise refuse(f"{name} holds {values.dtype}, not {_KINDS[kinds]}")
+            raise refuse(f'"{name}" holds {values.dtype}, not {_KINDS[kinds]}')
         fits = len(values.shape) == len(shape) and all(
             count is None or length == (counts.setdefault(count, length) if isinstance(count, str) else count)
             for length, count in zip(values.shape, shape, strict=True)
@@ -77,7 +112,7 @@ def require_layout(
                 "any" if count is None else f"{count} = {counts[count]}" if count in counts else str(count)
                 for count in shape
             )
-            raise refuse(f"{name} has the shape {values.shape}, not ({expected})")
+            raise refuse(f'"{name}" has the shape {values.shape}, not ({expected})')
     return counts
 
 
@@ -101,4 +136,4 @@ def require_places(
     for name, count in points_at.items():
         values = members.get(name)
         if values is not None and values.size and (values.min() < 0 or values.max() >= counts.get(count, 0)):
-            raise refuse(f"{name} points outside of its {counts.get(count, 0)} {count}")
+            raise refuse(f'"{name}" points outside of its {counts.get(count, 0)} {count}')
