@@ -31,7 +31,7 @@ _REFINED, _REFINED_IN_ALL, _HOPELESS = 2, 6, 1.8
 # this [m] aside: clothes hang loose by a few millimetres, and real ones fit where they are twice as well as 3 cm away.
 _CLEARLY, _LOOSELY = 1.12, 1e-3
 _WIDE = 1.25
-"""How many times the best misfit the body model's own origin may have, where a garment is too wide for its shape to tell its place."""
+"""How many times the best misfit the body model's own origin may have, where a wide shape does not tell its place."""
 # Front and back, or two sides, fit alike where one has not this many times the misfit of the other; of shirts, trousers
 # and shorts made by others the wrong way round has twice.
 _ALIKE = 1.35
