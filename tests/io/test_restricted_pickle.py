@@ -210,8 +210,8 @@ def test_a_torch_archive_that_is_damaged_or_forged_is_refused(tmp_path: Path) ->
 
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("m/data.pkl", pickle.dumps({}))
-        archive.writestr("m/data/0", bytes(300_000_000))
-    with pytest.raises(InputError, match="286 MB"):
+        archive.writestr("m/data/0", bytes(10_000_000))
+    with pytest.raises(InputError, match="packed"):
         load_tensors(path)
 
     with zipfile.ZipFile(path, "w") as archive:

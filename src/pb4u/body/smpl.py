@@ -18,10 +18,10 @@ BETA_RANGE = (-10.0, 0.0, 10.0)
 """Lowest, default and highest shape coefficient, in standard deviations; others are refused."""
 _LAYOUT: Layout = {
     "v_template": ("fiu", ("vertices", 3)),
+    "kintree_table": ("fiu", (2, "joints")),
     "shapedirs": ("fiu", ("vertices", 3, None)),
     "posedirs": ("fiu", ("vertices", 3, "pose features")),
     "J_regressor": ("fiu", ("joints", "vertices")),
-    "kintree_table": ("fiu", (2, "joints")),
     "weights": ("fiu", ("vertices", "joints")),
     "f": ("iu", ("faces", 3)),
 }

@@ -6,6 +6,7 @@ import io
 import math
 import pickle
 import re
+import zipfile
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,7 +16,6 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.io.array_archive import open_archive
 from pb4u.io.reading_limits import refusing
 
 
@@ -73,8 +73,13 @@ def load_tensors(path: str | Path) -> Any:
 
     path = Path(path)
     with _plain(path, "file that torch 1.6 or later saved"):
-        with open_archive(path):
-            pass
+        if not zipfile.is_zipfile(path):
+            raise InputError(
+                f"{path} is not a torch file (or is damaged): no whole file of torch.save since version 1.6; fetch it again."
+            )
+        with zipfile.ZipFile(path) as archive:
+            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
+                raise InputError(f"{path}: its members are packed, which torch.save never does.")
         try:
             return torch.load(path, map_location="cpu", weights_only=True, mmap=True)
         except pickle.UnpicklingError as error:

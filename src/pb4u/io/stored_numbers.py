@@ -102,7 +102,7 @@ def require_layout(
         if values is None:
             continue
         if values.dtype.kind not in kinds:
-            raise refuse(f'"{name}" holds {values.dtype}, not {_KINDS[kinds]}')
+            raise refuse(f"{name} holds {values.dtype}, not {_KINDS[kinds]}")
         fits = len(values.shape) == len(shape) and all(
             count is None or length == (counts.setdefault(count, length) if isinstance(count, str) else count)
             for length, count in zip(values.shape, shape, strict=True)
@@ -112,7 +112,7 @@ def require_layout(
                 "any" if count is None else f"{count} = {counts[count]}" if count in counts else str(count)
                 for count in shape
             )
-            raise refuse(f'"{name}" has the shape {values.shape}, not ({expected})')
+            raise refuse(f"{name} has the shape {values.shape}, not ({expected})")
     return counts
 
 
@@ -136,4 +136,4 @@ def require_places(
     for name, count in points_at.items():
         values = members.get(name)
         if values is not None and values.size and (values.min() < 0 or values.max() >= counts.get(count, 0)):
-            raise refuse(f'"{name}" points outside of its {counts.get(count, 0)} {count}')
+            raise refuse(f"{name} points outside of its {counts.get(count, 0)} {count}")

@@ -306,7 +306,8 @@ class Trajectory:
         try:
             members = map_archive(path)
         except InputError as error:
-            raise InputError(f"It cannot be read as a trajectory: {error}") from error
+            told = str(error).removeprefix(f"{path}: ")
+            raise InputError(f"{path} cannot be read as a trajectory (cut short or another format): {told}") from error
         version = members.get("format_version", np.array(FORMAT_VERSION))
         if version.shape != () or version.dtype.kind not in "iu":
             raise InputError(f"{path} is not a pb4u trajectory: its format version is not a whole number.")
