@@ -120,7 +120,7 @@ def _changed(fields: dict[str, Any], **changes: Any) -> dict[str, Any]:
         (_changed(garment_fields(), node_type=np.zeros((7, 1), dtype=int)), "", "node_type"),
         (_changed(garment_fields(), lbs__v=np.zeros((7, 3))), "", "has the shape|skinning does not fit"),
         (_changed(garment_fields(), lbs__lbs_weights=np.zeros((20, 24))), "", "empty rows"),
-        (_changed(garment_fields(), lbs__posedirs=np.zeros((207, 59))), "", "posedirs"),
+        (_changed(garment_fields(), lbs__posedirs=np.zeros((207, 59))), "", "pose features|coordinates"),
         (_changed(garment_fields(), coarse_edges={1: {0: np.array([[0, 77]])}}), "", "outside of its 20"),
         (_changed(garment_fields(), coarse_edges={1: {0: np.array([[0, 7]]), 2: np.zeros(0)}}), "", "without a gap"),
         ({"a": garment_fields()}, ":a@4", "around 5, 9"),

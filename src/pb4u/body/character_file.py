@@ -80,13 +80,13 @@ class _Part:
 def read_character(path: Path, clip: str | None = None, parts: Collection[str] | None = None) -> Character:
     """The character of a glTF or VRM file in its bind pose, feet on y = 0, facing +Z.
 
-    All skinned meshes are joined but hair, eyes, clothes and the like, told by their names and those of their
+    All skinned meshes are joined but hair, eyes, clothes and the like, recognised by their names and those of their
     materials. Holes are closed, so that inside has a meaning.
 
     Args:
         path: the .glb, .gltf or .vrm.
         clip: name of the animation that it performs; the first where left out.
-        parts: names of the meshes or materials that make the body; told by their names where left out.
+        parts: names of the meshes or materials that make the body; recognised by their names where left out.
 
     Raises:
         InputError: it is no glTF, is compressed by Draco or meshopt, has no skin, no such clip or part, or is damaged.
@@ -140,9 +140,9 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     binds = np.stack(matrices)[order]
     ranked = np.array(bones)[order]
     surface = surface.renumbered(rank)
-    world, told = _world(path, surface.vertices, names, binds)
+    world, more = _world(path, surface.vertices, names, binds)
     notes = (
-        [*told] if not left else [f"{path.name}: left out of the body: {', '.join(left)}; --body-parts chooses.", *told]
+        [*more] if not left else [f"{path.name}: left out of the body: {', '.join(left)}; --body-parts chooses.", *more]
     )
     surface, welded = surface.moved(world).welded()
     surface, closed = surface.turned_outward().closed()
@@ -167,7 +167,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
         row += len(part.vertices)
     if "pelvis" not in names:
         notes.append(
-            f"{path.name}: its bones are not told for a human's, so it moves by its own clips alone and takes garments "
+            f"{path.name}: its bones are no human's by their names, so it moves by its own clips alone and takes garments "
             "from files."
         )
     return Character(
@@ -595,8 +595,8 @@ class _Surface:
             kept = np.pad(mean[strongest], (0, width - len(strongest)))
             weights.append((kept / kept.sum())[None])
             sizes.append(float(np.linalg.norm(np.ptp(self.vertices[loop], axis=0))))
-        told = f"{len(loops)} hole(s) of the surface, the largest {100 * max(sizes):.0f} cm across, are"
-        return _Surface(*(np.concatenate(each) for each in (vertices, faces, bones, weights))), told
+        sentence = f"{len(loops)} hole(s) of the surface, the largest {100 * max(sizes):.0f} cm across, are"
+        return _Surface(*(np.concatenate(each) for each in (vertices, faces, bones, weights))), sentence
 
 
 def _hole_cycles(faces: np.ndarray) -> list[np.ndarray]:

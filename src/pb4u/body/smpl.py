@@ -53,7 +53,7 @@ _SMPLX_EXPRESSIONS = {20: 10, 400: 100}
 
 
 class SmplBody(BodyModel):
-    """SMPL (Loper et al. 2015), SMPL-H (Romero et al. 2017) or SMPL-X (Pavlakos et al. 2019), told by its joints.
+    """SMPL (Loper et al. 2015), SMPL-H (Romero et al. 2017) or SMPL-X (Pavlakos et al. 2019), by its number of joints.
 
     At rest it stands in the T-pose of its file, feet on y = 0; that is the pose that garments are fitted to.
     Its shape parameters are beta0, beta1, ..; expressions are left at zero.

@@ -395,7 +395,7 @@ def require_usable(path: Path | str, vertices: np.ndarray, faces: np.ndarray) ->
 
     Args:
         path: its file, for the message.
-        vertices: (frames, vertices, 3) [m], or in centimetres, which is told by their extent.
+        vertices: (frames, vertices, 3) [m], or in centimetres, which is recognised by their extent.
         faces: (faces, 3) int64.
 
     Returns:

@@ -30,9 +30,9 @@ _WORST_MISFIT = 0.08
 _FAR = 0.05
 # Findings after which nothing is said of what holds the garment up.
 _NOT_WORN = ("far", "inside", "unsure")
-# Deviation of edge lengths, of their mean, above which they are told as graded; built-in garments have about a tenth.
+# Deviation of edge lengths, of their mean, above which they count as graded; built-in garments have about a tenth.
 _GRADED = 0.35
-# Share of faces with another layer behind them above which the cloth is told as double: a hem or a pocket has less.
+# Share of faces with another layer behind them above which the cloth is reported as double: a hem or a pocket has less.
 _DOUBLE = 0.2
 
 
@@ -230,8 +230,8 @@ def _surface_findings(surface: SourceSurface) -> list[Finding]:
         faces: np.ndarray | None = None,
         vertices: np.ndarray | None = None,
     ) -> None:
-        told = vertices if faces is None else faces
-        first = () if told is None else tuple(np.asarray(told)[:20].tolist())
+        named = vertices if faces is None else faces
+        first = () if named is None else tuple(np.asarray(named)[:20].tolist())
         concerned = _corners(surface, faces) if faces is not None and vertices is None else vertices
         findings.append(Finding(code, severity, sentence, fix, mendable, first, _indices(concerned)))
 
@@ -290,7 +290,7 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
         return _far_finding(vertices, body)
     if fit.is_unsure:
         sentence = (
-            "It cannot be told where on the body the garment belongs: it fits about as well in "
+            "Where on the body the garment belongs is unclear: it fits about as well in "
             f"{1 + len(fit.alike)} of {len(AXES)} ways to turn it, {1000 * fit.misfit:.0f} mm off on average."
         )
         fix = "place it on the resting body in the program it comes from, in metres, Y up and facing +Z"
@@ -390,13 +390,13 @@ def _crossing_findings(
         return []
     (tangle,) = tangles(["The garment"], np.zeros(len(vertices), dtype=np.int64), vertices, faces, pairs)
     polygons = surface.polygon[surface.kept[whole[pairs]]]
-    freed = untangle(vertices, faces, gap=0.0)
+    start = untangle(vertices, faces, gap=0.0)
     sentence = f"{tangle}, first faces {_first(polygons)} (pairs)."
     where, concerned = tuple(polygons.reshape(-1)[:20].tolist()), _indices(_corners(surface, polygons))
-    if not freed.is_free:
+    if not start.is_free:
         fix = "mend it where it was made, or simulate it with `--self-contact off`"
         return [Finding("self-crossing", Severity.REFUSED, sentence, fix, where=where, vertices=concerned)]
-    farthest = float(np.linalg.norm(freed.vertices - vertices, axis=1).max())
+    farthest = float(np.linalg.norm(start.vertices - vertices, axis=1).max())
     fix = f"mend it where it was made; simulation untangles its start, by at most {1000 * farthest:.1f} mm"
     return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where, vertices=concerned)]
 

@@ -199,7 +199,7 @@ class Fit:
 
     @property
     def front_alike(self) -> tuple[str, ...]:
-        """Other axes of the same upward one under which it fits about as well: its front is not told by its shape."""
+        """Other axes of the same upward one under which it fits about as well: its shape does not show its front."""
         return tuple(axes for axes in self.alike if axes[0] == self.axes[0])
 
     @property

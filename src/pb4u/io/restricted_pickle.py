@@ -74,9 +74,7 @@ def load_tensors(path: str | Path) -> Any:
     path = Path(path)
     with _plain(path, "file that torch 1.6 or later saved"):
         if not zipfile.is_zipfile(path):
-            raise InputError(
-                f"{path} is not a torch file: no whole file of torch.save since version 1.6; fetch it again."
-            )
+            raise InputError(f"{path} is not a torch file: no whole file of torch.save since 1.6; fetch it again.")
         with zipfile.ZipFile(path) as archive:
             if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
                 raise InputError(f"{path}: its members are packed, which torch.save never does.")

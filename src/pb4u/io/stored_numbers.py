@@ -1,4 +1,4 @@
-"""Arrays of numbers as files hold them: told from what is none, and checked against each other."""
+"""Arrays of numbers in files: read from lists or arrays, and checked against one layout."""
 
 from __future__ import annotations
 

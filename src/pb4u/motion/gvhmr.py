@@ -15,7 +15,7 @@ from pb4u.io.restricted_pickle import load_tensors
 from pb4u.motion.recording import Recording
 from pb4u.motion.smpl_recording import full_poses, shape_note, smpl_recording
 
-# The demo writes its video anew at this rate and numbers the frames by it.
+# The demo resamples its video to this rate and numbers the frames by it.
 _RATE = 30.0
 _PARAMETERS = "smpl_params_global"
 

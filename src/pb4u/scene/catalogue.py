@@ -2,7 +2,7 @@
 
 The paper trains and tests on the VTO data set, which is not free. Its four held-out motions are stood in for by free
 CMU recordings of the same kinds: 07_02 and 01_01 are VTO's own, 127_04 stands for 104_54 and 29_25 for 55_27.
-Recordings are not part of the package; every split also has built-in motions, told apart by their seeds, so that each
+Recordings are not part of the package; every split also has built-in motions, with seeds of its own, so that each
 works without.
 """
 
