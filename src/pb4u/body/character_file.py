@@ -167,7 +167,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
         row += len(part.vertices)
     if "pelvis" not in names:
         notes.append(
-            f"{path.name}: its bones are no human's by their names, so it moves by its own clips alone and takes garments "
+            f"{path.name}: its bones are no human's by their names, so it moves by its own clips and takes garments "
             "from files."
         )
     return Character(
