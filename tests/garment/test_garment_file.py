@@ -110,9 +110,6 @@ def test_edges_of_three_faces_are_refused(tmp_path):
     [
         (b"f 1 2 3\n", 5_000_000, 10_000, "5,000,000 triangles or more.*decimate it"),
         (b"f 1 2 3\n", 1_500_000, None, "1,500,000 triangles.*ask for fewer with `--triangles N`"),
-        # Quads are two triangles each: too many to simulate, and too many to read whatever is asked for.
-        (b"f 1 2 3 4\n", 600_000, None, "1,200,000 triangles.*ask for fewer with `--triangles N`"),
-        (b"f 1 2 3 4\n", 2_100_000, None, "4,200,000 triangles or more.*decimate it"),
     ],
 )
 def test_too_many_triangles_are_refused_before_they_are_parsed(tmp_path, monkeypatch, face, count, triangles, says):
