@@ -18,7 +18,7 @@ from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.garment.weight_cache import cache_folder
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.obj_file import write_obj
+from pb4u.geometry.obj_file import group_name, write_obj
 from pb4u.io.array_archive import read_arrays
 from pb4u.io.atomic_file import json_text, replace_file
 from pb4u.io.reading_limits import parse_json
@@ -205,7 +205,8 @@ def write_worn(path: Path, dressed: Dressed, body: ShapedBody) -> None:
     if kind == ".npz":
         write_dressed(path, dressed, body)
     elif kind == ".obj":
-        write_obj(path, PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, tuple(dressed.mesh.faces)))
+        mesh = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, tuple(dressed.mesh.faces))
+        write_obj(path, mesh, [group_name(garment.panels[k]) for k in dressed.mesh.face_panel])
     elif kind == ".json":
         replace_file(path, json_text(record_of(dressed.mesh.pattern), indent=1).encode())
     elif kind in (".svg", ".png"):
