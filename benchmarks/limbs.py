@@ -106,7 +106,9 @@ def main() -> None:
     args = parser.parse_args()
     clips = CLIPS
     if args.garments:
-        worn = ((Path(name).stem, name, motion) for name in args.garments.split(",") for motion in args.motions.split(","))
+        worn = (
+            (Path(name).stem, name, motion) for name in args.garments.split(",") for motion in args.motions.split(",")
+        )
         clips = tuple(Clip(f"{stem}_{motion}", name, motion) for stem, name, motion in worn)
     for clip in clips:
         if (args.only and clip.name not in args.only.split(",")) or (clip.motion.endswith(".amc") and not args.data):

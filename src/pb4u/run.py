@@ -87,8 +87,8 @@ class WornGarment:
 
     Args:
         garment: Built-in garment, a mesh file in metres that fits the body at rest, a sewing pattern (GarmentCode's
-            .json, or .npz of `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's family; in Python a
-            Garment too.
+            .json, a .toml of an SVG, or .npz of `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's
+            family; in Python a Garment too.
         material: Built-in material, a JSON file in SI units or a Material. Default: the garment's own, or "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (border with the N-th most vertices), a file of indices or a list. Default: the

@@ -167,8 +167,6 @@ def _topology(trajectory: Trajectory) -> str:
     return "".join(lines)
 
 
-
-
 def _text(frame: int, positions: np.ndarray, topology: str, remark: str = "") -> str:
     head = f"{SIGNATURE}: frame {frame}{f' ({remark})' if remark else ''}; metres, Y up\n"
     return head + "".join(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in positions.tolist()) + topology

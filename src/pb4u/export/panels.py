@@ -54,9 +54,11 @@ def uv_islands(uv_faces: np.ndarray) -> np.ndarray:
 
     points, corners = np.unique(uv_faces, return_inverse=True)
     corners = corners.reshape(-1, 3)
-    links = np.concatenate([corners[:, :2], corners[:, 1:]])
-    island = connected_components(coo_matrix((np.ones(len(links)), links.T), shape=[len(points)] * 2), directed=False)[1]
-    return np.asarray(np.unique(island, return_index=True)[1].argsort().argsort()[island][corners[:, 0]], dtype=np.int64)
+    links = np.concatenate([corners[:, :2], corners[:, 1:]]).T
+    matrix = coo_matrix((np.ones(links.shape[1]), links), shape=(len(points), len(points)))
+    island = connected_components(matrix, directed=False)[1]
+    first = np.unique(island, return_index=True)[1]
+    return np.asarray(np.argsort(np.argsort(first))[island][corners[:, 0]], dtype=np.int64)
 
 
 def seam_edges(faces: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:
