@@ -156,8 +156,8 @@ class Run:
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
         fps: Frames per second; a network runs at its own, and the result is resampled.
         seed: Seed of everything random.
-        model: solver, quick-solver (its first iterations alone: the fastest on a processor), skinning, or a network by
-            name, .safetensors file or .pth of the released code. Default: pb4u-wide.
+        model: solver, quick-solver (its first iterations alone: fastest for most garments on a processor), skinning, or
+            a network by name, .safetensors file or .pth of the released code. Default: pb4u-wide.
         refine: Most solver iterations after each step of a network, or of the quick solver. A step that they leave
             failed is retried.
         contact: Push the garment out of the body after each step; with self_contact also no face or edge of the body
