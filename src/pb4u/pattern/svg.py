@@ -98,7 +98,9 @@ def _edges(name: str, outline: list[Any]) -> tuple[np.ndarray, dict[int, Curve]]
     def at(point: Any) -> np.ndarray:
         return _PIXEL * np.array([point.x, -point.y])
 
-    starts, ends, curves = [], [], []
+    starts: list[np.ndarray] = []
+    ends: list[np.ndarray] = []
+    curves: list[Curve | None] = []
     for segment in outline:
         if isinstance(segment, Move) or segment.start is None or segment.end is None:
             continue
