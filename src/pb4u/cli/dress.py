@@ -28,7 +28,7 @@ def dress(
         Path,
         typer.Argument(
             metavar="PATTERN",
-            help="Sewing pattern: GarmentCode's .json, a .toml that names an SVG and its seams, or what was dressed before.",
+            help="Sewing pattern: GarmentCode's .json, a .toml that names an SVG and its seams, or a dressed garment.",
         ),
     ],
     out: Annotated[
