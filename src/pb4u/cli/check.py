@@ -211,6 +211,8 @@ def _print(report: dict[str, Any], fix: Path | None) -> None:
             console.print(f"{garment['name']}: nothing to mend.", markup=False)
         for finding in garment["findings"]:
             console.print(f"{finding['severity']}: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
+        if garment["held_by"] is not None:
+            console.print(f"held up by its {garment['held_by']}.", markup=False)
         for sentence in garment["mended"]:
             console.print(f"mended: {sentence}", markup=False)
         for finding in (garment["remaining"] or {"findings": []})["findings"]:
