@@ -376,3 +376,24 @@ def test_a_folder_that_holds_something_else_is_not_written_to(pb4u: Callable, tm
     ended = pb4u("simulate", "--live", tmp_path, "--out", tmp_path / "a.npz")
     assert (ended.code, "holds other files" in ended.err) == (1, True)
     assert (tmp_path / "shirt.pc2").read_bytes() == b"kept"
+
+
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [
+        (
+            "pb4u_paper",
+            "`pb4u train --set network=pb4u_paper` trains it; the paper's network to the letter is `literal`",
+        ),
+        ("paper", "`pb4u train --preset paper` trains it; the paper's network"),
+        ("literal", "`pb4u train --preset literal` trains it, the paper's network to the letter"),
+    ],
+)
+@pytest.mark.parametrize("verb", [("simulate", "--frames", 1), ("info",)], ids=["simulate", "info"])
+def test_a_network_without_weights_says_how_to_train_it_and_which_is_the_papers(
+    pb4u: Callable, verb: tuple[object, ...], name: str, how: str
+) -> None:
+    ended = pb4u(*verb, "--model", name)
+    assert ended.code == 1
+    assert ended.err.startswith(f"pb4u: There is no model {name!r} with weights: {how}")
+    assert "pb4u-wide" in ended.err

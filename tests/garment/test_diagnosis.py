@@ -226,6 +226,6 @@ def test_a_wide_garment_that_fits_closer_elsewhere_is_left_and_told():
     (finding,) = [each for each in diagnose(source, man).findings if each.code == "closer"]
     assert finding.severity is Severity.NOTE
     assert "It was not moved, though it would fit a little closer -" in finding.sentence
-    mended, said = repair(source, man)
-    assert said == (finding.sentence,)
+    mended, changes, left = repair(source, man)
+    assert (changes, left) == ((), (finding.sentence,))
     np.testing.assert_array_equal(mended.vertices, source.vertices)

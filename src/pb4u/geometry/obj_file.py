@@ -206,7 +206,7 @@ class _Table:
         return table
 
 
-def write_obj(path: Path, mesh: PolygonMesh) -> None:
+def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = ()) -> None:
     """Write a mesh in one step: the file appears whole or not at all.
 
     Its colours and images lie beside it, as NAME.pb4u.mtl and NAME.texture0.png.
@@ -214,6 +214,7 @@ def write_obj(path: Path, mesh: PolygonMesh) -> None:
     Args:
         path: the file.
         mesh: what is written, numbers to nine digits.
+        groups: group of each polygon, or none.
 
     Raises:
         InputError: the file cannot be written.
@@ -226,6 +227,9 @@ def write_obj(path: Path, mesh: PolygonMesh) -> None:
         of_face = looks.of_face.tolist()
         for k in np.flatnonzero(np.diff(looks.of_face, prepend=-2)).tolist():
             names[k] = f"usemtl {looks.listed[of_face[k]].name if of_face[k] >= 0 else 'none'}\n"
+    for k, group in enumerate(groups):
+        if k == 0 or group != groups[k - 1]:
+            names[k] += f"g {group}\n"
     if mesh.uvs is not None and mesh.polygon_uvs is not None:
         parts += [f"vt {u:.9g} {v:.9g}\n" for u, v in mesh.uvs.tolist()]
         for name, polygon, corners in zip(names, mesh.polygons, mesh.polygon_uvs, strict=True):
@@ -242,6 +246,11 @@ def write_obj(path: Path, mesh: PolygonMesh) -> None:
         replace_file(path, "".join(parts).encode())
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror or error}.") from None
+
+
+def group_name(name: str) -> str:
+    """A name as OBJ groups have them: a space would begin another group, and the format states no encoding."""
+    return "_".join(name.encode("ascii", "replace").decode().split()) or "unnamed"
 
 
 def _readable(line: bytes, width: int) -> bool:

@@ -193,8 +193,11 @@ def passed_on(
 
 def sewn_garment(mesh: PatternMesh, places: np.ndarray, material: Material) -> Garment:
     """The garment of a mesh with its vertices at `places` (vertices, 3) [m], flat at rest, its UVs the pattern."""
-    name, faces = mesh.pattern.name, mesh.sewn_faces
-    return Garment(name, places, faces, material, uvs=mesh.uvs, uv_faces=mesh.faces, rest_uv=mesh.rest_uv)
+    panels = tuple(panel.name for panel in mesh.pattern.panels)
+    return Garment(
+        mesh.pattern.name, places, mesh.sewn_faces, material,
+        uvs=mesh.uvs, uv_faces=mesh.faces, rest_uv=mesh.rest_uv, panels=panels,
+    )  # fmt: skip
 
 
 def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.ndarray:

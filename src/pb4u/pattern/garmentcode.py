@@ -17,7 +17,7 @@ def is_pattern(record: Any) -> bool:
     return isinstance(record, dict) and isinstance(record.get("pattern"), dict)
 
 
-def read_pattern(path: str | Path) -> Pattern:
+def read_specification(path: str | Path) -> Pattern:
     """The pattern in a GarmentCode specification.
 
     Args:

@@ -96,6 +96,7 @@ class TrajectoryHeader:
                 "triangles": triangles[k : k + 2],
                 "source": sources[k],
                 "rest_area": float(garment.face_areas.sum()),
+                **({"panels": list(garment.panels)} if garment.panels else {}),
             }
             for k, garment in enumerate(garments)
         ]
