@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
@@ -16,10 +17,11 @@ from pb4u.collision.crossings import self_crossings
 from pb4u.collision.untangling import untangle
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.coarseness import Coarseness
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, find_holder, is_held_up
+from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import Fault, SourceSurface, first_of, surface_faults
+from pb4u.garment.support import find_holder, held_by, is_held_up, loose_straps, slide
 from pb4u.garment.tangles import tangles
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
@@ -56,6 +58,7 @@ class Finding:
         mendable: whether `repair` does that.
         where: indices of the first vertices, faces or edges concerned, as the sentence says.
         vertices: indices of all vertices concerned, in the author's mesh.
+        tacks: pairs of vertices, in the author's mesh, that would be sewn together to mend it.
     """
 
     code: str
@@ -65,6 +68,7 @@ class Finding:
     mendable: bool = False
     where: tuple[int, ...] = ()
     vertices: tuple[int, ...] = ()
+    tacks: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +79,14 @@ class Diagnosis:
         findings: worst first.
         fit: how the garment has to move to be worn; None without a body.
         measures: name -> number, SI units; None for what the body does not let be measured.
+        held_by: what holds it up: "pins", "shoulders", "straps", "waistband" or "collar"; None for nothing, or where
+            it is not worn.
     """
 
     findings: tuple[Finding, ...]
     fit: Fit | None
     measures: dict[str, float | None]
+    held_by: str | None = None
 
     @property
     def is_refused(self) -> bool:
@@ -97,7 +104,8 @@ class Diagnosis:
             {**asdict(f), "severity": f.severity.value, "where": list(f.where), "vertices": list(f.vertices)}
             for f in self.findings
         ]
-        return {"refused": self.is_refused, "findings": findings, "measures": self.measures}
+        told = {"refused": self.is_refused, "findings": findings, "measures": self.measures}
+        return {**told, "held_by": self.held_by}
 
 
 def diagnose(
@@ -133,7 +141,7 @@ def diagnose(
         "mean_edge_length": float(lengths.mean()) if len(lengths) else 0.0,
         "edge_length_variation": float(lengths.std() / lengths.mean()) if len(lengths) and lengths.any() else 0.0,
     }
-    fit = None
+    fit, held = None, "pins" if pinned else None
     if body is not None and len(vertices):
         rest = RestBody.of(body)
         fit = find_fit(vertices, rest)
@@ -143,6 +151,7 @@ def diagnose(
         findings += _contact_findings(surface, fit, rest, measures, mend)
         if not pinned and not any(f.code in _NOT_WORN for f in findings):
             findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
+            held = held_by(fit.apply(garment.vertices), surface.faces, rest)
         if not any(f.code in _NOT_WORN for f in findings):
             findings += _coarse_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
@@ -150,7 +159,7 @@ def diagnose(
     elif len(vertices):
         findings += _crossing_findings(surface, garment.vertices, measures)
     order = list(Severity)
-    return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures)
+    return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures, held)
 
 
 def require_worn(
@@ -175,7 +184,9 @@ def require_worn(
         findings = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
     findings += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
     if not pins_given and not garment.pinned.any():
-        findings += _support_findings(garment.vertices, garment.faces, rest)
+        source = garment.source
+        names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]
+        findings += _support_findings(garment.vertices, garment.faces, rest, names)
     for finding in findings:
         if finding.severity is Severity.REFUSED:
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
@@ -311,8 +322,10 @@ def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
     return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made")]
 
 
-def _support_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> list[Finding]:
-    """A garment without pins, its (vertices, 3) where it is worn, that will slide down."""
+def _support_findings(
+    vertices: np.ndarray, faces: np.ndarray, body: RestBody, names: np.ndarray | None = None
+) -> list[Finding]:
+    """A garment without pins, its (vertices, 3) where it is worn, that will slide down; `names` of its vertices."""
     holder = find_holder(vertices, faces, body)
     if holder is None and is_held_up(vertices, faces, body):
         return []
@@ -320,8 +333,22 @@ def _support_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -
         sentence = f"Nothing but its {holder.name}, {int(holder.vertices.sum())} vertices, can hold the garment up."
         fix = "nothing: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
         return [Finding("unsupported", Severity.NOTE, sentence, fix)]
-    sentence = "Nothing holds the garment up: none of it lies on the shoulders."
-    return [Finding("unsupported", Severity.NOTE, sentence, "simulate it with `--pins waist`")]
+    why, fix = "none of it lies on the shoulders", "simulate it with `--pins waist`"
+    straps = loose_straps(vertices, faces, body)
+    names = np.arange(len(vertices)) if names is None else names
+    tacks = tuple((int(names[a]), int(names[b])) for strap in straps for a, b in strap.tacks)
+    if straps:
+        gap = max(strap.gap for strap in straps)
+        why = f"{len(straps)} of its straps end loose, {100 * gap:.1f} cm from the border they would be sewn to"
+        fix = "sew them where they were made"
+    if tacks:
+        fix = "sew them with " + " ".join(f"`--tack {a}:{b}`" for a, b in tacks)
+    down = slide(vertices, faces, body)
+    where = "to the ground" if down is None else f"by {100 * down:.0f} cm, to where the body is wider than it"
+    sentence = f"Nothing holds the garment up: {why}; it would slide down {where}."
+    ends = tuple(int(names[vertex]) for strap in straps for vertex in strap.end)
+    severity = Severity.WARNING if straps else Severity.NOTE
+    return [Finding("unsupported", severity, sentence, fix, where=ends[:20], vertices=ends, tacks=tacks)]
 
 
 def _contact_findings(

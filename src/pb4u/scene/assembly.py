@@ -23,7 +23,7 @@ from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.diagnosis import require_fine, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
-from pb4u.garment.fit import RestBody, find_holder
+from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import layered, worn_order
@@ -31,6 +31,7 @@ from pb4u.garment.library import SEWN, build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
+from pb4u.garment.support import find_holder
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import PolygonMesh
