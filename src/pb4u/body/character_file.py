@@ -92,7 +92,7 @@ def read_character(path: Path, clip: str | None = None, parts: Collection[str] |
         InputError: it is no glTF, is compressed by Draco or meshopt, has no skin, no such clip or part, or is damaged.
     """
     file = read_gltf(path)
-    with refusing(path, "is damaged; export it again"):
+    with refusing(path, "is damaged"):
         return _character(file, clip, parts)
 
 

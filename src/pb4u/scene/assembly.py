@@ -269,9 +269,9 @@ def _replay(body: ShapedBody, recording: RecordingAsItIs, run: Run) -> _Performa
 def _load_motion(run: Run) -> tuple[Motion, str]:
     motion = DEFAULT_MOTION if run.motion is None else run.motion
     if isinstance(motion, str | Path):
-        away, fps = run.arms_away, run.recorded_fps
+        away, seed = run.arms_away, run.seed
         clip = load_motion(
-            motion, run.crop, seed=run.seed, arms_away_degrees=away, raw=run.raw_motion, recorded_fps=fps
+            motion, run.crop, seed=seed, arms_away_degrees=away, raw=run.raw_motion, recorded_fps=run.recorded_fps
         )
         return clip, str(motion)
     if not isinstance(motion, Motion):
