@@ -64,7 +64,7 @@ def flat(document: dict[str, Any]) -> None:
 CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     "a .pt that would run code": (
         lambda at: ["--motion", gvhmr(at / "a.pt", Code())],
-        'a.pt: it asks for "exec"; only plain tensors are read, nothing in it was run',
+        'a.pt: it asks for "exec"; only plain data is read, nothing in it was run',
     ),
     "a .pt with a frame that is not finite": (
         lambda at: ["--motion", gvhmr(at / "a.pt", poses(float("nan")))],
