@@ -88,7 +88,7 @@ CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     ),
     "a glTF flattened by a scale": (
         lambda at: ["--body", doll(at / "d.glb", flat)],
-        "d.glb is damaged (ValueError: a bone is flattened",
+        "d.glb is damaged; export it again (a bone is flattened",
     ),
     "a glTF compressed by Draco": (
         lambda at: [
