@@ -151,6 +151,8 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     if not Topology(surface.faces, len(surface.vertices)).is_closed:
         notes.append(f"{path.name}: its surface is not closed even so; penetration is not reported.")
     binds = world @ binds
+    if not (np.abs(np.linalg.det(binds)) > 1e-20).all():
+        raise ValueError("a bone is flattened by the scale of a node")
     heads = binds[:, :3, 3]
     names, parents, heads, bone_nodes, binds = _completed(names, parents, heads, ranked, binds, surface.vertices)
     skinning = SkinningWeights(surface.bones, surface.weights.astype(np.float32))
