@@ -195,7 +195,7 @@ def require_worn(
 
 
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
-    """Refuse a garment from arrays in other units, or far from the body.
+    """Refuse a garment from arrays in other units, far from the body, or wholly inside it.
 
     Args:
         garment: as it was given.
@@ -206,8 +206,11 @@ def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
     """
     if unit := likely_unit(garment.vertices):
         raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
-    for finding in _far_finding(garment.vertices, RestBody.of(body)):
-        raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
+    rest = RestBody.of(body)
+    inside = _penetration_findings(rest.signed_distances(garment.vertices), rest, "")
+    for finding in (*_far_finding(garment.vertices, rest), *inside):
+        if finding.severity is Severity.REFUSED:
+            raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
 
 
 def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted: bool = False) -> None:
