@@ -32,6 +32,7 @@ from pb4u.pattern.mesh import PatternMesh, mesh_pattern
 from pb4u.pattern.pattern import Pattern
 from pb4u.pattern.thin_body import SewingBody
 from pb4u.physics.contact.contact_set import nearest_planes
+from pb4u.physics.contact.penetration_cleanup import FaceClearance
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import implicit_steps
 from pb4u.physics.solver.newton_solver import Solver
@@ -336,7 +337,9 @@ class _Sewing:
         if self._depth(x) > _LEFT_INSIDE:
             firm = self.potential.with_term(Collision(weight=_STIFF_WEIGHT))
             x = self.step(packed, x, solver, firm, (self.rest_pose, self.rest_pose), hangs=True)
-        return x.numpy()
+        # Contact is at vertices: between them the skin may be through the cloth.
+        hanging = State(x, torch.zeros_like(x), 0)
+        return FaceClearance().lift(packed, hanging, self.rest_pose, self.potential.self_contact).positions.numpy()
 
     def step(
         self,
