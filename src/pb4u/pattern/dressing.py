@@ -94,6 +94,10 @@ _LEFT_INSIDE = 1e-3
 _STIFF_WEIGHT = 5e5
 """Weight of the collision term for that; the usual one is 5e3."""
 
+_CLEAR = 2e-3
+"""Distance [m] from the skin to which cloth that hangs is lifted: a waistband that is pinned there stays out of skin
+that bends, though no step moves it."""
+
 _AHEAD = 0.02
 """Distance [m] from the body at which panels begin."""
 
@@ -125,16 +129,25 @@ class Dressed:
     strain: float
 
     def to_json(self) -> dict[str, Any]:
-        """Measures of the dressed garment, lengths in [m] and areas in [m^2], for reports."""
-        pattern, lengths = self.mesh.pattern, [self.mesh.pattern.seam_lengths(seam) for seam in self.mesh.pattern.seams]
+        """Measures of the dressed garment, lengths in [m] and areas in [m^2], for reports.
+
+        Lengths are of both sides of all seams, by the pattern and in the rest shape; errors are relative, the largest.
+        """
+        pattern = self.mesh.pattern
+        lengths = np.array([pattern.seam_lengths(seam) for seam in pattern.seams]).reshape(-1, 2)
+        sewn = self.mesh.seam_lengths
+        off = np.bincount(self.mesh.face_panel, self.garment.face_areas) / [abs(each.area) for each in pattern.panels]
         return {
             "garment": pattern.name,
             "panels": len(pattern.panels),
             "seams": len(pattern.seams),
-            "seam_length": [sum(first for first, _ in lengths), sum(second for _, second in lengths)],
+            "seam_length": lengths.sum(axis=0).tolist(),
+            "rest_seam_length": sewn.sum(axis=0).tolist(),
+            "seam_length_error": float(np.abs(sewn / lengths - 1.0).max(initial=0.0)),
             "pattern_area": pattern.area,
             "triangles": len(self.garment.faces),
             "rest_area": float(self.garment.face_areas.sum()),
+            "panel_area_error": float(np.abs(off - 1.0).max()),
             "crossings": self.crossings,
             "body_crossings": self.body_crossings,
             "depth": self.depth,
@@ -337,9 +350,9 @@ class _Sewing:
         if self._depth(x) > _LEFT_INSIDE:
             firm = self.potential.with_term(Collision(weight=_STIFF_WEIGHT))
             x = self.step(packed, x, solver, firm, (self.rest_pose, self.rest_pose), hangs=True)
-        # Contact is at vertices: between them the skin may be through the cloth.
-        hanging = State(x, torch.zeros_like(x), 0)
-        return FaceClearance().lift(packed, hanging, self.rest_pose, self.potential.self_contact).positions.numpy()
+        # Contact is at vertices: between them the skin may be through the cloth, its waistband included.
+        clear, hanging = FaceClearance(clearance=_CLEAR), State(x, torch.zeros_like(x), 0)
+        return clear.lift(pack([garment]), hanging, self.rest_pose, self.potential.self_contact).positions.numpy()
 
     def step(
         self,
