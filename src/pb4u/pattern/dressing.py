@@ -118,7 +118,8 @@ class Dressed:
         crossings: pairs of its triangles that cross.
         body_crossings: pairs of a triangle of it and one of the body that cross.
         depth: how deep its deepest vertex is in the body [m].
-        strain: largest principal strain of each face, averaged by area.
+        strain: largest principal strain of each face, averaged by area, as the cloth hung before it was lifted off the
+            skin.
     """
 
     garment: Garment
@@ -200,7 +201,7 @@ def passed_on(
     """
     sewing = _Sewing(mesh, body, material, None)
     if triangles is None or triangles == len(mesh.faces):
-        return sewing.dressed(places).garment
+        return sewing.garment(places)
     return sewing.on_mesh(mesh_pattern(mesh.pattern, triangles), places).garment
 
 
@@ -350,9 +351,7 @@ class _Sewing:
         if self._depth(x) > _LEFT_INSIDE:
             firm = self.potential.with_term(Collision(weight=_STIFF_WEIGHT))
             x = self.step(packed, x, solver, firm, (self.rest_pose, self.rest_pose), hangs=True)
-        # Contact is at vertices: between them the skin may be through the cloth, its waistband included.
-        clear, hanging = FaceClearance(clearance=_CLEAR), State(x, torch.zeros_like(x), 0)
-        return clear.lift(pack([garment]), hanging, self.rest_pose, self.potential.self_contact).positions.numpy()
+        return x.numpy()
 
     def step(
         self,
@@ -388,7 +387,7 @@ class _Sewing:
         return max(0.0, -float(torch.where(found.beyond_border, 0.0, found.signed_distance).min()))
 
     def dressed(self, places: np.ndarray) -> Dressed:
-        """What became of it, checked."""
+        """The garment that hangs at `places` (vertices, 3) [m], checked, and lifted off the skin."""
         garment = self.garment(places)
         if is_inside_out(places, garment.faces, self.rest_body):
             raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
@@ -398,9 +397,13 @@ class _Sewing:
         strain = float(np.average(strains, weights=garment.face_areas))
         if strain > _TIGHT:
             self._refuse_tight(places, strain, strains)
+        # Contact is at vertices: between them the skin may be through the cloth, its waistband included.
+        hanging, cloth = State(x, torch.zeros_like(x), 0), self.potential.self_contact
+        x = FaceClearance(clearance=_CLEAR).lift(packed, hanging, self.rest_pose, cloth).positions
+        places = x.numpy()
         skin = self.body.faces[self.body.contact[self.body.faces].all(axis=1)]
         return Dressed(
-            garment,
+            self.garment(places),
             self.mesh,
             crossings=len(self_crossings(places.astype(np.float32), garment.faces, sharing=True)),
             body_crossings=len(crossings(places, garment.faces, self.body.vertices, skin)),
