@@ -70,7 +70,7 @@ def result(clip: Clip, model: str, args: argparse.Namespace) -> dict[str, object
     if args.keep:
         args.keep.mkdir(parents=True, exist_ok=True)
         trajectory.save(args.keep / f"{clip.name}_{model}.npz")
-    report = measure(trajectory, bones=Bones.of(scene, trajectory))
+    report = measure(trajectory, bones=Bones.of(scene, trajectory.frame_count, trajectory.fps))
     series = {name: np.array(report["metrics"][name]["per_frame"]) for name in MEASURES if name in report["metrics"]}
     free = series["body_intersections"] - series["body_intersections_pinched"]
     return {

@@ -17,7 +17,7 @@ from pb4u.export.live_caches import PROGRESS
 from pb4u.export.selection import on_source
 from pb4u.geometry.obj_file import read_obj
 from pb4u.measures.divergence import skinned_centres
-from pb4u.measures.limbs import Bones
+from pb4u.measures.limbs import LimbWatch
 from pb4u.measures.metrics import ENERGIES, GEOMETRY, first_diverged, measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
@@ -84,12 +84,20 @@ def test_json_alone_goes_to_standard_output(pb4u: Callable, tmp_path: Path) -> N
 def test_a_limb_through_the_cloth_is_warned_of_with_and_without_a_report(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flags = ("simulate", *SMALL, "--frames", 2, "--out", tmp_path / "a.npz")
-    assert "gone through" not in pb4u(*flags).err
-    monkeypatch.setattr(Bones, "through_cloth", lambda bones, _: np.ones(bones.ends.shape[:2], dtype=bool))
+    flags = ("simulate", *SMALL, "--garment", "skirt", "--frames", 2, "--out", tmp_path / "a.npz")
+    assert "through the cloth" not in pb4u(*flags).err
+
+    def through(watch: LimbWatch, t: int, cloth: np.ndarray, body: np.ndarray) -> np.ndarray:
+        watch.enough = dict.fromkeys(watch.bones.names[:1], 5000)
+        return np.arange(len(watch.bones.names)) == 0
+
+    monkeypatch.setattr(LimbWatch, "through", through)
     for report in ((), ("--json", tmp_path / "r.json")):
         ended = pb4u(*flags, *report)
         assert "Limbs have gone through the cloth from frame 0 on" in ended.err
+        assert ended.err.count("has come through the cloth") == 1, "once for each bone, in its frame"
+        assert "try --triangles 5000" in ended.err
+    assert json.loads((tmp_path / "r.json").read_text())["limbs_through_cloth"][0]["triangles"] == 5000
     assert "Limbs have gone through the cloth" in json.loads((tmp_path / "r.json").read_text())["notes"][-1]
 
 

@@ -212,6 +212,8 @@ def _print(report: dict[str, Any], fix: Path | None) -> None:
             console.print(f"{garment['name']}: nothing to mend.", markup=False)
         for finding in garment["findings"]:
             console.print(f"{finding['severity']}: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
+        if garment["held_by"] is not None:
+            console.print(f"held up by its {garment['held_by']}.", markup=False)
         refused = (garment["remaining"] or garment)["refused"]
         for sentence in garment["mended"]:
             # Nothing is mended in a file that was not written.

@@ -20,7 +20,7 @@ from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
 from pb4u.measures.divergence import first_lost
-from pb4u.measures.limbs import Bones, limbs_through_cloth
+from pb4u.measures.limbs import Bones, limbs_through_cloth, watched
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
@@ -89,8 +89,10 @@ def measure(
         measured = _series(rows, (*ENERGIES, *STRAINS))
         garments.append({"name": garment.name, "metrics": measured, "diverged": at is not None, "diverged_at": at})
     first = _earliest(diverged_at)
-    crossed = None if bones is None or not bones.names else bones.through_cloth(trajectory)
-    if crossed is not None:
+    limbs: dict[str, Any] = {}
+    if bones is not None and bones.names:
+        crossed, watch = watched(bones, trajectory)
+        limbs["limbs_through_cloth"] = limbs_through_cloth(crossed, watch)
         for frame, count in zip(frames, crossed.sum(axis=1), strict=True):
             frame.metrics["limbs_through_cloth"] = float(count)
     return {
@@ -99,11 +101,7 @@ def measure(
         "diverged": first is not None,
         "diverged_at": first,
         "garments": garments,
-        **(
-            {}
-            if bones is None or crossed is None
-            else {"limbs_through_cloth": limbs_through_cloth(bones.names, crossed)}
-        ),
+        **limbs,
     }
 
 
@@ -120,15 +118,15 @@ def _series(rows: Sequence[dict[str, float]], names: Iterable[str]) -> dict[str,
     }
 
 
-def strain_percentile(garments: PackedGarments, positions: Tensor) -> float:
-    """Area-weighted 95th percentile [1] of the strains of all faces of packed garments; 0 at rest.
+def strain_percentile(garments: PackedGarments, positions: Tensor) -> Tensor:
+    """Area-weighted 95th percentile () [1] of the strains of all faces of packed garments; 0 at rest.
 
     Args:
         garments: the garments, with (faces, 3) corners.
         positions: (vertices, 3) of all garments [m], in the dtype of the garments.
     """
     strains = face_strains(positions, garments.faces, garments.inverse_rest_shape)
-    return float(weighted_percentile(strains, garments.face_areas, 95.0))
+    return weighted_percentile(strains, garments.face_areas, 95.0)
 
 
 def _strains(garments: PackedGarments, x: Tensor) -> tuple[dict[str, float], list[dict[str, float]]]:
