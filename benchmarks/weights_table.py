@@ -24,7 +24,8 @@ from pb4u.io.atomic_file import replace_file
 from pb4u.jobs.job import digest
 from pb4u.measures.metrics import ENERGIES, measure
 from pb4u.paper.reference_energies import ratio, stored_reference
-from pb4u.scene.catalogue import SEEDS, TRAINING_GARMENTS, catalogue_scene
+from pb4u.scene.assembly import make_scene
+from pb4u.scene.catalogue import SEEDS, TRAINING_GARMENTS
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import weights_file
 from pb4u.simulation.models import load_simulator
@@ -87,7 +88,8 @@ def clips(table: str) -> list[Clip]:
 def roll(model: str, clip: Clip, folder: Path) -> dict[str, Any]:
     """Simulate and measure a clip; its trajectory is kept beside the result."""
     simulator = load_simulator(model, contact=clip.refined, refine=REFINE * clip.refined, device="cpu")
-    scene = catalogue_scene(clip.scene, LEVELS[clip.level], clip.frames)
+    triangles, seed = LEVELS[clip.level], SEEDS["test"][0]
+    scene = make_scene(clip.garment, motion=clip.motion, triangles=triangles, frames=clip.frames, seed=seed)
     record, began = RunRecord(), time.process_time()
     trajectory = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record))
     spent = time.process_time() - began

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_
 from pb4u.errors import InputError, unknown_name
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import replace_file
-from pb4u.io.reading_limits import read_text
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -438,12 +437,10 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
         kind: what it is, such as "a scene file".
 
     Raises:
-        InputError: it is no TOML, or too large.
+        InputError: it is no TOML.
     """
     try:
-        return tomllib.loads(read_text(path, kind))
-    except InputError:
-        raise
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read as TOML, which {kind} is: {error}.") from None
 

@@ -53,7 +53,7 @@ def write_glb(
     Args:
         trajectory: what is written, every frame finite.
         path: file to write.
-        progress: told of the passes over the frames.
+        progress: called after each pass over the frames.
         body: whether the body is written as well.
         bones: of each surface, in the place of its morph targets: what game engines play.
 

@@ -74,7 +74,7 @@ def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = 
     Args:
         trajectory: what is written, every frame finite.
         path: name that the files are derived from, see `frame_files`.
-        progress: told of the frames written.
+        progress: called with the frames written.
     """
     topology = _topology(trajectory)
     held = set(held_frames(trajectory))
@@ -110,7 +110,7 @@ def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     Args:
         trajectory: what is written, every frame finite.
         path: file to write; its OBJ goes beside it.
-        progress: told of the frames written.
+        progress: called with the frames written.
     """
     samples, points = trajectory.positions.shape[:2]
     _write(trajectory, path, pc2_header(points, samples), "<f4", progress)
@@ -132,7 +132,7 @@ def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     Args:
         trajectory: what is written, every frame finite.
         path: file to write; its OBJ goes beside it.
-        progress: told of the frames written.
+        progress: called with the frames written.
     """
     samples, points = trajectory.positions.shape[:2]
     times = (np.arange(samples) / trajectory.fps).astype(">f4")

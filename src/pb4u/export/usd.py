@@ -53,7 +53,7 @@ def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     Args:
         trajectory: what is written, every frame finite.
         path: file to write: .usdc (binary), .usda (text) or .usdz (a package of one .usdc).
-        progress: told of the frames written.
+        progress: called with the frames written.
 
     Raises:
         MissingExtraError: the "usd" extra is not installed.

@@ -28,11 +28,8 @@ _REFINED, _REFINED_IN_ALL, _HOPELESS = 2, 6, 1.8
 # A garment stays where it is, and as it is turned, unless another fit has less than 1 / (this share) of the misfit,
 # this [m] aside: clothes hang loose by a few millimetres, and real ones fit where they are twice as well as 3 cm away.
 _CLEARLY, _LOOSELY = 1.12, 1e-3
-_TOLD, _FAR = 1.03, 0.02
-"""A place that is not clearly better is told of from this many times the misfit, and this [m] away, on: a long skirt
-raised by 3 cm has 1.04 to 1.06 times, and in its place 1.01."""
 _WIDE = 1.25
-"""The same for the body model's own origin, where a garment is too wide for its shape to tell its place."""
+"""How many times the best misfit the body model's own origin may have, where a wide shape does not tell its place."""
 # Front and back, or two sides, fit alike where one has not this many times the misfit of the other; of shirts, trousers
 # and shorts made by others the wrong way round has twice.
 _ALIKE = 1.35
@@ -162,7 +159,6 @@ class Fit:
         misfit: of the moved garment, see `RestBody.misfit` [m].
         searched: whether the place was searched for, with nothing in the body model to say it.
         alike: other axes under which it fits about as well.
-        closer: (3,) shift [m] under which a garment that is left in its place fits closer, but not clearly, or None.
     """
 
     unit: str
@@ -171,7 +167,6 @@ class Fit:
     misfit: float
     searched: bool = False
     alike: tuple[str, ...] = ()
-    closer: np.ndarray | None = None
 
     @classmethod
     def identity(cls, misfit: float | np.ndarray) -> Fit:
@@ -190,20 +185,14 @@ class Fit:
 
     @property
     def front_alike(self) -> tuple[str, ...]:
-        """Other axes of the same upward one under which it fits about as well: its front is not told by its shape."""
+        """Other axes of the same upward one under which it fits about as well: its shape does not show its front."""
         return tuple(axes for axes in self.alike if axes[0] == self.axes[0])
 
     @property
     def move(self) -> str:
         """The shift in words, such as "+3.0 cm in x and -1.2 cm in y"."""
-        return _in_words(self.shift)
-
-    @property
-    def doubt(self) -> str | None:
-        """A sentence on a place where it fits closer than where it is left; None where there is none."""
-        if self.closer is None:
-            return None
-        return f"It was not moved, though it would fit a little closer {_in_words(self.closer)} away: it is wide."
+        parts = [f"{100 * d:+.1f} cm in {axis}" for axis, d in zip("xyz", self.shift, strict=True) if abs(d) > 5e-4]
+        return " and ".join(parts) or "0 cm"
 
     @property
     def is_identity(self) -> bool:
@@ -256,20 +245,7 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
         limit = min(_WIDE * best + 3 * _LOOSELY, 0.95 * _NEAR)
         loosely = [f for f in fits if not f.searched and f.shift.any() and f.misfit <= limit]
         chosen = _compared(min(loosely, key=_change), fits) if loosely else chosen
-    return replace(chosen, closer=_closer(fits, chosen)) if chosen.is_identity else chosen
-
-
-def _closer(fits: list[Fit], chosen: Fit) -> np.ndarray | None:
-    """Shift (3,) [m] of the closest of the searched fits with the unit and axes of the chosen one, where it is far."""
-    searched = [fit for fit in fits if fit.searched and (fit.unit, fit.axes) == (chosen.unit, chosen.axes)]
-    best = min(searched, key=lambda fit: fit.misfit, default=chosen)
-    told = best.misfit * _TOLD < chosen.misfit and np.linalg.norm(best.shift) > _FAR
-    return best.shift if told else None
-
-
-def _in_words(shift: np.ndarray) -> str:
-    parts = [f"{100 * d:+.1f} cm in {axis}" for axis, d in zip("xyz", shift, strict=True) if abs(d) > 5e-4]
-    return " and ".join(parts) or "0 cm"
+    return chosen
 
 
 def _compared(chosen: Fit, fits: list[Fit]) -> Fit:

@@ -67,7 +67,6 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str], left: list[str]
     used = np.unique(np.concatenate(source.polygons))
     fit = find_fit(source.vertices[used], body)
     if fit.is_identity:
-        left += [] if fit.doubt is None else [fit.doubt]
         return source
     if fit.is_unsure:
         left.append("It was not moved: where on the body it belongs cannot be found out from its shape.")
@@ -194,7 +193,7 @@ def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.nda
     """
     spread = neighbour_mean(topology)
     distances = body.signed_distances(vertices)
-    # Only cloth this near can be reached by what is pushed; the rest need not be asked about again and again.
+    # Only cloth this near can be reached by what is pushed; the rest need not be searched in each pass.
     near = distances < 2.0 * max(0.0, -float(distances.min())) + 2.0 * CLEARANCE
     a, b = topology.edges[near[topology.edges].all(axis=1)].T
     moved = vertices.copy()
@@ -215,7 +214,7 @@ def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.nda
         left, push = left[push.any(axis=1)], push[push.any(axis=1)]
         if not len(left):
             break
-        # A little further than asked: in a crease the last fraction would take forever.
+        # A little further than needed: in a crease the last fraction would take forever.
         moved[left] += 1.02 * push
     return moved
 
@@ -224,5 +223,5 @@ def _push(points: np.ndarray, body: RestBody, clearance: float) -> np.ndarray:
     """(points, 3) smallest displacement [m] that brings each point `clearance` outside; 0 where it is already."""
     near = body.surface.nearest(points)
     depth = clearance - near.signed_distance.numpy()
-    asked: np.ndarray = np.where(depth > 1e-6, depth, 0.0)[:, None] * near.normals.numpy()
-    return asked
+    push: np.ndarray = np.where(depth > 1e-6, depth, 0.0)[:, None] * near.normals.numpy()
+    return push

@@ -22,7 +22,7 @@ from pb4u.geometry.obj_file import group_name, write_obj
 from pb4u.io.array_archive import read_arrays
 from pb4u.io.atomic_file import json_text, replace_file
 from pb4u.io.reading_limits import parse_json
-from pb4u.io.stored_numbers import Layout, require_layout, require_places
+from pb4u.io.stored_numbers import Layout, read_members, require_places
 from pb4u.pattern.drawing import draw_pattern
 from pb4u.pattern.dressing import DEFAULT_TRIANGLES, Dressed, dress, passed_on
 from pb4u.pattern.garmentcode import pattern_of, read_specification, record_of
@@ -33,7 +33,7 @@ from pb4u.pattern.svg import read_drawn
 FORMAT_VERSION = 1
 """Format of a dressed garment's file."""
 
-ALGORITHM = 3
+ALGORITHM = 5
 """To be raised whenever `dress` gives different garments: those that are kept are then dressed again."""
 
 _LAYOUT: Layout = {
@@ -153,16 +153,14 @@ def read_dressed(path: str | Path) -> tuple[PatternMesh, np.ndarray, tuple[str, 
     def refuse(what: str) -> InputError:
         return InputError(f"{path} is no dressed garment: {what}; make one with `pb4u dress PATTERN.json --out FILE`.")
 
-    if missing := [name for name in _LAYOUT if name not in members]:
-        raise refuse(f"it has no {missing[0]}")
-    counts = require_layout(members, _LAYOUT, refuse)
+    counts = read_members(members, _LAYOUT, refuse)[1]
     if int(members["format_version"]) != FORMAT_VERSION:
         raise InputError(f"{path} is of a newer format; update pb4u to read it.")
     require_places(members, {"faces": "points", "vertex": "vertices"}, counts, refuse)
     if not all(np.isfinite(members[name]).all() for name in ("points", "vertices")):
         raise refuse("it holds numbers that are not finite")
     try:
-        record = parse_json(str(members["pattern"]), path)
+        record = parse_json(str(members["pattern"]))
         pattern = pattern_of(record, str(record["name"]))
     except InputError:
         raise

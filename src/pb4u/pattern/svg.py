@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError, MissingExtraError, unknown_name
-from pb4u.io.reading_limits import read_text
 from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
 from pb4u.run import read_tables
 
@@ -148,7 +147,7 @@ def _outlines(path: Path) -> dict[str, list[Any]]:
         raise MissingExtraError("svg", "Reading a pattern drawn in an SVG") from error
 
     try:
-        text = read_text(path, "an SVG")
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"The drawing {path} cannot be read: {error.strerror or error}.") from None
     if "<!ENTITY" in text or "<use" in text:

@@ -218,10 +218,7 @@ def _refuse_other_files_of_a_training(path: Path) -> None:
 def _header(path: Path) -> dict[str, str]:
     from safetensors import SafetensorError, safe_open
 
-    from pb4u.io.reading_limits import require_small_header
-
     try:
-        require_small_header(path)
         with safe_open(path, framework="pt") as file:
             return file.metadata() or {}
     except (SafetensorError, OSError, ValueError):
