@@ -14,7 +14,7 @@ from pb4u.body.bone_names import smpl_names
 from pb4u.body.character import Character, Morph, Rig
 from pb4u.body.contact_region import reachable
 from pb4u.body.node_animation import Channel, Clip, NodePoses, NodeTree, parted
-from pb4u.body.skeleton import Skeleton
+from pb4u.body.skeleton import Skeleton, branch
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology, connected_labels
@@ -127,7 +127,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     heads = binds[:, :3, 3]
     names, parents, heads, bone_nodes, binds = _completed(names, parents, heads, ranked, binds, surface.vertices)
     skinning = SkinningWeights(surface.bones, surface.weights.astype(np.float32))
-    hands = _below(names, parents, _HANDS)
+    hands = branch(parents, [k for k, name in enumerate(names) if name in _HANDS])
     contact = reachable(surface.vertices, surface.faces, skinning.share_of(hands) <= 0.5, _RAYS)
     morphs = _morphs(chosen, places, world, welded)
     if "pelvis" not in names:
@@ -481,17 +481,6 @@ def _completed(
         joints = np.vstack([joints, place])
         nodes, binds = np.append(nodes, nodes[start]), np.concatenate([binds, binds[start : start + 1]])
     return names, parents, joints, nodes, binds
-
-
-def _below(names: list[str], parents: list[int], tops: Collection[str]) -> np.ndarray:
-    """Whether each bone (bones,) is one of some or hangs on one."""
-    below = np.array([name in tops for name in names])
-    for _ in range(len(names)):
-        more = below | np.array([parent >= 0 and below[parent] for parent in parents])
-        if (more == below).all():
-            break
-        below = more
-    return below
 
 
 def _clip_names(file: GltfFile) -> list[str]:

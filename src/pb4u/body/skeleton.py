@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,19 @@ class PoseSequence:
 
     def __len__(self) -> int:
         return len(self.rotations)
+
+
+def branch(parents: Sequence[int] | np.ndarray, tops: Collection[int]) -> np.ndarray:
+    """Mask (bones,) bool of some bones and all that hang on them.
+
+    Args:
+        parents: (bones,) index of each parent, before the bone itself; -1 for a root.
+        tops: indices of those bones.
+    """
+    below = np.zeros(len(parents), dtype=bool)
+    for bone, parent in enumerate(parents):
+        below[bone] = bone in tops or (parent >= 0 and below[parent])
+    return below
 
 
 def world_rotations(local: np.ndarray, parents: np.ndarray) -> np.ndarray:

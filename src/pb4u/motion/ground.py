@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pb4u.body.skeleton import joint_positions
+from pb4u.body.skeleton import branch, joint_positions
 from pb4u.geometry.rotation import between, multiply, rotate
 from pb4u.motion.recording import Recording
 
@@ -63,20 +63,12 @@ def stances(recording: Recording) -> list[Stance]:
         path = joints[:, ball]
         speed = np.linalg.norm(path[after] - path[before], axis=1) * poses.fps / (after - before)
         # Joints beyond the ball, where a skeleton has them, are of the same foot.
-        rests = (speed < _STANDS) & _of_branch(recording, ball)[lowest]
+        rests = (speed < _STANDS) & branch(recording.skeleton.parents, (ball,))[lowest]
         edges = np.flatnonzero(np.diff(np.concatenate([[False], rests, [False]])))
         for first, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             if stop - first >= _HOLDS * poses.fps:
                 found.append(Stance(first, stop, np.median(path[first:stop], axis=0)))
     return sorted(found, key=lambda stance: stance.first)
-
-
-def _of_branch(recording: Recording, bone: int) -> np.ndarray:
-    """Whether each bone (bones,) is this one or hangs on it."""
-    below = np.zeros(recording.skeleton.bone_count, dtype=bool)
-    for i, parent in enumerate(recording.skeleton.parents.tolist()):
-        below[i] = i == bone or (parent >= 0 and below[parent])
-    return below
 
 
 def on_level_ground(recording: Recording) -> Recording:

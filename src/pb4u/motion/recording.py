@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pb4u.body.skeleton import PoseSequence, Skeleton, joint_positions
+from pb4u.body.skeleton import PoseSequence, Skeleton, branch, joint_positions
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import about_axis, conjugate, multiply, rotate, slerp
 from pb4u.motion.correspondences import ROLES, Blend, SkeletonRoles
@@ -100,16 +100,11 @@ class Recording:
         """
         joints = self.skeleton.joints.copy()
         rotations = self.poses.rotations.copy()
-        parents = self.skeleton.parents.tolist()
         for side in "LR":
             hip, ankle = (self.joint_index(f"{role}.{side}") for role in ("thigh", "foot"))
             leg = joints[ankle] - joints[hip]
             turn = about_axis("z", -np.arctan2(leg[0], -leg[1]))
-            branch = {hip}
-            for bone, parent in enumerate(parents):
-                if parent in branch:
-                    branch.add(bone)
-            below = sorted(branch)
+            below = np.flatnonzero(branch(self.skeleton.parents, (hip,)))
             joints[below] = joints[hip] + rotate(turn, joints[below] - joints[hip])
             rotations[:, below] = multiply(rotations[:, below], conjugate(turn))
         return replace(
