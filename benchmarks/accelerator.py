@@ -64,7 +64,7 @@ _NO_KERNEL = {
     "view", "_unsafe_view", "expand", "select", "slice", "unsqueeze", "squeeze", "t", "transpose", "permute", "detach",
     "alias", "as_strided", "unbind", "split", "split_with_sizes", "diagonal", "unfold", "empty", "empty_strided",
     "new_empty", "empty_like", "lift_fresh", "_reshape_alias", "reshape", "unsafe_split", "narrow", "chunk",
-    "new_empty_strided", "set_", "is_same_size", "_local_scalar_dense",
+    "new_empty_strided", "set_", "device", "is_same_size", "_local_scalar_dense",
 }  # fmt: skip
 _COPIES = {"copy", "_to_copy", "_copy_from"}
 _SEVERAL = {"sort": 8, "argsort": 8, "topk": 4, "cumsum": 2, "nonzero_static": 4, "_embedding_bag": 2, "index_put": 3}
@@ -98,7 +98,7 @@ class Counted(TorchDispatchMode):
             raise RuntimeError(f"{name} of tensors on {' and '.join(sorted(places))} at {_place()}")
         if len(places) > 1 or (places and {t.device.type for t in outputs} - places):
             self.transfers[_place()] += 1
-        elif places - {"cpu"} and name not in _NO_KERNEL:
+        elif places - {"cpu"} and name not in _NO_KERNEL and not (name == "to" and out is args[0]):
             outputs = outputs or inputs
             self.launches[name] += _SEVERAL.get(name, 1)
             self.read_and_written += sum(_bytes(t) for t in (*inputs, *outputs))

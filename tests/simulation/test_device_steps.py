@@ -25,7 +25,7 @@ from pb4u.simulation.checkpoint import from_pretrained
 from pb4u.simulation.device_steps import require_memory, states_after
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import NetworkPass
-from pb4u.simulation.pass_search import search_of
+from pb4u.simulation.pass_search import eigenvectors, search_of
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_graph import Outputs
 from pb4u.simulation.step_start import start_of
@@ -128,6 +128,15 @@ def test_steps_are_replayed_where_their_shapes_stay(
         torch.testing.assert_close(one, other, rtol=0, atol=1e-12)
     # Of seven steps the first begins without a move, two more are plain, one is compared, three are replayed.
     assert graphs == ([1] if spoilt else [4])
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_the_closed_form_has_the_eigenvectors_of_the_library(rows: int) -> None:
+    drawn = torch.randn(200, rows, rows, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    matrices = torch.cat([drawn + drawn.mT, torch.eye(rows, dtype=torch.float64)[None], torch.zeros_like(drawn[:1])])
+    values, vectors = eigenvectors(matrices)
+    torch.testing.assert_close(values.sort(dim=1).values, torch.linalg.eigvalsh(matrices), rtol=0, atol=1e-13)
+    torch.testing.assert_close(vectors * values[:, None] @ vectors.mT, matrices, rtol=0, atol=1e-13)
 
 
 def test_what_a_card_cannot_do_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

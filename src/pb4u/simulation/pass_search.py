@@ -133,15 +133,20 @@ def _newton_lengths(curvature: Tensor, slope: Tensor) -> Tensor:
     curvature = torch.where(finite[:, None, None], curvature, unit)
     slope = torch.where(finite[:, None], slope, 0.0)
     scale = curvature.diagonal(dim1=-2, dim2=-1).abs().clamp_min(torch.finfo(curvature.dtype).tiny).sqrt()
-    values, vectors = _eigenvectors(curvature / scale[:, :, None] / scale[:, None, :])
+    scaled = curvature / scale[:, :, None] / scale[:, None, :]
+    # On a processor the library's solver: cloth that buckles amplifies other rounding to millimetres.
+    values, vectors = torch.linalg.eigh(scaled) if scaled.device.type == "cpu" else eigenvectors(scaled)
     along = vectors.mT @ (slope / scale)[..., None] / values.abs().clamp_min(_FLATTEST)[..., None]
     return (vectors @ along)[..., 0] / scale
 
 
-def _eigenvectors(matrices: Tensor) -> tuple[Tensor, Tensor]:
+def eigenvectors(matrices: Tensor) -> tuple[Tensor, Tensor]:
     """Eigenvalues (worlds, n) and eigenvectors, the columns of (worlds, n, n), of symmetric ones of one or two rows.
 
     In closed form: a library's solver makes an accelerator wait for its verdict.
+
+    Args:
+        matrices: (worlds, n, n) of any unit.
     """
     if matrices.shape[-1] == 1:
         return matrices[..., 0], torch.ones_like(matrices)
