@@ -137,6 +137,15 @@ def test_a_pattern_too_small_for_the_body_is_refused(body):
         dress(Pattern("small", small, skirt().seams), body, 200)
 
 
+@pytest.mark.parametrize("pattern", [skirt(), vest(0.9)])
+def test_a_pattern_three_times_too_small_is_refused(body, pattern: Pattern):
+    small = [Panel(p.name, p.corners / 3.0, p.position + (0, 0.35, 0)) for p in pattern.panels]
+    with pytest.raises(
+        InputError, match=r"tiny is too small for woman: its panels are \d+ cm wide together, and the wa"
+    ):
+        dress(Pattern("tiny", small, pattern.seams), body, 200)
+
+
 def test_a_top_is_brought_to_the_shoulders_of_its_body(body):
     worn = dress(vest(0.6), body, 400)
     assert worn.garment.vertices[:, 1].max() == pytest.approx(shoulder_height(body, 0.09), abs=0.02)

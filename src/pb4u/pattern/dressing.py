@@ -20,6 +20,7 @@ from torch import Tensor
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.errors import InputError
+from pb4u.garment.body_form import BodyForm
 from pb4u.garment.diagnosis import is_inside_out
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
@@ -105,6 +106,11 @@ _AHEAD = 0.02
 _TIGHT = 0.1
 """Mean strain of the cloth from which on a pattern is too small for a body: those that fit have 0.02 to 0.05."""
 
+_NARROW = 0.8
+"""Share of the waist from which on cloth goes around a body: narrower cloth is not strained, it ends around the neck."""
+
+_REMEDY = "check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` writes."
+
 _SLICE = 0.03
 """Half height [m] of a ring of cloth whose strain tells what girth it was cut for."""
 
@@ -180,6 +186,7 @@ def dress(
     enough = max(round(pattern.area / (0.43 * _COARSE_EDGE**2)), 8 * len(pattern.panels))
     coarse = mesh_pattern(pattern, triangles if triangles < 1.5 * enough else enough)
     sewing = _Sewing(coarse, body, cloth, watch)
+    sewing.refuse_narrow()
     places = sewing.hung(sewing.sewn(), _MOST_HANGING)
     fine = coarse if triangles <= len(coarse.faces) else mesh_pattern(pattern, triangles)
     return sewing.dressed(places) if fine is coarse else sewing.on_mesh(fine, places)
@@ -287,6 +294,21 @@ class _Sewing:
     def rest_pose(self) -> ColliderPose:
         """The body in its size, as simulations touch it."""
         return self.colliders.pose(torch.from_numpy(self.body.vertices))
+
+    def refuse_narrow(self) -> None:
+        """Refuse cloth over the trunk that cannot go around it."""
+        form, name = self.body.kept("form", BodyForm), self.mesh.pattern.name
+        own = [self.placed[self.mesh.panel == k] for k, p in enumerate(self.mesh.pattern.panels) if p.label != "arm"]
+        low, high = (np.array([end(points[:, 1]) for points in own]) for end in (np.min, np.max))
+        widths = np.array([np.hypot(*np.ptp(points[:, [0, 2]], axis=0)) for points in own])
+        levels = np.linspace(form.crotch, form.neck[1], 64)[:, None]
+        widest = float((widths * ((low <= levels) & (levels <= high))).sum(axis=1).max())
+        waist = trunk_girths(self.body)["waist"][1]
+        if 0.0 < widest < _NARROW * waist:
+            raise InputError(
+                f"{name} is too small for {self.body.name}: its panels are {100 * widest:.0f} cm wide together, and the "
+                f"waist measures {100 * waist:.0f} cm; {_REMEDY}"
+            )
 
     def sewn(self) -> np.ndarray:
         """Places (vertices, 3) [m] of the garment around the body in its size, without weight."""
@@ -426,8 +448,7 @@ class _Sewing:
         raise InputError(
             f"{self.mesh.pattern.name} is too small for {self.body.name}: its cloth would be strained by "
             f"{100 * mean:.0f} % on average, and by {100 * of_panel[worst]:.0f} % in panel {panels[worst].name}"
-            f"{differ}; check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` "
-            "writes."
+            f"{differ}; {_REMEDY}"
         )
 
 
