@@ -107,7 +107,8 @@ _TIGHT = 0.1
 """Mean strain of the cloth from which on a pattern is too small for a body: those that fit have 0.02 to 0.05."""
 
 _NARROW = 0.8
-"""Share of the waist from which on cloth goes around a body: narrower cloth is not strained, it ends around the neck."""
+"""Share of the waist from which on cloth goes around a body: narrower cloth is not strained, but ends around the neck.
+"""
 
 _REMEDY = "check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` writes."
 
@@ -306,8 +307,8 @@ class _Sewing:
         waist = trunk_girths(self.body)["waist"][1]
         if 0.0 < widest < _NARROW * waist:
             raise InputError(
-                f"{name} is too small for {self.body.name}: its panels are {100 * widest:.0f} cm wide together, and the "
-                f"waist measures {100 * waist:.0f} cm; {_REMEDY}"
+                f"{name} is too small for {self.body.name}: its panels are {100 * widest:.0f} cm wide together, and "
+                f"the waist measures {100 * waist:.0f} cm; {_REMEDY}"
             )
 
     def sewn(self) -> np.ndarray:
@@ -413,7 +414,10 @@ class _Sewing:
         """The garment that hangs at `places` (vertices, 3) [m], checked, and lifted off the skin."""
         garment = self.garment(places)
         if is_inside_out(places, garment.faces, self.rest_body):
-            raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
+            raise InputError(
+                f"{garment.name} comes out inside out: run the corners of its panels the other way round, or check the "
+                "pattern's unit if it lies lower on the body than it should."
+            )
         packed = pack([garment])
         x = torch.from_numpy(places)
         strains = face_strains(x, packed.faces, packed.inverse_rest_shape).numpy()
