@@ -112,6 +112,12 @@ _NARROW = 0.8
 
 _REMEDY = "check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` writes."
 
+_CROTCH_ROOM = 0.01
+"""Least distance [m] of the crotch of trousers below that of the body."""
+
+_MIDDLE = 0.02
+"""Distance [m] from the middle of the body within which four corners of panels that meet are a crotch."""
+
 _SLICE = 0.03
 """Half height [m] of a ring of cloth whose strain tells what girth it was cut for."""
 
@@ -282,10 +288,17 @@ class _Sewing:
 
     @cached_property
     def placed(self) -> np.ndarray:
-        """Places (points, 3) [m] of the panels, at the height of this body's shoulders where the garment has those."""
+        """Places (points, 3) [m] of the panels, at the height of this body's shoulders where the garment has those.
+
+        Trousers whose crotch would be within the body are lowered to its own.
+        """
         places = joined(self.mesh)
-        top = shoulder_point(self.mesh, places)
-        return places if top is None else places + (shoulder_height(self.body, abs(top[0])) - top[1]) * np.array(UP)
+        top, rise = shoulder_point(self.mesh, places), 0.0
+        if top is not None:
+            rise = shoulder_height(self.body, abs(top[0])) - float(top[1])
+        elif (crotch := crotch_height(self.mesh, places)) is not None:
+            rise = min(0.0, self.body.kept("form", BodyForm).crotch - _CROTCH_ROOM - crotch)
+        return places + rise * np.array(UP)
 
     def pose(self, share: float, done: float) -> ColliderPose:
         """The whole body, hands included; see `SewingBody.between`."""
@@ -497,6 +510,18 @@ def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> np.ndarray | None:
             found.append(places[np.concatenate([one, other])])
     points = np.concatenate(found) if found else places[:0]
     return points[points[:, 1].argmax()] if len(points) else None
+
+
+def crotch_height(mesh: PatternMesh, places: np.ndarray) -> float | None:
+    """Height [m] of the lowest point in the middle where four corners of panels are sewn together; None without one.
+
+    Args:
+        mesh: the panels.
+        places: (points, 3) of the panels [m].
+    """
+    sewn = mesh.sewn(places)
+    meet = (np.bincount(mesh.vertex) >= 4) & (np.abs(sewn[:, 0]) < _MIDDLE)
+    return float(sewn[meet, 1].min()) if meet.any() else None
 
 
 def off_body(mesh: PatternMesh, places: np.ndarray, body: np.ndarray) -> np.ndarray:
