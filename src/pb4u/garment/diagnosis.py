@@ -152,6 +152,8 @@ def diagnose(
         if not pinned and not any(f.code in _NOT_WORN for f in findings):
             findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
             held = held_by(fit.apply(garment.vertices), surface.faces, rest)
+        if isinstance(body, ShapedBody) and not any(f.code in _NOT_WORN for f in findings):
+            findings += _limb_findings(fit.apply(garment.vertices), surface.faces, body)
         if not any(f.code in _NOT_WORN for f in findings):
             findings += _coarse_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
@@ -195,7 +197,7 @@ def require_worn(
 
 
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
-    """Refuse a garment from arrays in other units, or far from the body.
+    """Refuse a garment from arrays in other units, far from the body, or wholly inside it.
 
     Args:
         garment: as it was given.
@@ -206,8 +208,11 @@ def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
     """
     if unit := likely_unit(garment.vertices):
         raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
-    for finding in _far_finding(garment.vertices, RestBody.of(body)):
-        raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
+    rest = RestBody.of(body)
+    inside = _penetration_findings(rest.signed_distances(garment.vertices), rest, "")
+    for finding in (*_far_finding(garment.vertices, rest), *inside):
+        if finding.severity is Severity.REFUSED:
+            raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
 
 
 def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted: bool = False) -> None:
@@ -297,6 +302,18 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
         )
         findings.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {mend}", True))
     return findings + _far_finding(fit.apply(vertices), body)
+
+
+def _limb_findings(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> list[Finding]:
+    """Limbs of the resting body that are not inside a garment's sleeves and legs."""
+    from pb4u.garment.limbs_inside import limbs_outside
+
+    limbs = limbs_outside(vertices, faces, body)
+    if not limbs:
+        return []
+    sentence = f"{', '.join(limbs[:4])} of the body at rest go through it, not inside it."
+    fix = "pose it around them where it was made; simulation pushes it out where a push is enough, and refuses it else"
+    return [Finding("limb-outside", Severity.WARNING, sentence, fix)]
 
 
 def _coarse_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> list[Finding]:
