@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 import typer
+from tests.pattern.patterns import DRAWN_PANELS
 
 import pb4u
 from pb4u.cli.application import app
@@ -212,9 +213,15 @@ def prepared(folder: Path, page: str) -> None:
 
 @pytest.mark.parametrize("block", blocks("toml"), ids=str)
 def test_every_file_that_is_shown_can_be_read(block: Block, tmp_path: Path) -> None:
-    is_jobs = set(tomllib.loads(block.text)) & {"fixed", "product", "clips"}
+    entries = tomllib.loads(block.text)
+    is_jobs = set(entries) & {"fixed", "product", "clips"}
     file = tmp_path / f"shown.{block.language}"
     file.write_text(block.text)
+    if "svg" in entries:
+        pytest.importorskip("svgelements", reason='the "svg" extra is not installed')
+        (tmp_path / entries["svg"]).write_bytes(DRAWN_PANELS)
+        assert len(pb4u.read_pattern(file).panels) == len(entries["panels"])
+        return
     if not is_jobs:
         assert Run.open(file).garments
         return
