@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.graph.features import FeatureLayout
-from pb4u.paper.baselines import rest_meshes
 from pb4u.paper.baselines.contourcraft import ContourCraftConfiguration
 from pb4u.paper.baselines.eslr import EslrConfiguration, GeodesicAttention, geodesic_landmarks
 from pb4u.paper.baselines.hood import HoodConfiguration, LevelsByLength
@@ -343,16 +341,3 @@ def test_mgn_relative_differs_from_mgn_in_its_edge_features_only():
     other = NETWORKS["mgn_relative"]
     assert replace(other, layout=mgn.layout) == mgn
     assert other.layout == FeatureLayout()
-
-
-def test_a_method_says_what_it_lacks_on_a_machine_that_only_trains(monkeypatch):
-    def absent(name):
-        return None if name in ("scipy", "igl") else find_spec(name)
-
-    monkeypatch.setattr(rest_meshes, "find_spec", absent)
-    with pytest.raises(
-        InputError, match=r"ContourCraft needs scipy and libigl, not installed here; `pip install scipy"
-    ):
-        TINY["contourcraft"].network()
-    with pytest.raises(InputError, match="HOOD needs scipy, not installed here"):
-        TINY["hood"].network()

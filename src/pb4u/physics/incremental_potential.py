@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from pb4u.collision.jit import COMPILES
 from pb4u.physics.contact.contact_set import (
     ContactPlanes,
     ContactSet,
@@ -316,7 +315,7 @@ class StepPotential:
     def undifferentiated(self) -> StepPotential:
         """This potential for its numbers alone: compiled where the garments are what the solver computes with."""
         garments = self.step.garments
-        of_solver = COMPILES and garments.dtype == torch.float64 and garments.device.type == "cpu"
+        of_solver = garments.dtype == torch.float64 and garments.device.type == "cpu" and not self._batches
         return self.compiled() if of_solver else self
 
     def stiffness(self, x: Tensor, pattern: StiffnessPattern) -> Stiffness:

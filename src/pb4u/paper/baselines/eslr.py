@@ -24,7 +24,7 @@ from pb4u.network.interaction_block import InteractionBlock
 from pb4u.network.mlp import MLP, SplitMLP
 from pb4u.network.segment import gather, segment_sum
 from pb4u.paper.baselines.meshgraphnet import MESH_GRAPH_LAYOUT
-from pb4u.paper.baselines.rest_meshes import MeshMemory, require
+from pb4u.paper.baselines.rest_meshes import MeshMemory
 from pb4u.scene.packed import PackedGarments
 
 LANDMARKS, GEODESICS = "landmarks", "geodesics"
@@ -77,7 +77,6 @@ class Eslr(EncodeProcessDecode):
     """
 
     def __init__(self, configuration: EslrConfiguration) -> None:
-        require("ESLR", "scipy")
         super().__init__(configuration)
         self.configuration = configuration
         self._landmarks = MeshMemory(geodesic_landmarks, _REMEMBERED)

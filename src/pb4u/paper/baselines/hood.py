@@ -19,7 +19,7 @@ from pb4u.network.interaction_block import InteractionBlock
 from pb4u.network.mlp import MLP
 from pb4u.paper.baselines.coarsening import REMEMBERED, coarse_levels
 from pb4u.paper.baselines.meshgraphnet import MESH_GRAPH_LAYOUT
-from pb4u.paper.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require
+from pb4u.paper.baselines.rest_meshes import MeshMemory, levels_of, packed_levels
 from pb4u.scene.packed import PackedGarments
 
 NEAR, FAR = "coarse_near", "coarse_far"
@@ -130,7 +130,6 @@ class Hood(EncodeProcessDecode):
     """
 
     def __init__(self, configuration: HoodConfiguration) -> None:
-        require("HOOD", "scipy")
         super().__init__(configuration, ("mesh", NEAR, FAR), levels=1 + (configuration.labelled or 2))
         self.choice: LevelChoice = configuration.choice
         self.labelled = configuration.labelled

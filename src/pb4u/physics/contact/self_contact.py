@@ -306,7 +306,7 @@ class CollisionFree(SelfContact):
         return ClothPairs.along(garments, x, moves, before, self.reach, known, obstacle)
 
     def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
-        # Needs what a machine that only trains may lack.
+        # Garments stand above contact.
         from pb4u.garment.tangles import untangled_start
 
         positions, freed = as_float64(x), []
