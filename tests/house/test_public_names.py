@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from types import ModuleType
 
 import pytest
@@ -13,3 +15,9 @@ import pb4u
 def test_a_public_name_is_not_hidden_by_a_package_of_that_name(name: str) -> None:
     for _ in range(2):
         assert not isinstance(getattr(pb4u, name), ModuleType)
+
+
+def test_what_takes_long_to_import_waits_until_it_is_used() -> None:
+    slow = "{'scipy.signal', 'scipy.stats'} & set(sys.modules)"
+    program = f"import sys, pb4u; pb4u.make_scene, pb4u.load_simulator; assert not {slow}"
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.motion.test_smpl_recordings import write_vto
 
 from pb4u.body.library import load_body
 from pb4u.errors import InputError
@@ -42,3 +44,18 @@ def test_with_files_alone_the_first_body_is_the_only_one(shirt: Path) -> None:
 def test_a_file_that_is_missing_is_refused() -> None:
     with pytest.raises(InputError, match=r"There is no garment file none\.obj"):
         collect(selection("none.obj"))
+
+
+def test_vto_recordings_are_trained_on_and_every_tenth_validates(tmp_path: Path) -> None:
+    for number in range(10):
+        write_vto(tmp_path / f"clip{number}.pkl")
+    data = collect(replace(selection("skirt"), motions=()), tmp_path)
+    splits = [(clip.name, clip.split) for clip in data.clips if clip.body == 0]
+    assert splits[0] == ("clip0", "train")
+    assert len(splits) == 10
+    assert [name for name, split in splits if split == "validation"] == ["clip9"]
+
+
+def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"holds no file of \.pkl, \.npz, \.bvh, and none of the recordings"):
+        collect(selection("skirt"), tmp_path)

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 from pb4u.body.animated_body import AnimatedBody
@@ -117,6 +116,8 @@ class VertexSequence(AnimatedBody):
 
     def smoothed(self, cutoff: float) -> VertexSequence:
         """The same motion without what is faster than `cutoff` [Hz], by a low-pass that delays nothing."""
+        from scipy.signal import butter, sosfiltfilt
+
         count = len(self.vertices)
         if self.stored_fps <= 2.5 * cutoff or count < 10:
             return self

@@ -179,7 +179,7 @@ def pack(
     ] = "small",
     recordings: Annotated[
         Path | None,
-        typer.Option(help="Folder of CMU recordings to pack as well, SUBJECT/TRIAL.amc beside SUBJECT.asf."),
+        typer.Option(help="Folder of recordings to pack as well, as for `pb4u train`."),
     ] = None,
     set_: Annotated[
         list[str] | None,

@@ -37,7 +37,10 @@ def train(
     ] = None,
     recordings: Annotated[
         Path | None,
-        typer.Option(help="Folder of CMU recordings to train on as well, SUBJECT/TRIAL.amc beside SUBJECT.asf."),
+        typer.Option(
+            help="Folder of recordings to train on as well: CMU's as SUBJECT/TRIAL.amc beside SUBJECT.asf, VTO's .pkl, "
+            "AMASS's .npz, .bvh."
+        ),
     ] = None,
     weights: Annotated[
         str | None,

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
-from scipy.signal import butter, sosfiltfilt
 
 from pb4u.body.skeleton import joint_positions, world_rotations
 from pb4u.geometry.rotation import between, conjugate, multiply
@@ -61,6 +60,8 @@ def steadied(recording: Recording) -> Recording:
 
 def _low_passed(recording: Recording) -> Recording:
     """Rotations of the joints from their parents, and travel, without what is faster than `CUTOFF`."""
+    from scipy.signal import butter, sosfiltfilt
+
     poses, parents = recording.poses, recording.skeleton.parents
     local = poses.rotations.copy()
     for bone, parent in enumerate(parents.tolist()):

@@ -23,6 +23,9 @@ from pb4u.training.configuration import DataSelection
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
 from pb4u.training.variation import CAPE, before_refining, cape, uneven, varied_garment
 
+_OTHER_RECORDINGS = (".pkl", ".npz", ".bvh")
+"""Suffixes of recordings that are trained on beside those of the catalogue."""
+
 
 def collect(
     selection: DataSelection, recordings: Path | None = None, seed: int = 0, progress: Progress = no_progress
@@ -31,12 +34,13 @@ def collect(
 
     Args:
         selection: garments, bodies and motions.
-        recordings: folder of CMU files, SUBJECT/TRIAL.amc; those of the training and validation splits are taken.
+        recordings: folder of recordings: SUBJECT/TRIAL.amc of the catalogue's training and validation splits, and .pkl
+            files of VTO, .npz of AMASS and .bvh of any name, every tenth of which is for validation.
         seed: seed of body shapes and of the choice of clips.
         progress: called with (parts made, parts in all).
 
     Raises:
-        InputError: an unknown name, or a folder without any of the recordings.
+        InputError: an unknown name, a folder without any recording, or a recording that cannot be read.
     """
     rng = np.random.default_rng([seed, 17])
     bodies = _bodies(selection, rng)
@@ -44,7 +48,7 @@ def collect(
         bodies = bodies[:1]
     total = len(bodies) * (len(selection.garments) * len(selection.triangles) + 1)
     done = 0
-    trials = {} if recordings is None else _trials(recordings)
+    recorded = {} if recordings is None else _recorded(recordings)
     outfits, clips = [], []
     for index, body in enumerate(bodies):
         for which, name in enumerate(selection.garments):
@@ -56,7 +60,7 @@ def collect(
                 done += 1
                 progress(done, total)
         clips += _built_in_clips(selection, body, index, rng)
-        for split, motions in trials.items():
+        for split, motions in recorded.items():
             clips += [_clip(motion, motion.name, split, body, index, selection.fps) for motion in motions]
         done += 1
         progress(done, total)
@@ -125,23 +129,27 @@ def _built_in_clips(
     return clips
 
 
-def _trials(folder: Path) -> dict[str, list[Motion]]:
+def _recorded(folder: Path) -> dict[str, list[Motion]]:
+    """Motions of the files below the `folder`, by split: that of the catalogue, and of others every tenth validates."""
     found: dict[str, list[Motion]] = {}
-    missing = 0
-    for split in ("train", "validation"):
-        for trial in RECORDINGS[split]:
-            file = folder / trial.split("_")[0] / f"{trial}.amc"
-            if file.is_file():
-                found.setdefault(split, []).append(load_motion(file))
-            else:
-                missing += 1
+    trials = {trial: split for split in ("train", "validation") for trial in RECORDINGS[split]}
+    missing = dict(trials)
+    others = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in _OTHER_RECORDINGS]
+    for trial, split in trials.items():
+        file = folder / trial.split("_")[0] / f"{trial}.amc"
+        if file.is_file():
+            found.setdefault(split, []).append(load_motion(file))
+            del missing[trial]
+    for place, file in enumerate(others, start=1):
+        found.setdefault("train" if place % 10 else "validation", []).append(load_motion(file))
     if "train" not in found:
+        first = next(iter(trials))
         raise InputError(
-            f"The folder {folder} holds none of the recordings of the catalogue, such as "
-            f"{RECORDINGS['train'][0].split('_')[0]}/{RECORDINGS['train'][0]}.amc."
+            f"The folder {folder} holds no file of {', '.join(_OTHER_RECORDINGS)}, and none of the recordings of the "
+            f"catalogue, such as {first.split('_')[0]}/{first}.amc."
         )
-    if missing:
-        warnings.warn(f"{missing} recordings of the catalogue are not in {folder}.", InputWarning, stacklevel=3)
+    if missing and not others:
+        warnings.warn(f"{len(missing)} recordings of the catalogue are not in {folder}.", InputWarning, stacklevel=3)
     return found
 
 

@@ -245,7 +245,7 @@ def _parsed(key: str, present: Any, text: str) -> Any:
         value = text
     if isinstance(present, tuple):
         if isinstance(value, str):
-            value = tuple(part.strip() for part in value.split(","))
+            value = tuple(part.strip() for part in value.split(",") if part.strip())
         elif not isinstance(value, tuple):
             value = (value,)
         # Empty tuples by default are of numbers.

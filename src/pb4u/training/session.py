@@ -49,7 +49,7 @@ class Request:
         out: new folder to keep it in.
         resume: folder to go on with, instead.
         pack: file of training data; collected from the built-in assets without it.
-        recordings: folder of CMU files to train on as well.
+        recordings: folder of recordings to train on as well, as `collect` takes it.
         settings: KEY=VALUE changes of the preset.
         device: "auto", "cpu" or "cuda".
         weights: built-in name or file of the weights to begin with, and of their network; drawn without it.
