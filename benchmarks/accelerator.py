@@ -17,7 +17,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,7 @@ _NO_KERNEL = {
     "new_empty", "empty_like", "lift_fresh", "_reshape_alias", "reshape", "unsafe_split", "narrow", "chunk",
     "new_empty_strided", "set_", "is_same_size", "_local_scalar_dense",
 }  # fmt: skip
+_COPIES = {"copy", "_to_copy", "_copy_from"}
 _SEVERAL = {"sort": 8, "argsort": 8, "topk": 4, "cumsum": 2, "nonzero_static": 4, "_embedding_bag": 2, "index_put": 3}
 """Kernels that the library launches for one operation, from its sources and roughly; the others launch one."""
 
@@ -89,12 +90,13 @@ class Counted(TorchDispatchMode):
         out = func(*args, **kwargs)
         name = func._schema.name.split("::")[1].removesuffix("_") or func._schema.name
         inputs, outputs = list(_tensors((args, kwargs))), list(_tensors(out))
-        places = {t.device.type for t in inputs if t.dim() or t.device.type == "cuda"}
-        if outputs and {t.device.type for t in outputs} - places and places:
+        places = {t.device.type for t in inputs if t.dim() or t.device.type != "cpu"}
+        if len(places) > 1 and name not in _COPIES:
+            raise RuntimeError(f"{name} of tensors on {' and '.join(sorted(places))} at {_place()}")
+        if len(places) > 1 or (places and {t.device.type for t in outputs} - places):
             self.transfers[_place()] += 1
-        elif (
-            any(t.device.type == "cuda" for t in outputs) and name not in _NO_KERNEL and out is not (args or [None])[0]
-        ):
+        elif places - {"cpu"} and name not in _NO_KERNEL:
+            outputs = outputs or inputs
             self.launches[name] += _SEVERAL.get(name, 1)
             self.read_and_written += sum(_bytes(t) for t in (*inputs, *outputs))
             kind = str(outputs[0].dtype).removeprefix("torch.")
@@ -143,36 +145,36 @@ def fake_card() -> Iterator[None]:
         yield
 
 
-def faked(value: Any, known: dict[int, Any] | None = None) -> Any:
-    """A copy of records, modules and other objects in which every tensor is a fake one on `CARD`."""
+def faked(value: Any, card: torch.device = CARD, known: dict[int, Any] | None = None) -> Any:
+    """A copy of records, modules and other objects in which every tensor is one without values on `card`."""
     known = {} if known is None else known
     if id(value) in known:
         return known[id(value)]
     made: Any = value
     if isinstance(value, nn.Parameter):
-        made = nn.Parameter(_on_card(value), requires_grad=value.requires_grad)
+        made = nn.Parameter(_on_card(value, card), requires_grad=value.requires_grad)
     elif isinstance(value, Tensor):
-        made = _on_card(value)
+        made = _on_card(value, card)
     elif isinstance(value, torch.device):
-        made = CARD
+        made = card
     elif isinstance(value, (tuple, list)) and not hasattr(value, "_fields"):
-        made = type(value)(faked(part, known) for part in value)
+        made = type(value)(faked(part, card, known) for part in value)
     elif isinstance(value, dict):
-        made = {faked(key, known): faked(part, known) for key, part in value.items()}
+        made = {faked(key, card, known): faked(part, card, known) for key, part in value.items()}
     elif dataclasses.is_dataclass(value) or type(value).__module__.startswith(("pb4u", "torch.nn")):
         if isinstance(value, type):
             return value
         made = copy.copy(value)
         known[id(value)] = made
-        vars(made).update({name: faked(part, known) for name, part in vars(value).items()})
+        vars(made).update({name: faked(part, card, known) for name, part in vars(value).items()})
     known[id(value)] = made
     # What an address stands for must live as long as it is known.
     known.setdefault(-id(value), value)
     return made
 
 
-def _on_card(values: Tensor) -> Tensor:
-    return torch.empty_strided(values.shape, values.stride(), dtype=values.dtype, device=CARD)
+def _on_card(values: Tensor, card: torch.device) -> Tensor:
+    return torch.empty_strided(values.shape, values.stride(), dtype=values.dtype, device=card)
 
 
 def model_of(name: str) -> AccelerationModel:
@@ -188,8 +190,14 @@ def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
     return StepMethod(start_of(network), passes, search=search_of(network))
 
 
-def count(name: str, scene: Scene) -> tuple[Counted, str]:
-    """What a step does, its first pose left out, and how many passes it took."""
+def count(name: str, scene: Scene, card: torch.device = CARD) -> tuple[Counted, str]:
+    """What a step does, its first pose left out, and how many passes it took.
+
+    Args:
+        name: of the network.
+        scene: of at least four frames.
+        card: fake CUDA device, or "meta", which is quicker and needs no process of its own.
+    """
     timeline, model = Timeline.of(scene).to(torch.device("cpu"), Rooms()), model_of(name)
     method, rooms = method_of(model, timeline), timeline.colliders.rooms
     assert rooms is not None
@@ -198,13 +206,13 @@ def count(name: str, scene: Scene) -> tuple[Counted, str]:
     rooms.grow(*rooms.taken())
     passes = rooms.sizes.get("passes", method.network.passes)
     step = timeline.step_from(State(state.positions, state.velocities, 2))
-    with fake_card(), torch.no_grad():
+    with fake_card() if card.type == "cuda" else nullcontext(), torch.no_grad():
         for _ in range(2):
             # What is made once is made by the first of the two.
-            known, taken = faked((step, method))
+            known, taken = faked((step, method), card)
             with Counted() as counted:
                 *_, after = predictions(known, taken, known.collider.colliders.rooms)
-            assert after.positions.device.type == "cuda"
+            assert after.positions.device.type == card.type
     return counted, f"{passes} passes" if method.network.further else f"{passes} pass"
 
 

@@ -2,6 +2,7 @@
 
     python benchmarks/limbs.py --models auto,quick-solver --out limbs.jsonl
     python benchmarks/limbs.py --only tights --data ../../shared/data --frames 60 --out limbs.jsonl
+    python benchmarks/limbs.py --garments tee.json,skirt.npz --motions walk,squat --triangles 5000 --out patterns.jsonl
 
 Recordings and garments of others are read from `--data`; without it those clips are left out. A line of JSON is added
 for each clip.
@@ -50,7 +51,7 @@ CLIPS = (
 
 def result(clip: Clip, model: str, args: argparse.Namespace) -> dict[str, object]:
     """Figures of a clip."""
-    own = not clip.garment.endswith(".obj")
+    own = not clip.motion.endswith(".amc")
     scene = make_scene(
         garment=clip.garment if own else args.data / "garments" / clip.garment,
         motion=clip.motion if own else args.data / "motions" / "cmu_asfamc" / clip.motion,
@@ -69,7 +70,7 @@ def result(clip: Clip, model: str, args: argparse.Namespace) -> dict[str, object
     if args.keep:
         args.keep.mkdir(parents=True, exist_ok=True)
         trajectory.save(args.keep / f"{clip.name}_{model}.npz")
-    report = measure(trajectory, bones=Bones.of(scene, trajectory))
+    report = measure(trajectory, bones=Bones.of(scene, trajectory.frame_count, trajectory.fps))
     series = {name: np.array(report["metrics"][name]["per_frame"]) for name in MEASURES if name in report["metrics"]}
     free = series["body_intersections"] - series["body_intersections_pinched"]
     return {
@@ -98,11 +99,19 @@ def main() -> None:
     parser.add_argument("--triangles", type=int, default=2500)
     parser.add_argument("--only", default="", help="names of clips, by comma")
     parser.add_argument("--data", type=Path)
+    parser.add_argument("--garments", default="", help="names or files, by comma, to simulate instead of these clips")
+    parser.add_argument("--motions", default="walk,dance,squat", help="for --garments")
     parser.add_argument("--keep", type=Path, help="folder for the trajectories")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
-    for clip in CLIPS:
-        if (args.only and clip.name not in args.only.split(",")) or (clip.garment.endswith(".obj") and not args.data):
+    clips = CLIPS
+    if args.garments:
+        worn = (
+            (Path(name).stem, name, motion) for name in args.garments.split(",") for motion in args.motions.split(",")
+        )
+        clips = tuple(Clip(f"{stem}_{motion}", name, motion) for stem, name, motion in worn)
+    for clip in clips:
+        if (args.only and clip.name not in args.only.split(",")) or (clip.motion.endswith(".amc") and not args.data):
             continue
         for model in args.models.split(","):
             row = result(clip, model, args)

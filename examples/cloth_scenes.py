@@ -6,7 +6,7 @@ import numpy as np
 
 import pb4u
 from pb4u.body.vertex_sequence import VertexSequence
-from pb4u.collision.crossings import self_crossings
+from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.material import load_material
 from pb4u.scene.scene import DressedGarment
@@ -53,6 +53,14 @@ def simulate(scene: pb4u.Scene, out: str, self_contact: bool = True) -> Trajecto
         f"{iterations.mean():.1f} iterations a step (most {iterations.max()}), {record.unsolved} steps unsolved"
     )
     print(f"pairs of triangles that cross: {sum(crossing)} in all frames, {max(crossing)} in the worst")
+    felt = trajectory.header.body_faces[trajectory.header.body_contact[trajectory.header.body_faces].all(axis=1)]
+    through = [
+        len(crossings(x, trajectory.faces, body, felt))
+        for x, body in zip(trajectory.positions, trajectory.body_positions, strict=True)
+    ]
+    print(
+        f"pairs of triangles of cloth and solid that cross: {sum(through)} in all frames, {max(through)} in the worst"
+    )
     print(f"fastest vertex at the end: {1000 * np.linalg.norm(trajectory.velocities[-1], axis=1).max():.1f} mm/s")
     print("written:", trajectory.save(f"{out}.npz"), pb4u.export_trajectory(trajectory, f"{out}.png"))
     return trajectory

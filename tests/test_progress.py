@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from collections.abc import Callable
 
@@ -35,6 +36,17 @@ def test_work_of_parts_that_differ_is_estimated_by_the_mean_of_more() -> None:
     assert told_of(lambda k: 9.0 if k % 2 else 1.0, 200, alike=False) == [
         "195 more steps take about 16 minutes, 5 s each."
     ]
+
+
+def test_work_that_gets_slower_is_estimated_again() -> None:
+    # Cloth is easy for ten steps, then caught: each step takes 20 times as long.
+    said = told_of(lambda k: 0.5 if k <= 10 else 10.0, 150)
+    assert said[0] == "145 more steps take about 1 minute, 0.5 s each."
+    assert len(said) == 2
+    assert re.fullmatch(r"Slower than at first: 13\d more steps take about 2\d minutes, 10 s each\.", said[1])
+    # What was too short to tell of is told of once it is long.
+    (late,) = told_of(lambda k: 0.1 if k <= 40 else 4.0, 90)
+    assert late.startswith("Slower than at first: ")
 
 
 @pytest.mark.parametrize(("each", "total"), [(0.1, 300), (10.0, 4), (30.0, 3)])

@@ -17,17 +17,27 @@ from pathlib import Path
 from pb4u.garment.library import LEVELS
 from pb4u.measures.metrics import ENERGIES, measure
 from pb4u.paper.reference_energies import REFERENCE_FILE
-from pb4u.scene.catalogue import catalogue_scene, scene_names
+from pb4u.scene.assembly import make_scene
+from pb4u.scene.catalogue import MOTIONS, RECORDINGS, SEEDS, TRAINING_GARMENTS, UNSEEN_GARMENTS
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stepwise_simulator import SolverSimulator
 
 
-def floor_of(name: str, triangles: int, frames: int, recordings: Path | None) -> dict[str, object]:
+def scenes(recordings: Path | None) -> dict[str, tuple[str, str, int]]:
+    """Garment, motion and seed of each test scene by its name, recordings last."""
+    seed, garments = SEEDS["test"][0], (*TRAINING_GARMENTS, *UNSEEN_GARMENTS)
+    named = {f"test/{g}/{m}-{seed}": (g, m, seed) for g in garments for m in MOTIONS["test"]}
+    trials = {} if recordings is None else {t: recordings / t.split("_")[0] / f"{t}.amc" for t in RECORDINGS["test"]}
+    return named | {f"test/{g}/{t}": (g, str(file), 0) for g in garments for t, file in trials.items()}
+
+
+def floor_of(scene: tuple[str, str, int], triangles: int, frames: int) -> dict[str, object]:
     """What the solver reaches on one scene, contact response off so that nothing but the potential is at work."""
-    scene = catalogue_scene(name, triangles, frames, recordings=recordings)
+    garment, motion, seed = scene
+    made = make_scene(garment, motion=motion, triangles=triangles, frames=frames, seed=seed)
     simulator, record = SolverSimulator(), RunRecord()
-    trajectory = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record))
+    trajectory = Trajectory.collect(simulator.header(made), simulator.written_frames(made, record))
     measured = measure(trajectory)
     return {
         "triangles": len(trajectory.faces),
@@ -47,18 +57,16 @@ def main() -> None:
     options = parser.parse_args()
     floors = json.loads(REFERENCE_FILE.read_text()) if REFERENCE_FILE.exists() else {}
     for level in options.levels.split(","):
-        names = scene_names("test", recordings=options.recordings is not None)
-        if options.only:
-            wanted = set(options.only.split(","))
-            if unknown := wanted - {str(name) for name in names}:
-                parser.error(f"no such test scene: {', '.join(sorted(unknown))}")
-            names = tuple(name for name in names if str(name) in wanted)
-        for name in sorted(names, key=lambda name: name.needs_recording):
+        named = scenes(options.recordings)
+        wanted = set(options.only.split(",")) if options.only else set(named)
+        if unknown := wanted - set(named):
+            parser.error(f"no such test scene: {', '.join(sorted(unknown))}")
+        for name in (each for each in named if each in wanted):
             known = floors.setdefault(f"{name}@{level}", {})
             if str(options.frames) in known:
                 continue
             began = time.perf_counter()
-            known[str(options.frames)] = floor_of(str(name), LEVELS[level], options.frames, options.recordings)
+            known[str(options.frames)] = floor_of(named[name], LEVELS[level], options.frames)
             beside = REFERENCE_FILE.with_suffix(".part")
             beside.write_text(json.dumps(dict(sorted(floors.items())), indent=1) + "\n")
             os.replace(beside, REFERENCE_FILE)

@@ -55,7 +55,7 @@ _HOMES = {
     "make_scene": "pb4u.scene.assembly:make_scene",
     "measure": "pb4u.measures.metrics:measure",
     "read_garment": "pb4u.garment.garment_file:read_garment",
-    "read_pattern": "pb4u.pattern.garmentcode:read_pattern",
+    "read_pattern": "pb4u.pattern.files:read_pattern",
     "no_progress": "pb4u.progress:no_progress",
 }
 
@@ -119,7 +119,7 @@ if TYPE_CHECKING:
     from pb4u.motion.library import load_motion
     from pb4u.motion.motion import Motion
     from pb4u.pattern.dressing import dress
-    from pb4u.pattern.garmentcode import read_pattern
+    from pb4u.pattern.files import read_pattern
     from pb4u.pattern.pattern import Panel, Pattern, Seam
     from pb4u.progress import Progress, no_progress
     from pb4u.run import Run, WornGarment

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from statistics import median
 
 Progress = Callable[[int, int], None]
 """Called with (parts done, parts in all)."""
@@ -19,6 +20,9 @@ _LEAST_PARTS, _LEAST_SECONDS = 3, 2.0
 
 _LEAST_SECONDS_OF_MANY = 20.0
 """The same time [s] where parts differ: garments and rollouts of all kinds come in turn."""
+
+_SLOWER = 2.0
+"""Times the time of a part that was said, or that was too short to say, from which it is said again."""
 
 
 def no_progress(done: int, total: int) -> None:
@@ -66,7 +70,7 @@ def shown(progress: Progress | None, label: str) -> AbstractContextManager[Progr
 
 
 class Estimate:
-    """Says once how long work takes, by its first parts; nothing where it is less than a minute.
+    """Says how long work takes by its first parts, where that is over a minute, and again where it gets slower.
 
     Args:
         say: called with the sentence.
@@ -84,8 +88,8 @@ class Estimate:
     ) -> None:
         self._say, self._part, self._alike, self._clock = say, part, alike, clock
         self._first: tuple[float, int] | None = None
-        self._last, self._quickest = (0.0, 0), float("inf")
-        self._told = False
+        self._last, self._paces = (0.0, 0), list[float]()
+        self._each: float | None = None
 
     def __call__(self, done: int, total: int) -> None:
         """Take a progress report.
@@ -94,24 +98,30 @@ class Estimate:
             done: parts done.
             total: parts in all.
         """
-        if self._told:
-            return
         now = self._clock()
         if self._first is None:
             self._first = self._last = now, done
             return
         # What is compiled only when it is first needed falls into single parts, and comes once.
         if done > self._last[1]:
-            self._quickest = min(self._quickest, (now - self._last[0]) / (done - self._last[1]))
+            self._paces.append((now - self._last[0]) / (done - self._last[1]))
             self._last = now, done
         seconds, parts = now - self._first[0], done - self._first[1]
-        if parts < _LEAST_PARTS or seconds < (_LEAST_SECONDS if self._alike else _LEAST_SECONDS_OF_MANY):
+        again = self._each is not None
+        if parts < _LEAST_PARTS or seconds < (_LEAST_SECONDS if self._alike and not again else _LEAST_SECONDS_OF_MANY):
             return
-        self._told = True
-        each = self._quickest if self._alike else seconds / parts
+        each = median(self._paces) if again else min(self._paces) if self._alike else seconds / parts
+        self._first, self._paces = (now, done), []
+        # Cloth gets harder on the way, and what was said of its first steps is then too little.
+        if self._each is not None and each <= _SLOWER * self._each:
+            return
+        self._each = each
         left = each * (total - done)
         if left > _LONG:
-            self._say(f"{total - done} more {self._part}s take about {format_duration(left)}, {each:.2g} s each.")
+            self._say(
+                f"{'Slower than at first: ' if again else ''}{total - done} more {self._part}s take about "
+                f"{format_duration(left)}, {each:.2g} s each."
+            )
 
 
 def format_duration(seconds: float) -> str:

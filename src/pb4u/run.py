@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_
 from pb4u.errors import InputError, unknown_name
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import replace_file
-from pb4u.io.reading_limits import read_text
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -87,8 +86,8 @@ class WornGarment:
 
     Args:
         garment: Built-in garment, a mesh file in metres that fits the body at rest, a sewing pattern (GarmentCode's
-            .json, or .npz of `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's family; in Python a
-            Garment too.
+            .json, a .toml of an SVG, or .npz of `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's
+            family; in Python a Garment too.
         material: Built-in material, a JSON file in SI units or a Material. Default: the garment's own, or "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (border with the N-th most vertices), a file of indices or a list. Default: the
@@ -156,8 +155,8 @@ class Run:
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
         fps: Frames per second; a network runs at its own, and the result is resampled.
         seed: Seed of everything random.
-        model: solver, quick-solver (its first iterations alone: the fastest on a processor), skinning, or a network by
-            name, .safetensors file or .pth of the released code. Default: pb4u-wide.
+        model: solver, quick-solver (its first iterations alone: fastest for most garments on a processor), skinning, or
+            a network by name, .safetensors file or .pth of the released code. Default: pb4u-wide.
         refine: Most solver iterations after each step of a network, or of the quick solver. A step that they leave
             failed is retried.
         contact: Push the garment out of the body after each step; with self_contact also no face or edge of the body
@@ -438,12 +437,10 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
         kind: what it is, such as "a scene file".
 
     Raises:
-        InputError: it is no TOML, or too large.
+        InputError: it is no TOML.
     """
     try:
-        return tomllib.loads(read_text(path, kind))
-    except InputError:
-        raise
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read as TOML, which {kind} is: {error}.") from None
 

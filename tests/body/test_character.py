@@ -208,7 +208,7 @@ def test_vrm_names_its_bones_itself(tmp_path):
 def test_bones_of_no_human_move_by_their_clips_alone(tmp_path):
     body = loaded(write_woman(tmp_path / "a.glb", rename=lambda name: f"part {len(name)}"))
     assert not body.is_human
-    assert any("its bones are not told for a human's" in note for note in body.notes)
+    assert any("its bones are no human's by their names" in note for note in body.notes)
     assert len(body.clip_poses(30.0, 5)) == 5
 
 

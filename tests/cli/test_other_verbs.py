@@ -162,6 +162,8 @@ def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_pat
     assert ended.code == 1
     assert "m.obj was not written: it would still be refused" in ended.err
     assert "stays: 1 edge(s) are shared by three or more faces" in ended.out
+    assert "tried: Dropped 1 face(s)" in ended.out
+    assert "mended:" not in ended.out
     garment = json.loads((tmp_path / "r.json").read_text())["garment"]
     assert "Dropped 1 face(s)" in garment["mended"][0]
     assert {f["code"] for f in garment["findings"]} >= {"non-manifold", "duplicate"}

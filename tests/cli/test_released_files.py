@@ -81,6 +81,25 @@ def test_the_released_contourcraft_is_met_but_for_where_the_scene_stands(
         assert np.abs(positions[step + 2] + aside[0] - expected).max() < 3e-6, step
 
 
+def test_a_garment_too_coarse_for_the_body_is_played_as_released_with_a_warning(
+    compat: Path, pb4u: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The migration command of `docs/coming_from.md` is refused for no dictionary."""
+    monkeypatch.setattr("pb4u.garment.coarseness.MOST_DEGREES", 36.0)
+    files = compat / "files"
+    command = [
+        "simulate", "--garment", f"{files}/garments_dict.pkl:dress", "--body", files / "SMPL_FEMALE.pkl",
+        "--omitted", files / "smpl_aux.pkl", "--motion", files / "recording.pkl",
+        "--model", compat / "checkpoints/pb4u.pth", "--frames", 2, "--out", tmp_path / "dress.pkl",
+    ]  # fmt: skip
+    refused = pb4u(*command)
+    assert "too few to stay around the body" in refused.err
+    assert not (tmp_path / "dress.pkl").exists()
+    played = pb4u(*command, "--as-released", "pb4u")
+    assert "warning: dress: Its 683 triangles are too few to stay around the body" in played.err
+    assert (tmp_path / "dress.pkl").exists()
+
+
 READERS: dict[str, Callable[[Path], object]] = {
     "garment": lambda path: read_dictionary_garment(DictionaryEntry(path, None, None), MATERIALS["default"]),
     "recording": read_smpl_sequence,

@@ -17,7 +17,7 @@ from pb4u.export.live_caches import PROGRESS
 from pb4u.export.selection import on_source
 from pb4u.geometry.obj_file import read_obj
 from pb4u.measures.divergence import skinned_centres
-from pb4u.measures.limbs import Bones
+from pb4u.measures.limbs import LimbWatch
 from pb4u.measures.metrics import ENERGIES, GEOMETRY, first_diverged, measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
@@ -84,12 +84,20 @@ def test_json_alone_goes_to_standard_output(pb4u: Callable, tmp_path: Path) -> N
 def test_a_limb_through_the_cloth_is_warned_of_with_and_without_a_report(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flags = ("simulate", *SMALL, "--frames", 2, "--out", tmp_path / "a.npz")
-    assert "gone through" not in pb4u(*flags).err
-    monkeypatch.setattr(Bones, "through_cloth", lambda bones, _: np.ones(bones.ends.shape[:2], dtype=bool))
+    flags = ("simulate", *SMALL, "--garment", "skirt", "--frames", 2, "--out", tmp_path / "a.npz")
+    assert "through the cloth" not in pb4u(*flags).err
+
+    def through(watch: LimbWatch, t: int, cloth: np.ndarray, body: np.ndarray) -> np.ndarray:
+        watch.enough = dict.fromkeys(watch.bones.names[:1], 5000)
+        return np.arange(len(watch.bones.names)) == 0
+
+    monkeypatch.setattr(LimbWatch, "through", through)
     for report in ((), ("--json", tmp_path / "r.json")):
         ended = pb4u(*flags, *report)
         assert "Limbs have gone through the cloth from frame 0 on" in ended.err
+        assert ended.err.count("has come through the cloth") == 1, "once for each bone, in its frame"
+        assert "try --triangles 5000" in ended.err
+    assert json.loads((tmp_path / "r.json").read_text())["limbs_through_cloth"][0]["triangles"] == 5000
     assert "Limbs have gone through the cloth" in json.loads((tmp_path / "r.json").read_text())["notes"][-1]
 
 
@@ -368,3 +376,24 @@ def test_a_folder_that_holds_something_else_is_not_written_to(pb4u: Callable, tm
     ended = pb4u("simulate", "--live", tmp_path, "--out", tmp_path / "a.npz")
     assert (ended.code, "holds other files" in ended.err) == (1, True)
     assert (tmp_path / "shirt.pc2").read_bytes() == b"kept"
+
+
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [
+        (
+            "pb4u_paper",
+            "`pb4u train --set network=pb4u_paper` trains it; the paper's network to the letter is `literal`",
+        ),
+        ("paper", "`pb4u train --preset paper` trains it; the paper's network"),
+        ("literal", "`pb4u train --preset literal` trains it, the paper's network to the letter"),
+    ],
+)
+@pytest.mark.parametrize("verb", [("simulate", "--frames", 1), ("info",)], ids=["simulate", "info"])
+def test_a_network_without_weights_says_how_to_train_it_and_which_is_the_papers(
+    pb4u: Callable, verb: tuple[object, ...], name: str, how: str
+) -> None:
+    ended = pb4u(*verb, "--model", name)
+    assert ended.code == 1
+    assert ended.err.startswith(f"pb4u: There is no model {name!r} with weights: {how}")
+    assert "pb4u-wide" in ended.err

@@ -15,7 +15,7 @@ from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
 import pb4u
-from pb4u.collision.crossings import self_crossings
+from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.geometry.obj_file import read_obj
 from pb4u.scene.trajectory import Trajectory
 
@@ -199,6 +199,41 @@ def test_reef_knot(example: Run, tmp_path: Path) -> None:
     assert 0.0 < reach(trajectory.positions[-1]) < 0.1, "drawn tight, and it holds"
     example("13_reef_knot.py", *small, "--self-contact", "off", "--out", "undone")
     assert reach(Trajectory.open(tmp_path / "undone.npz").positions[-1]) < -0.1, "else nothing would hold it"
+
+
+def require_clear(said: str, file: Path) -> Trajectory:
+    """The trajectory of a standard scene in which cloth crosses neither cloth nor the solid."""
+    trajectory = require_uncrossed(said, file)
+    assert "of cloth and solid that cross: 0 in all frames" in said
+    for frame, body in zip(trajectory.positions, trajectory.body_positions, strict=True):
+        assert not len(crossings(frame, trajectory.faces, body, trajectory.header.body_faces))
+    return trajectory
+
+
+def test_on_a_spike(example: Run, tmp_path: Path) -> None:
+    small = ("--triangles", 128, "--frames", 26, "--speed", 2)
+    trajectory = require_clear(example("15_on_a_spike.py", *small), tmp_path / "spike.npz")
+    tips = trajectory.body_positions[:, :, 1].max(axis=1)
+    tops, lows = trajectory.positions[:, :, 1].max(axis=1), trajectory.positions[:, :, 1].min(axis=1)
+    assert (tops[:16] > tips[:16]).all(), "the sheet hangs on the tip"
+    assert lows[15] < tips[15] - 0.1
+    assert tips[-1] < tips[0] - 0.1, "which is pulled away"
+
+
+def test_sleeve_over_an_arm(example: Run, tmp_path: Path) -> None:
+    small = ("--triangles", 200, "--frames", 30)
+    trajectory = require_clear(example("16_sleeve_over_an_arm.py", *small), tmp_path / "sleeve.npz")
+    assert trajectory.positions[0, :, 0].max() < 0.0, "before the hand"
+    worn = trajectory.positions[-1]
+    assert worn[trajectory.header.pinned, 1].min() > 0.85, "round the elbow"
+
+
+def test_ball_against_a_sheet(example: Run, tmp_path: Path) -> None:
+    small = ("--triangles", 200, "--frames", 20)
+    said = example("17_ball_against_a_sheet.py", *small)
+    trajectory = require_clear(said, tmp_path / "ball.npz")
+    assert "the ball stays behind the sheet" in said
+    assert trajectory.positions[-1, :, 1].max() > 0.55, "though it was pushed on"
 
 
 def test_sew_a_skirt() -> None:

@@ -29,7 +29,7 @@ from tests.compat.test_garment_dictionary import garment_fields
 from tests.fuzzing.mutation import damaged
 from tests.garment.cloth_shapes import quad_tube, tube_arrays
 from tests.motion.recordings import write_acclaim, write_bvh
-from tests.pattern.patterns import square
+from tests.pattern.patterns import DRAWN_PANELS, DRAWN_SEAMS, square
 from tests.scene.test_trajectory import make_trajectory
 from tests.simulation.released_files import made_checkpoint
 from tests.training.ball_data import ball_data
@@ -60,8 +60,8 @@ from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.pattern.dressing import Dressed, sewn_garment
-from pb4u.pattern.files import read_dressed, write_dressed
-from pb4u.pattern.garmentcode import read_pattern, record_of
+from pb4u.pattern.files import read_dressed, read_pattern, write_dressed
+from pb4u.pattern.garmentcode import record_of
 from pb4u.pattern.mesh import mesh_pattern
 from pb4u.pattern.pattern import Pattern
 from pb4u.progress import no_progress
@@ -390,6 +390,7 @@ def _garments() -> Iterator[Sample]:
     pattern = Pattern("square", [square("front")], [])
     whole_pattern = json.dumps(record_of(pattern)).encode()
     yield Sample("sewing pattern", {"square.json": whole_pattern}, (meshed_pattern,))
+    yield Sample("drawn pattern", {"skirt.toml": DRAWN_SEAMS, "skirt.svg": DRAWN_PANELS}, (meshed_pattern,))
     mesh = mesh_pattern(pattern, 20)
     sewn = sewn_garment(mesh, np.zeros((mesh.vertex_count, 3)), MATERIALS["default"])
     with tempfile.TemporaryDirectory() as folder:

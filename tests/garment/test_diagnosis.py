@@ -11,7 +11,6 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.garment.diagnosis import Severity, diagnose, require_worn
 from pb4u.garment.library import build_garment
 from pb4u.garment.pins import resolve_pins
-from pb4u.garment.repair import repair
 from pb4u.geometry.mesh_file import PolygonMesh
 
 
@@ -42,7 +41,9 @@ def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
     assert hint.severity is Severity.NOTE
     assert not hint.mendable
     assert not diagnosis.is_refused
-    assert hint.sentence == "Nothing holds the garment up: none of it lies on the shoulders."
+    assert hint.sentence == (
+        "Nothing holds the garment up: none of it lies on the shoulders; it would slide down to the ground."
+    )
     assert "`--pins waist`" in hint.fix
     with pytest.warns(InputWarning, match=r"^tube: Nothing holds the garment up.*; simulate it with `--pins waist`\.$"):
         require_worn(garment, woman)
@@ -84,7 +85,7 @@ def test_every_fault_of_the_mesh_is_named_with_its_place():
     assert {f["code"] for f in written["findings"]} == set(diagnosis.codes)
 
 
-def test_pieces_and_polygons():
+def test_pieces():
     mesh = quad_tube()
     two = PolygonMesh(
         np.concatenate([mesh.vertices, mesh.vertices * [2.0, 1.0, 2.0]]),
@@ -92,7 +93,6 @@ def test_pieces_and_polygons():
     )
     diagnosis = diagnose(two)
     assert "2 pieces" in finding(diagnosis, "pieces").sentence
-    assert finding(diagnosis, "polygons").severity is Severity.NOTE
 
 
 def test_a_solidified_shell_is_double(woman):
@@ -215,15 +215,3 @@ def test_a_garment_that_cannot_be_untangled_is_refused():
 
 def test_an_open_seam_crosses_nothing():
     assert "self-crossing" not in diagnose(with_open_seam(triangle_tube(low=0.6, high=1.0, radius=0.22))).codes
-
-
-def test_a_wide_garment_that_fits_closer_elsewhere_is_left_and_told():
-    man = load_body("man")
-    skirt = build_garment("skirt", man, 1600)
-    source = PolygonMesh(skirt.vertices, tuple(skirt.faces))
-    (finding,) = [each for each in diagnose(source, man).findings if each.code == "closer"]
-    assert finding.severity is Severity.NOTE
-    assert "It was not moved, though it would fit a little closer -" in finding.sentence
-    mended, said = repair(source, man)
-    assert said == (finding.sentence,)
-    np.testing.assert_array_equal(mended.vertices, source.vertices)

@@ -6,8 +6,7 @@ from cloth_shapes import tube_garment
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.library import load_body
 from pb4u.body.skeleton import PoseSequence
-from pb4u.errors import InputError
-from pb4u.garment.dressing import AttachedPlacement, PrescribedPlacement, SkinnedPlacement
+from pb4u.garment.dressing import AttachedPlacement, SkinnedPlacement
 from pb4u.garment.weight_cache import cache_folder, garment_weights
 from pb4u.garment.weight_transfer import INFLUENCES, borrow_weights
 from pb4u.geometry.rotation import from_axis_angle, matrix_from_quaternion, multiply
@@ -144,13 +143,3 @@ def test_a_body_without_bones_holds_the_garment_by_its_surface(woman, skirt):
     raised = np.linalg.norm(placed[2].numpy() - skirt.vertices, axis=1)
     assert raised[skirt.vertices[:, 1] > 1.0].max() < 0.03
     assert raised.max() > 0.1
-
-
-def test_prescribed_frames_are_given_and_the_last_is_held():
-    frames = np.random.default_rng(0).normal(size=(3, 5, 3))
-    given = PrescribedPlacement(frames).positions(1, 6)
-    assert given.dtype == torch.float32
-    np.testing.assert_allclose(given, frames[[1, 2, 2, 2, 2]], atol=1e-6)
-    for bad in (frames[:0], frames[0], frames[..., :2], np.full_like(frames, np.nan)):
-        with pytest.raises(InputError, match="Prescribed positions are finite numbers"):
-            PrescribedPlacement(bad)

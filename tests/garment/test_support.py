@@ -5,11 +5,18 @@ import pytest
 from cloth_shapes import saved
 
 from pb4u.body.library import load_body
+from pb4u.errors import InputWarning
 from pb4u.garment.diagnosis import diagnose
-from pb4u.garment.fit import LEAST_AREA, RestBody, find_holder, is_held_up, resting_area
+from pb4u.garment.fit import RestBody
+from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import build_garment, garment_names
+from pb4u.garment.material import MATERIALS
+from pb4u.garment.support import LEAST_AREA, find_holder, held_by, is_held_up, loose_straps, resting_area, slide
+from pb4u.garment.tacks import tacked
 from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.run import WornGarment
+from pb4u.scene.assembly import load_garment
 
 FALLS = {"skirt", "trousers", "cardigan"}
 
@@ -28,7 +35,10 @@ def test_what_is_pinned_is_told_once_a_file_has_lost_its_pins(name, woman, tmp_p
     built = build_garment(name, woman, 600)
     exported = read_source(saved(tmp_path, source_of(built)))
     # So few triangles are told of besides.
-    assert set(diagnose(exported, woman).codes) - {"coarse"} == ({"unsupported"} if name in FALLS else set())
+    found = diagnose(exported, woman)
+    assert set(found.codes) - {"coarse"} == ({"unsupported"} if name in FALLS else set())
+    own = {"skirt": "waistband", "trousers": "waistband", "cardigan": "collar"}
+    assert found.held_by == own.get(name, "shoulders")
     assert set(diagnose(built, woman).codes) <= {"coarse"}
 
 
@@ -103,3 +113,53 @@ def test_the_collar_of_an_open_front_is_found_where_the_built_in_one_is_pinned(b
     np.testing.assert_array_equal(collar.vertices, cardigan.pinned)
     # Off the neck it is not worn by its collar.
     assert find_holder(cardigan.vertices + [0.0, 0.06, -0.04], cardigan.faces, rest) is None
+
+
+def strapped(body, gap):
+    """The tank top with its shoulders cut down to straps that end unsewn, `gap` [m] before the back they belong to."""
+    top = build_garment("tanktop", body, 4000)
+    centres = top.vertices[top.faces].mean(axis=1)
+    high = centres[:, 1] > 0.8 * body.height
+    strap = high & (np.abs(np.abs(centres[:, 0]) - 0.11) < 0.012)
+    gone = strap & (np.abs(centres[:, 1] - 0.8 * body.height - 0.03) < gap / 2) & (centres[:, 2] < 0.0)
+    used, faces = np.unique(top.faces[(~high | strap) & ~gone], return_inverse=True)
+    return PolygonMesh(top.vertices[used], tuple(faces.reshape(-1, 3)))
+
+
+@pytest.mark.parametrize("gap", [0.02, 0.05])
+def test_straps_that_end_unsewn_hold_nothing_and_are_sewn_where_they_end_near(woman, gap, tmp_path):
+    source, rest = strapped(woman, gap), RestBody.of(woman)
+    faces = np.stack(source.polygons)
+    straps = loose_straps(source.vertices, faces, rest)
+    assert len(straps) == 2
+    assert find_holder(source.vertices, faces, rest) is None
+    (found,) = diagnose(source, woman).findings
+    assert found.code == "unsupported"
+    assert found.severity.value == "warning"
+    assert f"2 of its straps end loose, {100 * max(strap.gap for strap in straps):.1f} cm" in found.sentence
+    if gap > 0.03:
+        assert found.tacks == ()
+        return
+    # Two straps, each sewn to the back: their vertices lie within 3 cm, and once sewn they hold.
+    assert len(found.tacks) >= 2
+    a, b = source.vertices[np.array(found.tacks)].swapaxes(0, 1)
+    assert np.linalg.norm(a - b, axis=1).max() < 0.03
+    assert " ".join(f"`--tack {a}:{b}`" for a, b in found.tacks) in found.fix
+    sewn = tacked(Garment("top", source.vertices, faces, MATERIALS["default"]), found.tacks)
+    assert loose_straps(sewn.vertices, sewn.faces, rest) == ()
+    assert held_by(sewn.vertices, sewn.faces, rest) == "straps"
+    # It is said before a simulation, and no more once they are sewn.
+    file = saved(tmp_path, source, "top.obj")
+    with pytest.warns(InputWarning, match="Nothing holds the garment up: 2 of its straps end loose"):
+        load_garment(WornGarment(file), woman)
+    with pytest.warns(InputWarning, match="its straps, .* vertices, was found and holds it"):
+        load_garment(WornGarment(file, tacks=found.tacks), woman)
+
+
+def test_how_far_it_slides_is_told_by_where_the_body_is_wider(woman):
+    rest = RestBody.of(woman)
+    skirt = build_garment("skirt", woman, 1000)
+    down = slide(skirt.vertices, skirt.faces, rest)
+    assert 0.02 <= down < 0.2, "from the waist to the hips"
+    wide = skirt.vertices * [1.6, 1.0, 1.6]
+    assert slide(wide, skirt.faces, rest) is None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import pickle
 import struct
 import tracemalloc
 import zipfile
@@ -23,7 +22,7 @@ from pb4u.garment.material import MATERIALS, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.geometry.obj_file import read_obj
 from pb4u.io.array_archive import read_arrays
-from pb4u.io.reading_limits import HEADROOM, MOST_DEPTH, MOST_MEMBERS, MOST_NUMBERS_TEXT, MOST_TEXT, parse_json
+from pb4u.io.reading_limits import HEADROOM, parse_json
 from pb4u.motion.library import load_motion
 from pb4u.run import Run
 from pb4u.scene.trajectory import Trajectory
@@ -110,22 +109,6 @@ def test_an_array_of_less_than_nothing_is_refused(tmp_path: Path) -> None:
         read_arrays(path)
 
 
-def test_a_compression_without_a_bound_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "packed.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
-        archive.writestr("poses.npy", npy_header((0, 72)))
-    with pytest.raises(InputError, match="compressed in a way that is not read"):
-        read_arrays(path)
-
-
-def test_an_archive_of_many_members_is_refused_without_listing_them(tmp_path: Path) -> None:
-    path = tmp_path / "many.npz"
-    with zipfile.ZipFile(path, "w") as archive:
-        for k in range(MOST_MEMBERS + 1):
-            archive.writestr(f"member{k}.npy", b"")
-    assert "10,001 members" in refused(path, lambda: load_body(path))
-
-
 def test_a_refusal_lists_ten_members_at_most(tmp_path: Path) -> None:
     path = tmp_path / "many.npz"
     np.savez(path, **{f"member{k:03}": np.zeros(1) for k in range(300)})  # type: ignore[arg-type]
@@ -135,135 +118,16 @@ def test_a_refusal_lists_ten_members_at_most(tmp_path: Path) -> None:
         assert str(refusal.value).count("member0") <= 12
 
 
-def laughs(levels: int, leaf: object = 1.0) -> object:
-    value: object = (leaf, leaf)
-    for _ in range(levels):
-        value = (value, value)
-    return value
+def test_json_has_a_depth_and_digits() -> None:
+    with pytest.raises(ValueError, match="nests too many"):
+        parse_json("[" * 100_000)
+    assert parse_json(json.dumps("[" * 1000)) == "[" * 1000
+    with pytest.raises(ValueError, match="5,000 digits"):
+        parse_json("9" * 5000)
+    assert parse_json("-" + "9" * 18) == -(10**18) + 1
 
 
-PICKLES: dict[str, Callable[[], object]] = {
-    "tuples that double at each level": lambda: {"poses": laughs(60), "trans": laughs(60), "v_template": laughs(60)},
-    "lists that double at each level": lambda: {"poses": lists(40), "trans": lists(40), "v_template": lists(40)},
-    "a list in itself": lambda: {"poses": endless(), "trans": endless()},
-    "an array in itself": lambda: {"poses": endless_array(), "trans": endless_array()},
-    "very many objects": lambda: {"poses": [[] for _ in range(600_000)], "trans": []},
-}
-
-
-def lists(levels: int) -> list:
-    value: list = [1.0, 1.0]
-    for _ in range(levels):
-        value = [value, value]
-    return value
-
-
-def endless() -> list:
-    value: list = []
-    value.append(value)
-    return value
-
-
-def endless_array() -> np.ndarray:
-    value = np.empty(1, dtype=object)
-    value[0] = value
-    return value
-
-
-@pytest.mark.parametrize("kind", PICKLES)
-@pytest.mark.parametrize("read", [load_body, load_motion], ids=["body", "recording"])
-def test_a_pickle_that_holds_too_much_is_refused_at_once(kind: str, read: Any, tmp_path: Path) -> None:
-    path = tmp_path / "bomb.pkl"
-    path.write_bytes(pickle.dumps(PICKLES[kind]()))
-    refused(path, lambda: read(path))
-
-
-def test_a_key_that_doubles_at_each_level_is_not_hashed(tmp_path: Path) -> None:
-    # (1, 1), then that twice, 60 times over; as the key of a dictionary its hash would take 2^60 steps.
-    levels = b"".join(b"h" + bytes([k]) + b"h" + bytes([k]) + b"\x86q" + bytes([k + 1]) for k in range(60))
-    path = tmp_path / "bomb.pkl"
-    path.write_bytes(b"\x80\x02}K\x01K\x01\x86q\x00" + levels + b"K\x01s.")
-    assert "nested in each other" in refused(path, lambda: load_motion(path))
-
-
-def test_arrays_made_again_and_again_of_one_text_are_refused(tmp_path: Path) -> None:
-    megabytes = 4
-    content = np.zeros(megabytes * 2**17)
-    one = pickle.dumps(content, protocol=2)
-    # The same bytes, remembered once and made into an array a hundred times.
-    state = content.__reduce__()
-    path = tmp_path / "bomb.pkl"
-    path.write_bytes(pickle.dumps({"poses": [Again(state) for _ in range(100)], "trans": 1}, protocol=4))
-    assert path.stat().st_size < 2 * len(one)
-    assert "may take" in refused(path, lambda: load_motion(path))
-
-
-@pytest.mark.parametrize(("protocol", "fits", "large"), [(2, 2**15, 2**17), (4, 2**16, 2**18)])
-def test_a_pickle_in_large_pieces_is_refused_before_they_are_read(
-    protocol: int, fits: int, large: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pb4u.io.reading_limits.HEADROOM", 2**20)
-    monkeypatch.setattr("pb4u.io.pickle_limits.HEADROOM", 2**20)
-    path = tmp_path / "large.pkl"
-    content = {"poses": np.zeros(fits), "trans": 1}
-    path.write_bytes(pickle.dumps(content, protocol=protocol))
-    with pytest.raises(InputError) as refusal:
-        load_motion(path)
-    assert "in one piece" not in str(refusal.value)
-    content["poses"] = np.zeros(large)
-    path.write_bytes(pickle.dumps(content, protocol=protocol))
-    tracemalloc.start()
-    with pytest.raises(InputError, match="in one piece"):
-        load_motion(path)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 2**19
-
-
-class Again:
-    """Pickles as an array of its own with the content of another."""
-
-    def __init__(self, state: Any) -> None:
-        self.state = state
-
-    def __reduce__(self) -> Any:
-        return self.state
-
-
-def test_a_place_far_out_in_the_memory_of_a_pickle_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "bomb.pkl"
-    path.write_bytes(b"\x80\x02}r\xff\xff\xff\x7f.")
-    assert "2,147,483,647" in refused(path, lambda: load_motion(path))
-
-
-def test_a_sparse_matrix_of_a_huge_shape_is_refused(tmp_path: Path) -> None:
-    import scipy.sparse
-
-    matrix = scipy.sparse.coo_matrix((np.ones(1), (np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64))))
-    matrix._shape = (10**12, 10**12)
-    path = tmp_path / "bomb.pkl"
-    path.write_bytes(pickle.dumps({"J_regressor": matrix}))
-    assert "sparse matrix" in refused(path, lambda: load_body(path))
-
-
-def test_json_has_a_depth_a_size_and_digits(tmp_path: Path) -> None:
-    deep = "[" * (MOST_DEPTH + 1) + "]" * (MOST_DEPTH + 1)
-    with pytest.raises(InputError, match=f"more than {MOST_DEPTH} lists"):
-        parse_json(deep, "it")
-    assert parse_json(deep[1:-1], "it")
-    assert parse_json(json.dumps("[" * 1000), "it") == "[" * 1000
-    with pytest.raises(InputError, match="may have 8 MB"):
-        parse_json(" " * (MOST_TEXT + 1), "it")
-    with pytest.raises(InputError, match="5,000 digits"):
-        parse_json("9" * 5000, "it")
-    assert parse_json("-" + "9" * 18, "it") == -(10**18) + 1
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["[" * 100_000, '{"density": ' + "9" * 5000 + "}", '{"a": ' + "[" * 5000 + "]" * 5000 + "}", " " * (MOST_TEXT + 1)],
-    ids=["open", "digits", "deep", "long"],
-)  # fmt: skip
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"density": ' + "9" * 5000 + "}"], ids=["open", "digits"])
 def test_a_material_and_pins_are_read_within_the_limits(text: str, tmp_path: Path) -> None:
     path = tmp_path / "it.json"
     path.write_text(text)
@@ -272,11 +136,10 @@ def test_a_material_and_pins_are_read_within_the_limits(text: str, tmp_path: Pat
     refused(path, lambda: resolve_pins(path, garment))
 
 
-def test_a_scene_file_nested_deep_or_large_is_refused(tmp_path: Path) -> None:
+def test_a_scene_file_nested_deep_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
-    for text in ("a = " + "[" * 100_000, "#" + " " * MOST_TEXT):
-        path.write_text(text)
-        refused(path, lambda: Run.open(path))
+    path.write_text("a = " + "[" * 100_000)
+    refused(path, lambda: Run.open(path))
 
 
 def with_header(path: Path, header: bytes) -> Path:
@@ -311,111 +174,28 @@ def test_a_network_that_the_weights_are_not_of_is_never_built(field: str, value:
     refused(path, lambda: load_checkpoint(path), traced=False)
 
 
-def test_a_configuration_nested_deep_is_refused(tmp_path: Path) -> None:
-    def nest(record: dict) -> None:
-        for _ in range(400):
-            record["layout"] = {"type": "FeatureLayout", "node": [record["layout"]]}
-
-    path = changed_checkpoint(tmp_path / "deep.safetensors", nest)
-    assert "nests more than" in refused(path, lambda: load_checkpoint(path))
-
-
-@pytest.mark.parametrize("length", [2**40, MOST_TEXT + 10])
-def test_a_header_longer_than_headers_are_is_refused(length: int, tmp_path: Path) -> None:
+def test_a_header_longer_than_its_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "long.safetensors"
-    path.write_bytes(struct.pack("<Q", length) + b"{}" + b" " * (MOST_TEXT + 10))
+    path.write_bytes(struct.pack("<Q", 2**40) + b"{}")
     refused(path, lambda: load_checkpoint(path))
     (tmp_path / "configuration.json").write_text('{"format_version": 1}')
     path.rename(tmp_path / "last.safetensors")
     refused(tmp_path / "last.safetensors", RunFolder.open(tmp_path).load_state)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        b"v 0 0 0\n" * 2_000,
-        b"#" + b"\\\n" * 3_000_000,
-        b"v 0 0 0 " * 3_000_000,
-        b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + b"f 1 2 3\n" * 4_500_000,
-        b"v 1e300 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
-        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf " + b"1 " * 12_000_000,
-    ],
-    ids=["vertices", "continued", "one line", "faces", "far away", "one face"],
-)
-def test_an_obj_is_read_within_the_limits(text: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pb4u.geometry.obj_file._MOST_VERTICES", 1000)
-    path = tmp_path / "large.obj"
-    path.write_bytes(text)
+@pytest.mark.parametrize("name", ["v 1e300 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "v 0 0 0\n" * 2000])
+def test_an_obj_that_cannot_be_used_is_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "odd.obj"
+    path.write_text(name)
     refused(path, lambda: read_garment(path, MATERIALS["default"]), traced=False)
-    if b"1e300" not in text:
-        refused(path, lambda: load_body(path), traced=False)
 
 
-def test_lines_of_an_obj_may_end_anywhere_in_a_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lines_of_an_obj_may_be_continued(tmp_path: Path) -> None:
     text = b"v 0 0 0\nv 1 0 \\\n 0\r\nv 0 1 0\nf 1 2 3\nv 0 0 1\nf -1 \\\r\n -2 -3 # it\nf 1 2 4"
     path = tmp_path / "small.obj"
     path.write_bytes(text)
     whole = read_obj(path)
     assert [p.tolist() for p in whole.polygons] == [[0, 1, 2], [3, 2, 1], [0, 1, 3]]
-    for size in range(1, len(text) + 1):
-        monkeypatch.setattr("pb4u.geometry.obj_file._BLOCK", size)
-        again = read_obj(path)
-        np.testing.assert_array_equal(again.vertices, whole.vertices)
-        assert [p.tolist() for p in again.polygons] == [p.tolist() for p in whole.polygons]
     path.write_bytes(text + b"\nf 1 2 9")
     with pytest.raises(InputError, match='line 8: face "f 1 2 9" names a vertex out of range'):
         read_obj(path)
-
-
-def gltf(path: Path, **entries: Any) -> Path:
-    header = json.dumps({"asset": {"version": "2.0"}, **entries}).encode()
-    header += b" " * (-len(header) % 4)
-    path.write_bytes(struct.pack("<4sIIII", b"glTF", 2, 20 + len(header), len(header), 0x4E4F534A) + header)
-    return path
-
-
-def test_a_glb_of_arrays_without_data_is_refused(tmp_path: Path) -> None:
-    accessor = {"componentType": 5126, "count": 10**9, "type": "VEC3"}
-    mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
-    path = gltf(tmp_path / "zeros.glb", accessors=[accessor], meshes=[mesh], nodes=[{"mesh": 0}])
-    assert "may take" in refused(path, lambda: read_garment(path, MATERIALS["default"]))
-
-
-def test_a_glb_of_one_mesh_in_many_places_is_refused(tmp_path: Path) -> None:
-    accessor = {"componentType": 5126, "count": 300_000, "type": "VEC3"}
-    mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
-    path = gltf(tmp_path / "many.glb", accessors=[accessor], meshes=[mesh], nodes=[{"mesh": 0}] * 100)
-    assert "10,000,000 triangles" in refused(path, lambda: read_garment(path, MATERIALS["default"]))
-
-
-@pytest.mark.parametrize("suffix", [".ply", ".off", ".stl"])
-def test_a_large_mesh_written_as_text_is_refused(suffix: str, tmp_path: Path) -> None:
-    head = {
-        ".ply": b"ply\nformat ascii 1.0\nelement vertex 9\nend_header\n", ".off": b"OFF\n9 9 9\n", ".stl": b"solid it\n"
-    }[suffix]  # fmt: skip
-    path = tmp_path / f"large{suffix}"
-    path.write_bytes(head + b"0 0 0\n" * 3_000_000)
-    assert "a mesh written as text may have" in refused(path, lambda: read_garment(path, MATERIALS["default"]))
-
-
-def test_coincident_border_vertices_are_not_paired(tmp_path: Path) -> None:
-    path = tmp_path / "point.obj"
-    triangle = b"v 0 0 0\nv 0.00001 0 0\nv 0 0.00001 0\n"
-    faces = b"".join(b"f %d %d %d\n" % (k, k + 1, k + 2) for k in range(1, 60_000, 3))
-    path.write_bytes(triangle * 20_000 + faces + b"v 0 1 0\nv 1 1 0\nv 1 0 0\nf -1 -2 -3\n")
-    assert "lie in the same places" in refused(path, lambda: read_garment(path, MATERIALS["default"]))
-
-
-def test_recordings_of_text_are_read_within_the_limits(tmp_path: Path) -> None:
-    head = "HIERARCHY\nROOT Hips\n{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n"
-    cases = {
-        "deep.bvh": head + "JOINT a\n{\nOFFSET 0 0 0\n" * 5000,
-        "channels.bvh": head + "CHANNELS 1e18 Xposition",
-        "numbers.bvh": head + "}\nMOTION\nFrames: 1\nFrame Time: 0.1\n" + "1 " * 20_000_000,
-        "long.bvh": "x" * (MOST_NUMBERS_TEXT + 1),
-    }
-    for name, text in cases.items():
-        path = tmp_path / name
-        path.write_text(text)
-        refused(path, lambda path=path: load_motion(path), traced=False)
-        path.unlink()

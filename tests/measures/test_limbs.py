@@ -10,7 +10,7 @@ import pytest
 
 from pb4u.body.body_model import PosedBody
 from pb4u.collision.crossings import segments_through_faces
-from pb4u.measures.limbs import Bones, limbs_sentence, limbs_through_cloth
+from pb4u.measures.limbs import Bones, LimbWatch, limbs_sentence, limbs_through_cloth, watched
 from pb4u.measures.metrics import measure
 from pb4u.measures.run_report import run_report
 from pb4u.scene.assembly import make_scene
@@ -54,13 +54,17 @@ def worn() -> tuple[Scene, Trajectory]:
     return scene, SkinningSimulator().simulate(scene)
 
 
+def bones_of(scene: Scene, trajectory: Trajectory) -> Bones:
+    return Bones.of(scene, trajectory.frame_count, trajectory.fps)
+
+
 @cache
 def skewered() -> tuple[Scene, Trajectory]:
     """From frame 2 on, a face of the shirt lies across the left forearm."""
     scene, trajectory = worn()
     body = scene.colliders[0]
     assert isinstance(body, PosedBody)
-    bones = Bones.of(scene, trajectory)
+    bones = bones_of(scene, trajectory)
     ends = bones.ends[:, bones.names.index("lowerarm01.L")]
     middle, way = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
     positions = np.array(trajectory.positions)
@@ -74,10 +78,10 @@ def skewered() -> tuple[Scene, Trajectory]:
 
 def test_a_garment_that_is_worn_is_crossed_by_no_bone() -> None:
     scene, trajectory = worn()
-    bones = Bones.of(scene, trajectory)
+    bones = bones_of(scene, trajectory)
     assert {"lowerarm01.L", "upperleg02.R"} <= set(bones.names)
     assert not any(name.startswith("finger") for name in bones.names), "hands are left out of contact"
-    assert not bones.through_cloth(trajectory).any()
+    assert not watched(bones, trajectory)[0].any()
     measured = measure(trajectory, bones=bones)
     assert measured["limbs_through_cloth"] == []
     assert measured["metrics"]["limbs_through_cloth"]["per_frame"] == [0.0] * 4
@@ -87,24 +91,36 @@ def test_a_garment_that_is_worn_is_crossed_by_no_bone() -> None:
 def test_a_limb_through_cloth_is_counted_and_said() -> None:
     scene, trajectory = skewered()
     report = run_report(trajectory, SkinningSimulator(), scene, RunRecord())
-    assert report["limbs_through_cloth"] == [{"bone": "lowerarm01.L", "first_frame": 2, "frames": 2}]
-    assert report["metrics"]["limbs_through_cloth"]["per_frame"] == [0.0, 0.0, 1.0, 1.0]
-    assert any("lowerarm01.L (2); --arms-away 8" in note and "from frame 2 on" in note for note in report["notes"])
-    assert "--arms-away" not in str(limbs_sentence([{"bone": "toes.L", "first_frame": 0, "frames": 1}], 4))
+    # The face was taken from where it covered skin.
+    found = next(each for each in report["limbs_through_cloth"] if each["bone"] == "lowerarm01.L")
+    assert {name: found[name] for name in ("bone", "first_frame", "frames")} == {
+        "bone": "lowerarm01.L", "first_frame": 2, "frames": 2,
+    }  # fmt: skip
+    counts = report["metrics"]["limbs_through_cloth"]["per_frame"]
+    assert counts[:2] == [0.0, 0.0]
+    assert min(counts[2:]) >= 1.0
+    assert any(
+        "lowerarm01.L (2)" in note and "; --triangles" in note and "--arms-away 8" in note and "from frame 2 on" in note
+        for note in report["notes"]
+    )
+    assert "--arms-away" not in str(
+        limbs_sentence([{"bone": "toes.L", "first_frame": 0, "frames": 1, "triangles": None}], 4)
+    )
 
 
 def test_a_bone_outside_of_its_skin_says_nothing() -> None:
     scene, trajectory = skewered()
-    bones = Bones.of(scene, trajectory)
-    assert bones.through_cloth(trajectory)[2:].any()
+    bones = bones_of(scene, trajectory)
+    assert watched(bones, trajectory)[0][2:].any()
     aside = np.array(trajectory.body_positions)
     aside[3] += [0.0, 0.5, 0.0]
-    moved = bones.through_cloth(replace(trajectory, body_positions=aside))
-    assert moved.any(axis=1).tolist() == [False, False, True, False]
+    moved, _ = watched(bones, replace(trajectory, body_positions=aside))
+    assert moved[:3].any(axis=1).tolist() == [False, False, True]
+    assert not moved[3, bones.names.index("lowerarm01.L")]
 
 
 def test_the_toes_of_a_foot_are_one() -> None:
-    bones = Bones.of(*worn())
+    bones = bones_of(*worn())
     assert {name for name in bones.names if name.startswith("toe")} == {"toes.L", "toes.R"}
 
 
@@ -118,14 +134,61 @@ def test_a_run_that_stopped_being_finite_is_reported_as_diverged_after_its_last_
 def test_a_body_without_a_skeleton_has_none() -> None:
     scene, trajectory = worn()
     assert "limbs_through_cloth" not in measure(trajectory)["metrics"]
-    bare = Bones.of(replace(scene, colliders=()), trajectory)
+    bare = bones_of(replace(scene, colliders=()), trajectory)
     assert bare.names == ()
     assert "limbs_through_cloth" not in measure(trajectory, bones=bare)["metrics"]
 
 
 def test_many_bones_of_one_name_are_one_and_the_longest_comes_first() -> None:
     crossed = np.array([[0, 0, 1, 0], [1, 0, 1, 0], [0, 1, 1, 0]], dtype=bool)
-    found = limbs_through_cloth(("foot", "foot", "shin", "thigh"), crossed)
-    assert found == [
-        {"bone": "shin", "first_frame": 0, "frames": 3}, {"bone": "foot", "first_frame": 1, "frames": 2},
-    ]  # fmt: skip
+    names = ("foot", "foot", "shin", "thigh")
+    watch = LimbWatch(Bones(names, np.zeros((3, 4, 2, 3)), np.zeros(0, dtype=np.int64)), worn()[1].header)
+    watch.enough = {"shin": 3000, "foot": None}
+    assert limbs_through_cloth(crossed, watch) == [
+        {"bone": "shin", "first_frame": 0, "frames": 3, "triangles": 3000},
+        {"bone": "foot", "first_frame": 1, "frames": 2, "triangles": None},
+    ]
+
+
+@cache
+def bared() -> tuple[Scene, Trajectory]:
+    """From frame 1 on, the right sleeve lies a centimetre beneath the skin of the upper arm, around its bone."""
+    scene = make_scene("longsleeve", "woman", "arms", triangles=1200, frames=3, lead_in=2)
+    trajectory = SkinningSimulator().simulate(scene)
+    bones = bones_of(scene, trajectory)
+    number = bones.names.index("upperarm02.R")
+    positions = np.array(trajectory.positions)
+    for t in (1, 2):
+        start, way = bones.ends[t, number, 0], bones.ends[t, number, 1] - bones.ends[t, number, 0]
+        along = (positions[t] - start) @ way / (way @ way)
+        offset = positions[t] - start - along[:, None] * way
+        length = np.linalg.norm(offset, axis=1)
+        sleeve = (along > 0.2) & (along < 0.8) & (length < 0.1)
+        positions[t, sleeve] -= 0.03 * (offset / length[:, None])[sleeve]
+    return scene, replace(trajectory, positions=positions)
+
+
+def test_skin_that_comes_out_of_a_sleeve_is_found_though_its_bone_is_inside() -> None:
+    scene, trajectory = bared()
+    bones = bones_of(scene, trajectory)
+    crossed, watch = watched(bones, trajectory)
+    (found,) = limbs_through_cloth(crossed, watch)
+    assert (found["bone"], found["first_frame"], found["frames"]) == ("upperarm02.R", 1, 2)
+
+
+def test_the_triangles_that_would_hold_go_with_the_limb_and_the_edges() -> None:
+    """Edges that span 22 degrees of the arm: the same count for a finer mesh of the same cloth."""
+    scene, trajectory = bared()
+    watch = watched(bones_of(scene, trajectory), trajectory)[1]
+    enough = watch.enough["upperarm02.R"]
+    assert enough is not None
+    garment = scene.garments[0].garment
+    # An upper arm is 3 to 5 cm from its axis to its skin.
+    edges = garment.mean_edge_length * np.sqrt(garment.triangle_count / enough)
+    assert 0.03 < edges / (2.0 * np.sin(np.radians(11.0))) < 0.06
+    said = watch.sentence("upperarm02.R", 1, "pb4u-wide")
+    assert "Frame 1: upperarm02.R has come through the cloth" in said
+    assert f"--triangles {enough} or --arms-away 8" in said
+    watch.enough = {"foot.L": None}
+    assert "--model solver." in watch.sentence("foot.L", 3, "quick-solver")
+    assert "slower" in watch.sentence("foot.L", 3, "solver")

@@ -34,7 +34,7 @@ def test_hanging_arms_that_go_into_the_hips_are_held_off_and_told(bvh, woman):
     assert not left_as_recorded.notes
     held = load_motion(path).perform(woman, 30.0, 1)
     assert wrist_depth(woman, held.poses)[0] < -0.004
-    assert "arms are held off by up to" in held.notes[0]
+    assert "arms are swung out by up to" in held.notes[0]
     assert "--arms-away 0 leaves them as recorded" in held.notes[0]
     turned = np.rad2deg(angle_between(left_as_recorded.poses.rotations[0], held.poses.rotations[0]))
     arms = np.array([name.startswith(("upperarm", "lowerarm", "wrist")) for name in woman.skeleton.names])
@@ -45,9 +45,9 @@ def test_hanging_arms_that_go_into_the_hips_are_held_off_and_told(bvh, woman):
 
 def test_the_sentence_is_a_note_of_the_scene(bvh):
     path = bvh(angles=HANGING)
-    with pytest.warns(InputWarning, match="arms are held off"):
+    with pytest.warns(InputWarning, match="arms are swung out"):
         scene = pb4u.make_scene("tanktop", "woman", path, triangles=700, frames=1, lead_in=0)
-    assert any("arms are held off" in note for note in scene.notes)
+    assert any("arms are swung out" in note for note in scene.notes)
 
 
 def test_arms_with_room_stay_exactly_as_they_are(bvh, woman):

@@ -138,6 +138,11 @@ def test_tram_is_brought_from_its_camera_into_the_world(tmp_path, test_data, smp
     body = smpl_body("smpl")
     poses = trial(test_data, TRIALS[0], body)
     path = write_tram(tmp_path, poses, body, tilt=np.array([0.15, 0.0, 0.05]))
+    # The joints are the trial's, in another frame of reference.
+    ours, theirs = (joint_positions(body.skeleton, each) for each in (read_recording(path).poses, poses))
+    ours, theirs = ((each - each.mean(axis=(0, 1))).reshape(-1, 3) for each in (ours, theirs))
+    turn, _ = Rotation.align_vectors(theirs, ours)
+    assert np.linalg.norm(turn.apply(ours) - theirs, axis=1).max() < 1e-5
     played = load_motion(path, raw=True, arms_away_degrees=0.0).poses(body, 30.0, len(poses))
     # Up is where the person stands up to and where the feet stand: within a degree of the trial's.
     assert farthest(body, played, poses) < 0.02

@@ -136,6 +136,7 @@ def test_recordings_take_the_place_of_built_in_motions(test_data: Path) -> None:
         ({"protocol": "resolutoin"}, "did you mean resolution"),
         ({"models": ("absent.safetensors",)}, "no model file absent.safetensors"),
         ({"models": ("sovler",)}, "did you mean solver"),
+        ({"models": ("pb4u",)}, "name of the method; the paper's network to the letter is `literal`"),
         ({"garments": ("tshrt",)}, "did you mean tshirt"),
         ({"garments": ("absent.obj",)}, "no garment file absent.obj"),
         ({"motions": ("wlak",)}, "did you mean walk"),

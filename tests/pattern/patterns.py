@@ -20,6 +20,24 @@ def skirt() -> Pattern:
     return module.skirt()
 
 
+DRAWN_PANELS = b"""<svg xmlns="http://www.w3.org/2000/svg" width="800mm" height="1200mm" viewBox="0 0 800 1200"
+ xmlns:inkscape="http://www.inkscape.org/namespaces/inkscape">
+<g transform="translate(30, 20)"><path id="path1" inkscape:label="front" d="M 130 0 H 510 L 640 500 L 0 500 Z"/></g>
+<path id="back" d="M 0 1100 A 1200 1200 0 0 0 640 1100 L 510 600 Q 320 620 130 600 Z"/>
+</svg>"""
+
+DRAWN_SEAMS = b"""svg = "skirt.svg"
+seams = [["front", 0, "back", 1], ["front", 2, "back", 3]]
+[panels.front]
+position = [0, 0.85, 0.25]
+label = "leg"
+[panels.back]
+position = [0, 0.85, -0.22]
+rotation = [0, 180, 0]
+edge_labels = {2 = "waist"}
+"""
+
+
 def square(name: str, size: float = 0.4, **given: object) -> Panel:
     """A square whose edges are 0 bottom, 1 right, 2 top, 3 left."""
     return Panel(name, [(0, 0), (size, 0), (size, size), (0, size)], **given)

@@ -8,7 +8,8 @@ import pytest
 from tests.pattern.patterns import gathered, record, square
 
 from pb4u.errors import InputError
-from pb4u.pattern.garmentcode import pattern_of, read_pattern, record_of
+from pb4u.pattern.files import read_pattern
+from pb4u.pattern.garmentcode import pattern_of, record_of
 from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
 
 
@@ -104,7 +105,7 @@ def test_other_json_is_no_pattern(tmp_path):
     file.write_text("{")
     with pytest.raises(InputError, match="is not JSON"):
         read_pattern(file)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="There is no pattern"):
         read_pattern(tmp_path / "none.json")
 
 

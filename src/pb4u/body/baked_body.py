@@ -13,7 +13,7 @@ from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.io.array_archive import read_arrays
-from pb4u.io.stored_numbers import Layout, require_layout, require_places
+from pb4u.io.stored_numbers import Layout, read_members, require_places
 
 FORMAT_VERSION = 1
 BUILT_IN = ("woman", "man")
@@ -58,10 +58,7 @@ def _require_consistent(members: Mapping[str, np.ndarray], path: Path) -> None:
     def refuse(what: str) -> InputError:
         return InputError(f"{path}: not a baked body, {what}; bake it again.")
 
-    missing = [name for name in _LAYOUT if name not in members]
-    if missing:
-        raise refuse(f"its member {missing[0]} is missing")
-    counts = require_layout(members, _LAYOUT, refuse)
+    counts = read_members(members, _LAYOUT, refuse)[1]
     require_places(members, _POINTS_AT, counts, refuse)
     if members["format_version"] != FORMAT_VERSION:
         raise refuse(f"it is of format {int(members['format_version'])} and not {FORMAT_VERSION}")

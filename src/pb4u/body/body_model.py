@@ -99,7 +99,7 @@ class BodyModel(ABC):
         complete = complete_parameters(self.name, self.shape_parameters, parameters)
         vertices, joints = self.rest(complete)
         if not all((np.abs(places) <= _FARTHEST).all() for places in (vertices, joints)):
-            raise InputError(f"{self.name}: the body has vertices or joints over {_FARTHEST:g} m away; load it anew.")
+            raise InputError(f"{self.name}: the body has vertices or joints over {_FARTHEST:g} m away; load it again.")
         lift = np.array([0.0, -vertices[:, 1].min(), 0.0])
         return ShapedBody(
             name=self.name,
@@ -173,7 +173,7 @@ class ShapedBody:
 
 
 class PosedBody(AnimatedBody):
-    """A shaped body moving through a pose sequence; vertices are computed when asked for.
+    """A shaped body moving through a pose sequence; vertices are computed on demand.
 
     Args:
         body: the body at rest.

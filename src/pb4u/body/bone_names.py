@@ -1,6 +1,6 @@
 """Which bones of a rigged character are hips, limbs, spine and head, by their names or by VRM's own list.
 
-They get the names of SMPL's joints, for which garments are cut and motions are known. Sides and limbs are told by
+They get the names of SMPL's joints, for which garments are cut and motions are known. Sides and limbs are recognised by
 words, and the hips and the spine by where limbs join: rigs name those in most different ways.
 """
 

@@ -19,7 +19,7 @@ from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology, connected_labels
 from pb4u.io.gltf_file import GltfFile, read_gltf
-from pb4u.io.reading_limits import told_names
+from pb4u.io.reading_limits import refusing, told_names
 
 # Words of meshes and materials that are no skin; a material called skin, body or face outweighs its mesh's name.
 _NOT_SKIN = re.compile(
@@ -80,24 +80,20 @@ class _Part:
 def read_character(path: Path, clip: str | None = None, parts: Collection[str] | None = None) -> Character:
     """The character of a glTF or VRM file in its bind pose, feet on y = 0, facing +Z.
 
-    All skinned meshes are joined but hair, eyes, clothes and the like, told by their names and those of their
+    All skinned meshes are joined but hair, eyes, clothes and the like, recognised by their names and those of their
     materials. Holes are closed, so that inside has a meaning.
 
     Args:
         path: the .glb, .gltf or .vrm.
         clip: name of the animation that it performs; the first where left out.
-        parts: names of the meshes or materials that make the body; told by their names where left out.
+        parts: names of the meshes or materials that make the body; recognised by their names where left out.
 
     Raises:
         InputError: it is no glTF, is compressed by Draco or meshopt, has no skin, no such clip or part, or is damaged.
     """
     file = read_gltf(path)
-    try:
+    with refusing(path, "is damaged; export it again"):
         return _character(file, clip, parts)
-    except InputError:
-        raise
-    except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
-        raise InputError(f"{path} is damaged ({type(error).__name__}: {str(error)[:120]}); export it again.") from error
 
 
 def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) -> Character:
@@ -144,9 +140,9 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     binds = np.stack(matrices)[order]
     ranked = np.array(bones)[order]
     surface = surface.renumbered(rank)
-    world, told = _world(path, surface.vertices, names, binds)
+    world, more = _world(path, surface.vertices, names, binds)
     notes = (
-        [*told] if not left else [f"{path.name}: left out of the body: {', '.join(left)}; --body-parts chooses.", *told]
+        [*more] if not left else [f"{path.name}: left out of the body: {', '.join(left)}; --body-parts chooses.", *more]
     )
     surface, welded = surface.moved(world).welded()
     surface, closed = surface.turned_outward().closed()
@@ -155,6 +151,8 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     if not Topology(surface.faces, len(surface.vertices)).is_closed:
         notes.append(f"{path.name}: its surface is not closed even so; penetration is not reported.")
     binds = world @ binds
+    if not (np.abs(np.linalg.det(binds)) > 1e-20).all():
+        raise ValueError("a bone is flattened by the scale of a node")
     heads = binds[:, :3, 3]
     names, parents, heads, bone_nodes, binds = _completed(names, parents, heads, ranked, binds, surface.vertices)
     skinning = SkinningWeights(surface.bones, surface.weights.astype(np.float32))
@@ -171,7 +169,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
         row += len(part.vertices)
     if "pelvis" not in names:
         notes.append(
-            f"{path.name}: its bones are not told for a human's, so it moves by its own clips alone and takes garments "
+            f"{path.name}: its bones are no human's by their names, so it moves by its own clips and takes garments "
             "from files."
         )
     return Character(
@@ -599,8 +597,8 @@ class _Surface:
             kept = np.pad(mean[strongest], (0, width - len(strongest)))
             weights.append((kept / kept.sum())[None])
             sizes.append(float(np.linalg.norm(np.ptp(self.vertices[loop], axis=0))))
-        told = f"{len(loops)} hole(s) of the surface, the largest {100 * max(sizes):.0f} cm across, are"
-        return _Surface(*(np.concatenate(each) for each in (vertices, faces, bones, weights))), told
+        sentence = f"{len(loops)} hole(s) of the surface, the largest {100 * max(sizes):.0f} cm across, are"
+        return _Surface(*(np.concatenate(each) for each in (vertices, faces, bones, weights))), sentence
 
 
 def _hole_cycles(faces: np.ndarray) -> list[np.ndarray]:

@@ -67,7 +67,7 @@ def load_body(
             character (.glb, .gltf, .vrm), or a moving surface as `load_vertex_sequence` reads it.
         shape: shape parameters by name; a character and a moving surface have none.
         clip: name of the clip that a character performs; its first where left out.
-        parts: names of the meshes or materials that make a character's body; told by their names where left out.
+        parts: names of the meshes or materials that make a character's body; recognised by their names where left out.
 
     Raises:
         InputError: the name is unknown, the file cannot be used, or a shape parameter does not fit.

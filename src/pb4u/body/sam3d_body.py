@@ -16,6 +16,7 @@ import numpy as np
 from pb4u.body.vertex_sequence import VertexSequence, require_usable, surface_of
 from pb4u.errors import InputError, InputWarning
 from pb4u.io.array_archive import member_names, read_arrays
+from pb4u.io.reading_limits import refusing
 
 VERTICES = "pred_vertices"
 _PLACE, _FACES = "pred_cam_t", ("faces", "mhr_faces")
@@ -51,11 +52,10 @@ def read_sam3d_body(path: Path) -> VertexSequence:
         vertices = held[VERTICES].astype(np.float32)
         vertices = vertices.reshape(-1, *vertices.shape[-2:])
         place = held.get(_PLACE, np.zeros(3)).astype(np.float32)
-        if place.size not in (3, 3 * len(vertices)):
-            raise InputError(f'{file}: "{_PLACE}" has the shape {place.shape}, where one place a frame belongs.')
         if frames and vertices.shape[1] != frames[0].shape[1]:
             raise InputError(f"{file} has {vertices.shape[1]} vertices and {files[0].name} {frames[0].shape[1]}.")
-        frames.append((vertices + place.reshape(-1, 1, 3)) * _UPRIGHT)
+        with refusing(file, f'has a "{_PLACE}" that does not fit its frames'):
+            frames.append((vertices + place.reshape(-1, 1, 3)) * _UPRIGHT)
         faces = next((held[name] for name in _FACES if name in held), faces)
     vertices = np.concatenate(frames)
     faces = _faces_beside(path, vertices.shape[1]) if faces is None else faces

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,13 +11,20 @@ from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import strongest_influences
 from pb4u.errors import InputError
 from pb4u.io.array_archive import read_arrays
-from pb4u.io.reading_limits import read_text
 from pb4u.io.restricted_pickle import load_pickle
-from pb4u.io.stored_numbers import stored_numbers
+from pb4u.io.stored_numbers import Layout, read_members, require_places, stored_numbers
 
 BETA_RANGE = (-10.0, 0.0, 10.0)
 """Lowest, default and highest shape coefficient, in standard deviations; others are refused."""
-_MEMBERS = ("v_template", "shapedirs", "posedirs", "J_regressor", "kintree_table", "weights", "f")
+_LAYOUT: Layout = {
+    "v_template": ("fiu", ("vertices", 3)),
+    "kintree_table": ("fiu", (2, "joints")),
+    "shapedirs": ("fiu", ("vertices", 3, None)),
+    "posedirs": ("fiu", ("vertices", 3, "pose features")),
+    "J_regressor": ("fiu", ("joints", "vertices")),
+    "weights": ("fiu", ("vertices", "joints")),
+    "f": ("iu", ("faces", 3)),
+}
 _BODY_JOINTS = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
     "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
@@ -47,7 +53,7 @@ _SMPLX_EXPRESSIONS = {20: 10, 400: 100}
 
 
 class SmplBody(BodyModel):
-    """SMPL (Loper et al. 2015), SMPL-H (Romero et al. 2017) or SMPL-X (Pavlakos et al. 2019), told by its joints.
+    """SMPL (Loper et al. 2015), SMPL-H (Romero et al. 2017) or SMPL-X (Pavlakos et al. 2019), by its number of joints.
 
     At rest it stands in the T-pose of its file, feet on y = 0; that is the pose that garments are fitted to.
     Its shape parameters are beta0, beta1, ..; expressions are left at zero.
@@ -61,17 +67,19 @@ class SmplBody(BodyModel):
 
     def __init__(self, path: str | Path) -> None:
         path = Path(path)
-        raw = _load(path)
-        arrays = {
-            key: raw[key] if hasattr(raw[key], "tocsr") else stored_numbers(raw[key], path, key) for key in _MEMBERS
-        }
-        vertices, joints = (arrays["v_template"].shape or (0,))[0], (arrays["kintree_table"].shape or (0,))[-1]
+
+        def refuse(what: str) -> InputError:
+            return InputError(f"{path}: not an SMPL, SMPL-H or SMPL-X model, {what}; download the model again.")
+
+        content = load_pickle(path) if path.suffix.lower() == ".pkl" else read_arrays(path, _LAYOUT)
+        arrays, counts = read_members(content, _LAYOUT, refuse)
+        joints = counts["joints"]
         families = [family for family, names in JOINT_NAMES.items() if len(names) == joints]
         if not families:
             raise InputError(f"{path} has {joints} joints; SMPL has 24, SMPL-H 52 and SMPL-X 55.")
-        _require_shapes(path, arrays, vertices, joints)
-        if not vertices:
-            raise InputError(f"{path} has no vertices; download the model again.")
+        if not counts["vertices"] or counts["pose features"] != 9 * (joints - 1):
+            raise refuse(f"it has {counts['vertices']} vertices and {counts['pose features']} pose features")
+        require_places(arrays, {"f": "vertices"}, counts, refuse)
         self.name, self.family = path.stem, families[0]
         self.bone_names, self.bone_parents = JOINT_NAMES[self.family], _parents(path, arrays["kintree_table"][0])
         self._template = _finite(path, "v_template", arrays["v_template"])
@@ -89,10 +97,7 @@ class SmplBody(BodyModel):
         if (weights < 0).any() or (weights.sum(axis=1) < 1e-6).any():
             raise InputError(f'{path}: "weights" has negative or empty rows; download the model again.')
         self.weights = strongest_influences(np.broadcast_to(np.arange(joints), weights.shape), weights, _MAX_INFLUENCES)
-        faces = arrays["f"]
-        if faces.dtype.kind not in "iu" or not len(faces) or faces.min() < 0 or faces.max() >= vertices:
-            raise InputError(f'{path}: "f" must hold vertex numbers from 0 to {vertices - 1}.')
-        self.faces = faces.astype(np.int64)
+        self.faces = arrays["f"].astype(np.int64)
         of_hand = np.array([name in _HAND_JOINTS for name in self.bone_names])
         self.contact = self.weights.share_of(of_hand) <= 0.5
 
@@ -105,37 +110,8 @@ class SmplBody(BodyModel):
         return vertices, np.asarray(self._regressor @ vertices)
 
 
-def _load(path: Path) -> Mapping[str, Any]:
-    if path.suffix.lower() == ".pkl":
-        members = load_pickle(path)
-        if not isinstance(members, dict):
-            raise InputError(f"{path} holds a {type(members).__name__}, not the members of an SMPL model.")
-    else:
-        members = read_arrays(path, _MEMBERS)
-    if missing := [key for key in _MEMBERS if key not in members]:
-        raise InputError(f"{path}: not an SMPL, SMPL-H or SMPL-X model, it lacks {', '.join(missing)}.")
-    return members
-
-
-def _require_shapes(path: Path, arrays: Mapping[str, Any], vertices: int, joints: int) -> None:
-    expected: dict[str, tuple[int | None, ...]] = {
-        "v_template": (vertices, 3),
-        "shapedirs": (vertices, 3, None),
-        "posedirs": (vertices, 3, 9 * (joints - 1)),
-        "J_regressor": (joints, vertices),
-        "kintree_table": (2, joints),
-        "weights": (vertices, joints),
-        "f": (None, 3),
-    }
-    for key, wanted in expected.items():
-        shape = tuple(arrays[key].shape)
-        if len(shape) != len(wanted) or any(n is not None and n != m for n, m in zip(wanted, shape, strict=True)):
-            told = ", ".join("any" if n is None else str(n) for n in wanted)
-            raise InputError(f'{path}: "{key}" has shape {shape}; with {vertices} vertices it needs ({told}).')
-
-
 def _finite(path: Path, key: str, values: np.ndarray) -> np.ndarray:
-    numbers = stored_numbers(values, path, key).astype(np.float64, copy=False)
+    numbers = values.astype(np.float64, copy=False)
     if not (np.abs(numbers) <= _LARGEST).all():
         raise InputError(
             f'{path}: "{key}" holds numbers that are not finite, or beyond {_LARGEST:g}; download the model again.'
@@ -168,10 +144,8 @@ def read_contact(path: Path, vertices: int) -> np.ndarray:
     if path.suffix.lower() != ".pkl":
         try:
             omitted = np.array(
-                [int(word) for word in read_text(path, "a list of vertices").replace(",", " ").split()], dtype=np.int64
+                [int(word) for word in path.read_text(encoding="utf-8").replace(",", " ").split()], dtype=np.int64
             )
-        except InputError:
-            raise
         except (OSError, ValueError, OverflowError):
             raise InputError(f"{path} is no list of vertex numbers; write one a line.") from None
         if len(omitted) and not 0 <= omitted.min() <= omitted.max() < vertices:

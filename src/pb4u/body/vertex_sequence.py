@@ -6,9 +6,10 @@ import io
 import re
 import struct
 import warnings
-from collections.abc import Mapping
+from copy import copy
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,9 +24,8 @@ from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
 from pb4u.io.array_archive import member_names, read_arrays
 from pb4u.io.atomic_file import replace_file
-from pb4u.io.reading_limits import told_names
 from pb4u.io.restricted_pickle import load_pickle
-from pb4u.io.stored_numbers import stored_numbers
+from pb4u.io.stored_numbers import Layout, read_members
 
 DEFAULT_FPS = 30.0
 MOST_TRIANGLES = 1_000_000
@@ -111,8 +111,7 @@ class VertexSequence(AnimatedBody):
         """
         if not (np.isfinite(fps) and fps > 0):
             raise InputError(f"{self.name}: cannot play at {fps:g} frames per second; give a positive frame rate.")
-        held = round(self.held_start * fps / self.fps)
-        return VertexSequence(self.name, self.vertices, self.faces, self.stored_fps, self.contact, fps, held)
+        return self._with(fps=fps, held_start=round(self.held_start * fps / self.fps))
 
     def smoothed(self, cutoff: float) -> VertexSequence:
         """The same motion without what is faster than `cutoff` [Hz], by a low-pass that delays nothing."""
@@ -124,21 +123,20 @@ class VertexSequence(AnimatedBody):
         sections = butter(2, cutoff, fs=self.stored_fps, output="sos")
         reach = min(count - 1, round(3.0 * self.stored_fps / cutoff))
         calm = sosfiltfilt(sections, self.vertices, axis=0, padlen=reach).astype(np.float32)
-        return VertexSequence(self.name, calm, self.faces, self.stored_fps, self.contact, self.fps, self.held_start)
+        return self._with(vertices=calm, rest_vertices=np.asarray(calm[0], dtype=np.float64), from_video=False)
 
     def with_contact(self, contact: np.ndarray) -> VertexSequence:
         """The same motion with other vertices left out of contact: `contact` (vertices,) bool is False there."""
-        other = VertexSequence(
-            self.name, self.vertices, self.faces, self.stored_fps, contact, self.fps, self.held_start
-        )
-        other.from_video = self.from_video
-        return other
+        return self._with(contact=contact)
 
     def with_held_start(self, frames: int) -> VertexSequence:
         """The same motion after `frames` more frames of its first one."""
-        return VertexSequence(
-            self.name, self.vertices, self.faces, self.stored_fps, self.contact, self.fps, self.held_start + frames
-        )
+        return self._with(held_start=self.held_start + frames)
+
+    def _with(self, **changed: Any) -> VertexSequence:
+        other = copy(self)
+        vars(other).update(changed)
+        return other
 
 
 def write_vertex_sequence(
@@ -266,16 +264,14 @@ def surface_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def _read_pickle(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (frames, vertices, 3) float32 and triangles (faces, 3) of a mesh sequence of the released code."""
-    content = load_pickle(path)
-    if not isinstance(content, Mapping) or not {"verts", "faces"} <= set(content):
-        raise InputError(f'{path}: a moving body in a pickle has "verts" and "faces".')
-    vertices, faces = (stored_numbers(content[name], path, name) for name in ("verts", "faces"))
-    if vertices.ndim != 3 or vertices.shape[2] != 3 or vertices.dtype.kind != "f" or not len(vertices):
-        raise InputError(f'{path}: "verts" has the shape {vertices.shape}, where (frames, vertices, 3) belongs.')
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-        raise InputError(f'{path}: "faces" has the shape {faces.shape}, where (faces, 3) whole numbers belong.')
-    _refuse_large(path, len(faces))
-    return vertices.astype(np.float32), faces.astype(np.int64)
+
+    def refuse(what: str) -> InputError:
+        return InputError(f"{path} is no moving body: {what}.")
+
+    layout: Layout = {"verts": ("f", ("frames", "vertices", 3)), "faces": ("iu", ("faces", 3))}
+    members, _ = read_members(load_pickle(path), layout, refuse)
+    _refuse_large(path, len(members["faces"]))
+    return members["verts"].astype(np.float32), members["faces"].astype(np.int64)
 
 
 def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -315,29 +311,22 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndar
     """Members of a sequence, or the body of a trajectory of this package."""
     keys = set(member_names(path))
     prefix = "body_" if {"body_positions", "body_faces"} <= keys else ""
-    names = [key for key in (f"{prefix}positions", "vertices") if key in keys]
-    if not names or f"{prefix}faces" not in keys:
-        raise InputError(
-            f'{path} has the members {told_names(keys)}; a moving body needs "vertices" (frames, vertices, 3) and '
-            '"faces" (faces, 3).'
-        )
-    members = read_arrays(path, (names[0], f"{prefix}faces", "fps", f"{prefix}contact"))
-    vertices, faces, contact = members[names[0]], members[f"{prefix}faces"], members.get(f"{prefix}contact")
-    try:
-        fps = float(members["fps"]) if "fps" in members else None
-    except (TypeError, ValueError):
-        raise InputError(f'{path}: "fps" should be one number, and is {members["fps"].dtype}.') from None
-    if vertices.ndim != 3 or vertices.shape[2] != 3 or not len(vertices) or vertices.dtype.kind != "f":
-        raise InputError(
-            f'{path}: "{names[0]}" has shape {vertices.shape} of {vertices.dtype}; '
-            "it needs (frames, vertices, 3) floating-point numbers."
-        )
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-        raise InputError(f'{path}: "faces" has shape {faces.shape} of {faces.dtype}; it needs (faces, 3) integers.')
-    if contact is not None and contact.shape != (vertices.shape[1],):
-        raise InputError(f'{path}: "contact" has shape {contact.shape}; it needs one value per vertex.')
-    vertices, faces = vertices.astype(np.float32, copy=False), faces.astype(np.int64, copy=False)
-    return vertices, faces, fps, None if contact is None else contact.astype(bool)
+    positions = next((key for key in (f"{prefix}positions", "vertices") if key in keys), "vertices")
+    faces, contact = f"{prefix}faces", f"{prefix}contact"
+
+    def refuse(what: str) -> InputError:
+        return InputError(f'{path} is no moving body: {what}; it needs "vertices" (frames, vertices, 3) and "faces".')
+
+    layout: Layout = {
+        positions: ("f", ("frames", "vertices", 3)),
+        faces: ("iu", ("faces", 3)),
+        "fps": ("fiu", ()),
+        contact: ("fiub", ("vertices",)),
+    }
+    members, _ = read_members(read_arrays(path, layout), layout, refuse, ("fps", contact))
+    surface = members[positions].astype(np.float32, copy=False), members[faces].astype(np.int64, copy=False)
+    fps = float(members["fps"]) if "fps" in members else None
+    return *surface, fps, members[contact].astype(bool) if contact in members else None
 
 
 def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | None]:
@@ -406,7 +395,7 @@ def require_usable(path: Path | str, vertices: np.ndarray, faces: np.ndarray) ->
 
     Args:
         path: its file, for the message.
-        vertices: (frames, vertices, 3) [m], or in centimetres, which is told by their extent.
+        vertices: (frames, vertices, 3) [m], or in centimetres, which is recognised by their extent.
         faces: (faces, 3) int64.
 
     Returns:
@@ -415,8 +404,8 @@ def require_usable(path: Path | str, vertices: np.ndarray, faces: np.ndarray) ->
     Raises:
         InputError: it has no faces or too many, a face names no vertex, or a number is not finite or no length.
     """
-    if not len(faces):
-        raise InputError(f"{path} has no faces; a body needs a surface.")
+    if not len(faces) or not len(vertices):
+        raise InputError(f"{path} has no faces, or no frames; a body needs a surface.")
     _refuse_large(path, len(faces))
     if faces.min() < 0 or faces.max() >= vertices.shape[1]:
         raise InputError(f"{path}: a face names a vertex out of range, there are {vertices.shape[1]}.")

@@ -167,20 +167,21 @@ def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix
     from pb4u.garment.repair import repair
     from pb4u.geometry.obj_file import write_obj
 
+    unmended: dict[str, Any] = {"mended": [], "left": [], "remaining": None}
     made = _made(name, figure, triangles)
     if made is not None:
-        return {"name": name, **diagnose(made, figure, name, body).to_json(), "mended": [], "remaining": None}
+        return {"name": name, **diagnose(made, figure, name, body).to_json(), **unmended}
     if not Path(name).suffix:
         raise unknown_name("garment", name, garment_names())
     source = read_source(Path(name))
-    found = {"name": name, **diagnose(source, figure, name, body).to_json(), "mended": [], "remaining": None}
+    found = {"name": name, **diagnose(source, figure, name, body).to_json(), **unmended}
     if fix is not None:
-        mended, said = repair(source, figure)
+        mended, changes, left = repair(source, figure)
         remaining = diagnose(mended, figure, fix, body)
         # A file of this name is taken for a garment that can be worn.
         if not remaining.is_refused:
             write_obj(fix, mended)
-        found |= {"mended": list(said), "remaining": remaining.to_json()}
+        found |= {"mended": list(changes), "left": list(left), "remaining": remaining.to_json()}
     return found
 
 
@@ -211,12 +212,18 @@ def _print(report: dict[str, Any], fix: Path | None) -> None:
             console.print(f"{garment['name']}: nothing to mend.", markup=False)
         for finding in garment["findings"]:
             console.print(f"{finding['severity']}: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
+        if garment["held_by"] is not None:
+            console.print(f"held up by its {garment['held_by']}.", markup=False)
+        refused = (garment["remaining"] or garment)["refused"]
         for sentence in garment["mended"]:
-            console.print(f"mended: {sentence}", markup=False)
+            # Nothing is mended in a file that was not written.
+            console.print(f"{'tried' if refused else 'mended'}: {sentence}", markup=False)
+        for sentence in garment["left"]:
+            console.print(f"not mended: {sentence}", markup=False)
         for finding in (garment["remaining"] or {"findings": []})["findings"]:
             if finding["severity"] != "note":
                 console.print(f"stays: {finding['sentence']} Fix: {finding['fix']}.", markup=False)
-        if fix is not None and not garment["remaining"]["refused"]:
+        if fix is not None and not refused:
             console.print(f"written: {fix}", markup=False)
     if "crossings" in report:
         made, worn = report["crossings"]["as_made"], report["crossings"]["as_worn"]

@@ -26,7 +26,10 @@ _KINDS = (".npz", ".obj", ".json", ".svg", ".png")
 def dress(
     pattern: Annotated[
         Path,
-        typer.Argument(metavar="PATTERN", help="Sewing pattern: GarmentCode's .json, or a garment dressed before."),
+        typer.Argument(
+            metavar="PATTERN",
+            help="Sewing pattern: GarmentCode's .json, a .toml that names an SVG and its seams, or a dressed garment.",
+        ),
     ],
     out: Annotated[
         list[Path],
@@ -60,9 +63,9 @@ def dress(
     from pb4u.body.library import load_body
     from pb4u.garment.material import load_material
     from pb4u.pattern.dressing import dress as dressed_on
-    from pb4u.pattern.files import load_pattern, write_worn
+    from pb4u.pattern.files import read_pattern, write_worn
 
-    figure, sewn = load_body(body, BodyShape.of(body_shape)), load_pattern(pattern)
+    figure, sewn = load_body(body, BodyShape.of(body_shape)), read_pattern(pattern)
     if not isinstance(figure, ShapedBody):
         raise InputError(f"A pattern is dressed on a body with bones; {body} is a sequence of vertices.")
     began = time.perf_counter()

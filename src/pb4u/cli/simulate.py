@@ -29,7 +29,7 @@ from pb4u.run import Run
 if TYPE_CHECKING:
     from pb4u.export.view import View
     from pb4u.scene.scene import Scene
-    from pb4u.scene.trajectory import Trajectory
+    from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
     from pb4u.simulation.simulator import RunRecord, Simulator
 
 _OUTPUT = "Output"
@@ -192,12 +192,12 @@ def _simulate(
         diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
         from pb4u.measures.divergence import skinned_centres
-        from pb4u.measures.limbs import Bones, limbs_through_cloth
+        from pb4u.measures.limbs import Bones, limbs_through_cloth, watched
         from pb4u.measures.metrics import first_diverged
 
         diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
-        limbs = Bones.of(scene, trajectory)
-        through = limbs_through_cloth(limbs.names, limbs.through_cloth(trajectory))
+        limbs = Bones.of(scene, trajectory.frame_count, trajectory.fps)
+        through = limbs_through_cloth(*watched(limbs, trajectory))
     if record.failed_at is not None:
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
@@ -263,16 +263,39 @@ def _trajectory(
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with ExitStack() as opened:
         told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say))
-        if live is None:
-            return roll_out(run, simulator, scene, file, record, told, kept)
         header = simulator.header(scene)
+        watched = _LimbWarnings(scene, header, simulator.name)
+        if live is None:
+            return roll_out(run, simulator, scene, file, record, told, kept, watched)
         caches = opened.enter_context(LiveCaches(live, header, run.fps, run.written_frames))
 
         def stepped(done: int, total: int) -> None:
             told(done, total)
             caches.progress(done, total)
 
-        return roll_out(run, simulator, scene, file, record, stepped, kept, caches.append)
+        def seen(frame: Frame) -> None:
+            caches.append(frame)
+            watched(frame)
+
+        return roll_out(run, simulator, scene, file, record, stepped, kept, seen)
+
+
+class _LimbWarnings:
+    """Warns of each limb that comes through cloth in the frame in which it does."""
+
+    def __init__(self, scene: Scene, header: TrajectoryHeader, model: str) -> None:
+        from pb4u.measures.limbs import Bones, LimbWatch
+
+        self.watch = LimbWatch(Bones.of(scene, scene.frames, scene.fps), header)
+        self.frame, self.model = 0, model
+
+    def __call__(self, frame: Frame) -> None:
+        known = set(self.watch.enough)
+        self.watch.through(self.frame, frame.positions, frame.body_positions)
+        for bone in self.watch.enough:
+            if bone not in known:
+                _warn(self.watch.sentence(bone, self.frame, self.model))
+        self.frame += 1
 
 
 def _export(

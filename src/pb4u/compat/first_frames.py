@@ -35,7 +35,7 @@ class StartProtocol(FirstFrame):
 
 @dataclass(frozen=True)
 class StandingStart(StartProtocol):
-    """Pb4U-GNet and HOOD: one long step on the body standing at frame 2, whose displacement is carried on as velocity.
+    """Pb4U-GNet and HOOD: one long step on the body standing at frame 2, whose displacement becomes velocity.
 
     Args:
         push: factor on the push out of the body before it; 1.5 in the code of Pb4U-GNet, 1 in HOOD's.

@@ -17,10 +17,23 @@ from pb4u.garment.garment import Garment, GarmentSkinning
 from pb4u.garment.material import Material
 from pb4u.geometry.topology import Topology
 from pb4u.io.restricted_pickle import load_pickle
-from pb4u.io.stored_numbers import stored_numbers
+from pb4u.io.stored_numbers import Layout, read_members, require_places
 
 PINNED = 3
 """Type of a pinned vertex in the released code."""
+_LAYOUT: Layout = {
+    "faces": ("iu", ("faces", 3)),
+    "node_type": ("iu", ("vertices", 1)),
+    "verts_uv": ("fiu", ("uv points", 2)),
+    "faces_uv": ("iu", ("faces", 3)),
+}
+_POINTS_AT = {"faces": "vertices", "faces_uv": "uv points"}
+_SKINNING: Layout = {
+    "v": ("fiu", ("vertices", 3)),
+    "lbs_weights": ("fiu", ("vertices", "bones")),
+    "posedirs": ("fiu", ("pose features", "coordinates")),
+    "shapedirs": ("fiu", ("vertices", 3, None)),
+}
 _RESOLUTIONS = ("level1", "level2", "level3")
 
 
@@ -36,63 +49,40 @@ def read_dictionary_garment(entry: DictionaryEntry, material: Material) -> Garme
     """
     if not entry.path.is_file():
         raise InputError(f"There is no garment file {entry.path}.")
-    fields = _Fields(entry, _chosen(entry, load_pickle(entry.path)))
-    vertices = fields.numbers("rest_pos" if "rest_pos" in fields.content else "vertices", (None, 3))
-    count = len(vertices)
-    faces = fields.indices("faces", (None, 3), count)
+    where, fields = f"{entry.path}, garment {entry.title}", _chosen(entry, load_pickle(entry.path))
+    positions = "rest_pos" if "rest_pos" in fields else "vertices"
+    arrays, counts = _read(
+        where, fields, {positions: ("fiu", ("vertices", 3)), **_LAYOUT}, _POINTS_AT, tuple(_LAYOUT)[1:]
+    )
+    faces, count = arrays["faces"].astype(np.int64), counts["vertices"]
     if len(Topology(faces, count).non_manifold_edges):
-        raise InputError(f"{fields.where}: some edges are shared by three or more faces; mend it where it comes from.")
-    types = fields.indices("node_type", (count, 1), PINNED + 1) if "node_type" in fields.content else np.zeros(count)
-    corners = fields.indices("faces_uv", (len(faces), 3), None) if "faces_uv" in fields.content else None
+        raise InputError(f"{where}: some edges are shared by three or more faces; mend it where it comes from.")
+    types, corners = arrays.get("node_type", np.zeros(count)), arrays.get("faces_uv")
     return Garment(
         entry.title,
-        vertices,
+        arrays[positions].astype(np.float64),
         faces,
         material,
         types.reshape(-1) == PINNED,
-        uvs=None if corners is None else fields.numbers("verts_uv", (None, 2)),
-        uv_faces=corners,
-        coarse_edges=_coarse_edges(fields, count),
-        skinning=_skinning(fields, count),
+        uvs=None if corners is None else arrays["verts_uv"].astype(np.float64),
+        uv_faces=None if corners is None else corners.astype(np.int64),
+        coarse_edges=_coarse_edges(where, fields.get("coarse_edges"), entry.centre, count),
+        skinning=None if fields.get("lbs") is None else _skinning(where, fields["lbs"], count),
     )
 
 
-class _Fields:
-    """The fields of one garment, checked as they are read."""
+def _read(
+    where: str, content: object, layout: Layout, points_at: Mapping[str, str], optional: tuple[str, ...] = ()
+) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+    def refuse(what: str) -> InputError:
+        return InputError(f"{where}: {what}.")
 
-    def __init__(self, entry: DictionaryEntry, content: Mapping[str, Any]) -> None:
-        self.entry, self.content = entry, content
-        self.where = f"{entry.path}, garment {entry.title}"
-
-    def within(self, name: str) -> _Fields:
-        part = self.content[name]
-        if not isinstance(part, Mapping):
-            raise InputError(f'{self.where}: "{name}" is no dictionary.')
-        return _Fields(self.entry, part)
-
-    def numbers(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        values = self._array(name, shape)
-        if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-            raise InputError(f'{self.where}: "{name}" holds something other than finite numbers.')
-        return values.astype(np.float64)
-
-    def indices(self, name: str, shape: tuple[int | None, ...], limit: int | None) -> np.ndarray:
-        values = self._array(name, shape)
-        if values.dtype.kind not in "iu" or (values.size and values.min() < 0):
-            raise InputError(f'{self.where}: "{name}" should hold whole numbers from 0.')
-        if limit is not None and values.size and values.max() >= limit:
-            raise InputError(f'{self.where}: "{name}" holds {values.max()}, where numbers below {limit} belong.')
-        return values.astype(np.int64)
-
-    def _array(self, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        if name not in self.content:
-            raise InputError(f'{self.where} lacks "{name}"; it holds {", ".join(sorted(map(str, self.content))[:10])}.')
-        values = stored_numbers(self.content[name], self.where, name)
-        fits = values.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, values.shape, strict=True))
-        if not fits:
-            told = ", ".join("any" if n is None else str(n) for n in shape)
-            raise InputError(f'{self.where}: "{name}" has the shape {values.shape}, where ({told}) belongs.')
-        return values
+    arrays, counts = read_members(content, layout, refuse, optional)
+    require_places(arrays, points_at, counts, refuse)
+    for name, values in arrays.items():
+        if not np.isfinite(values).all():
+            raise refuse(f'"{name}" holds something other than finite numbers')
+    return arrays, counts
 
 
 def _chosen(entry: DictionaryEntry, content: Any) -> Mapping[str, Any]:
@@ -129,48 +119,39 @@ def _listed(garments: Mapping[str, Any]) -> str:
     return f"There are: {', '.join(sorted(garments)[:20])}."
 
 
-def _coarse_edges(fields: _Fields, count: int) -> tuple[np.ndarray, ...]:
+def _coarse_edges(where: str, levels: Any, centre: int | None, count: int) -> tuple[np.ndarray, ...]:
     """Edges (edges, 2) int64 of the coarse levels around one centre, from fine to coarse; none where there are none."""
-    levels = fields.content.get("coarse_edges")
     if not isinstance(levels, Mapping) or not levels:
         return ()
-    by_centre = {int(centre): edges for centre, edges in levels.items()}
-    centre = next(iter(by_centre)) if fields.entry.centre is None else fields.entry.centre
+    by_centre = {int(vertex): edges for vertex, edges in levels.items()}
+    centre = next(iter(by_centre)) if centre is None else centre
     if centre not in by_centre:
         known = ", ".join(map(str, sorted(by_centre)[:20]))
-        raise InputError(f"{fields.where} has no coarse levels around {centre}; it has them around {known}.")
-    named = by_centre[centre]
-    if not isinstance(named, Mapping):
-        raise InputError(f'{fields.where}: "coarse_edges" should hold levels by number.')
-    found = {int(level): np.asarray(edges) for level, edges in named.items()}
-    # A level without edges is written as floating-point numbers of no shape.
-    by_level = {
-        str(level): edges.reshape(-1, 2).astype(np.int64) if not edges.size else edges for level, edges in found.items()
-    }
+        raise InputError(f"{where} has no coarse levels around {centre}; it has them around {known}.")
+    found = {int(level): np.asarray(edges) for level, edges in by_centre[centre].items()}
     if sorted(found) != list(range(len(found))):
-        raise InputError(f"{fields.where} has coarse levels {sorted(found)}, where they count from 0 without a gap.")
-    part = _Fields(fields.entry, by_level)
-    return tuple(part.indices(str(level), (None, 2), count) for level in range(len(found)))
+        raise InputError(f"{where} has coarse levels {sorted(found)}, where they count from 0 without a gap.")
+    # A level without edges is written as floating-point numbers of no shape.
+    by_level = {str(k): edges if edges.size else np.zeros((0, 2), dtype=np.int64) for k, edges in found.items()}
+    layout: Layout = {level: ("iu", (None, 2)) for level in by_level}
+    arrays, _ = _read(where, by_level, layout, {})
+    for edges in arrays.values():
+        if edges.size and not 0 <= edges.min() <= edges.max() < count:
+            raise InputError(f"{where}: a coarse edge points outside of its {count} vertices.")
+    return tuple(arrays[str(level)].astype(np.int64) for level in range(len(found)))
 
 
-def _skinning(fields: _Fields, count: int) -> GarmentSkinning | None:
-    if fields.content.get("lbs") is None:
-        return None
-    part = fields.within("lbs")
-    vertices, weights = part.numbers("v", (None, 3)), part.numbers("lbs_weights", (None, None))
-    if len(vertices) != count or len(weights) != count:
-        raise InputError(
-            f"{fields.where}: its skinning is of {len(vertices)} vertices and {len(weights)} rows of weights, the mesh "
-            f"has {count}."
-        )
+def _skinning(where: str, content: object, count: int) -> GarmentSkinning:
+    arrays, counts = _read(where, content, _SKINNING, {})
+    weights, bones = arrays["lbs_weights"], counts["bones"]
+    if counts != {**counts, "vertices": count, "pose features": 9 * (bones - 1), "coordinates": 3 * count}:
+        raise InputError(f"{where}: its skinning does not fit its {count} vertices: {counts}.")
     if (weights < 0).any() or (weights.sum(axis=1) < 1e-6).any():
-        raise InputError(f'{fields.where}: "lbs_weights" has negative or empty rows.')
-    bones = weights.shape[1]
-    offsets = part.numbers("posedirs", (9 * (bones - 1), 3 * count))
+        raise InputError(f'{where}: "lbs_weights" has negative or empty rows.')
     return GarmentSkinning(
-        vertices,
-        part.numbers("shapedirs", (count, 3, None)),
-        np.ascontiguousarray(offsets.T).reshape(count, 3, 9 * (bones - 1)),
-        strongest_influences(np.broadcast_to(np.arange(bones), weights.shape), weights, bones),
+        arrays["v"].astype(np.float64),
+        arrays["shapedirs"].astype(np.float64),
+        np.ascontiguousarray(arrays["posedirs"].T.astype(np.float64)).reshape(count, 3, 9 * (bones - 1)),
+        strongest_influences(np.broadcast_to(np.arange(bones), weights.shape), weights.astype(np.float64), bones),
         bones,
     )

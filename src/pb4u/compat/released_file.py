@@ -7,15 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from safetensors import SafetensorError
-from safetensors.numpy import load_file
+from safetensors.torch import load_file
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.io.reading_limits import require_small_header, told_error
-from pb4u.io.restricted_pickle import load_torch_archive
+from pb4u.io.reading_limits import told_error
+from pb4u.io.restricted_pickle import load_tensors
 
 NETWORK = "model._learned_model."
 """What all keys of the network's weights begin with."""
@@ -48,11 +47,11 @@ class ReleasedFile:
             )
         self.weights: dict[str, Tensor] = {}
         for key, value in weights.items():
-            if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+            if not isinstance(value, Tensor) or value.is_complex() or value.dtype == torch.bool:
                 raise InputError(f"{path} holds something other than numbers in {key}.")
-            if not np.isfinite(value).all():
+            if not value.isfinite().all():
                 raise InputError(f"{path} holds numbers that are not finite in {key}; its training diverged.")
-            self.weights[str(key)] = torch.from_numpy(value.astype(np.float32))
+            self.weights[str(key)] = value.detach().to(torch.float32)
         self.used: set[str] = set()
 
     @classmethod
@@ -63,12 +62,9 @@ class ReleasedFile:
             InputError: it is damaged, of another project, or holds something unexpected.
         """
         if path.suffix.lower() != ".safetensors":
-            return cls(path, load_torch_archive(path))
+            return cls(path, load_tensors(path))
         try:
-            require_small_header(path)
             return cls(path, load_file(path))
-        except InputError:
-            raise
         except (SafetensorError, OSError, ValueError) as error:
             raise InputError(f"{path} is no whole safetensors file ({told_error(error)}); fetch it again.") from None
 

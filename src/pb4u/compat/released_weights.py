@@ -118,8 +118,8 @@ def _method(file: ReleasedFile, name: str | None) -> ReleasedMethod:
         if (named is None or named in method.models) and any(method.marker in key for key in file.weights)
     ]
     if not fitting:
-        told = f"its settings say {named}, and its" if named else "its"
-        raise InputError(f"{file.path} is of no known method: {told} keys are those of none; name one with --method.")
+        hint = f"its settings say {named}, and its" if named else "its"
+        raise InputError(f"{file.path} is of no known method: {hint} keys are those of none; name one with --method.")
     return fitting[0]
 
 
@@ -150,7 +150,7 @@ def _record(file: ReleasedFile, method: ReleasedMethod) -> TrainingRecord:
     if not 0.0 < dt < float("inf"):
         raise InputError(f"{file.path} was trained with a time step of {dt:g} s.")
     # The files do not tell the resolutions, so nothing is warned of.
-    unknown = {"network": method.preset, "resolutions": "not told by the file"}
+    unknown = {"network": method.preset, "resolutions": "unknown"}
     return TrainingRecord(dt, (1e-5, 10.0), (0, 10_000), int(max(steps, default=0)), unknown)
 
 

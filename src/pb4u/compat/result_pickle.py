@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.io.restricted_pickle import load_pickle
-from pb4u.io.stored_numbers import stored_numbers
+from pb4u.io.stored_numbers import Layout, read_members, require_places
 from pb4u.progress import Progress
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
 FPS = 30.0
 """Frames per second of all results of the released code, whose files do not tell it [1/s]."""
+_LAYOUT: Layout = {
+    "pred": ("f", ("frames", "vertices", 3)),
+    "obstacle": ("f", ("frames", "body vertices", 3)),
+    "cloth_faces": ("iu", ("faces", 3)),
+    "obstacle_faces": ("iu", ("body faces", 3)),
+}
 
 
 def write_result(trajectory: Trajectory, path: Path, progress: Progress) -> None:
@@ -54,15 +58,16 @@ def read_result(path: Path) -> Trajectory:
     """
     if not path.is_file():
         raise InputError(f"There is no trajectory {path}.")
-    content = load_pickle(path)
-    names = ("pred", "obstacle", "cloth_faces", "obstacle_faces")
-    if not isinstance(content, Mapping) or (missing := [name for name in names if name not in content]):
-        lacks = f"it lacks {', '.join(missing)}" if isinstance(content, Mapping) else "it is no dictionary"
-        raise InputError(f"{path} is no result of the released code: {lacks}.")
-    positions, body = (_frames(path, content, name) for name in names[:2])
-    if len(positions) != len(body):
-        raise InputError(f"{path} has {len(positions)} frames of cloth and {len(body)} of the body.")
-    faces, body_faces = _faces(path, content, names[2], positions), _faces(path, content, names[3], body)
+
+    def refuse(what: str) -> InputError:
+        return InputError(f"{path} is no result of the released code: {what}.")
+
+    members, counts = read_members(load_pickle(path), _LAYOUT, refuse)
+    require_places(members, {"cloth_faces": "vertices", "obstacle_faces": "body vertices"}, counts, refuse)
+    if not counts["frames"] or not counts["vertices"]:
+        raise refuse("it has no frames")
+    positions, body = (members[name].astype(np.float32) for name in ("pred", "obstacle"))
+    faces, body_faces = (members[name].astype(np.int64) for name in ("cloth_faces", "obstacle_faces"))
     count = positions.shape[1]
     header = TrajectoryHeader(
         faces=faces,
@@ -82,22 +87,6 @@ def read_result(path: Path) -> Trajectory:
     velocities = FPS * np.diff(positions, axis=0, prepend=positions[:1])
     frames = (Frame(*each) for each in zip(positions, velocities, body, strict=True))
     return Trajectory.collect(header, frames)
-
-
-def _frames(path: Path, content: Mapping[str, Any], name: str) -> np.ndarray:
-    values = stored_numbers(content[name], path, name)
-    if values.dtype.kind != "f" or values.ndim != 3 or values.shape[2] != 3 or not values.size:
-        raise InputError(f'{path}: "{name}" has the shape {values.shape}, where (frames, vertices, 3) belongs.')
-    return values.astype(np.float32)
-
-
-def _faces(path: Path, content: Mapping[str, Any], name: str, positions: np.ndarray) -> np.ndarray:
-    faces = stored_numbers(content[name], path, name)
-    if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
-        raise InputError(f'{path}: "{name}" has the shape {faces.shape}, where (faces, 3) whole numbers belong.')
-    if len(faces) and not 0 <= faces.min() <= faces.max() < positions.shape[1]:
-        raise InputError(f'{path}: "{name}" names vertices that are not there; there are {positions.shape[1]}.')
-    return faces.astype(np.int64)
 
 
 def open_trajectory(path: str | Path) -> Trajectory:

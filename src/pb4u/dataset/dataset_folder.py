@@ -1,7 +1,7 @@
 """The folder of a dataset: a folder of jobs whose results come with a trajectory each.
 
 * clips/KEY.npz: the trajectory of a clip, until it is in a shard
-* shards/shard-00000.tar: KEY.npz and KEY.json of many clips, where shards are asked for
+* shards/shard-00000.tar: KEY.npz and KEY.json of many clips, with `--format webdataset`
 * index.parquet: a row a clip
 """
 

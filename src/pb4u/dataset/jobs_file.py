@@ -17,7 +17,7 @@ from pb4u.errors import InputError, unknown_name
 from pb4u.run import ENTRIES, Run, read_tables
 
 MOST_CLIPS = 100_000
-"""Clips of one jobs file unless more are asked for: ten times the usual dataset, and what a slip of the pen exceeds."""
+"""Clips of one jobs file unless more are allowed: ten times the usual dataset, and what a slip of the pen exceeds."""
 FORMAT_VERSION = 1
 _SECTIONS = ("format_version", "fixed", "product", "clips")
 _SCENE = "scene"

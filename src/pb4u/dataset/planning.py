@@ -57,7 +57,7 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
     body = lru_cache(maxsize=64)(_body_counts)
     triangles = lru_cache(maxsize=None)(_garment_triangles)
     recorded = lru_cache(maxsize=None)(_recorded_frames)
-    told = []
+    sizes = []
     for job in jobs:
         scene = job.run
         points, corners, own_frames = body(str(scene.body))
@@ -72,8 +72,8 @@ def footprints(jobs: Iterable[RunJob]) -> list[int]:
         number = 2 if job.keep == "half" else 4
         moving = frames * 3 * number * (2 * vertices + points)
         still = 24 * sum(faces) + 17 * vertices + 24 * corners + points + 8000
-        told.append(round(moving + still + _RECORD_BYTES[0] + _RECORD_BYTES[1] * frames))
-    return told
+        sizes.append(round(moving + still + _RECORD_BYTES[0] + _RECORD_BYTES[1] * frames))
+    return sizes
 
 
 def _body_counts(name: str) -> tuple[int, int, int | None]:
@@ -99,5 +99,5 @@ def _recorded_frames(motion: str | None, crop: tuple[int, int] | None, fps: floa
     if motion is None or motion in motion_names():
         return None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # told again where the clip is made
+        warnings.simplefilter("ignore")  # warned of again where the clip is made
         return load_motion(motion, crop).available_frames(fps)

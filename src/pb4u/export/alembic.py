@@ -45,7 +45,7 @@ def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_pr
     Args:
         trajectory: what is written, every frame finite.
         path: file to write.
-        progress: told of the frames written.
+        progress: called with the frames written.
 
     Raises:
         MissingExtraError: the "abc" extra is not installed.

@@ -52,7 +52,7 @@ def bake_bones(positions: np.ndarray, bones: int, progress: Progress = no_progre
     Args:
         positions: (frames, vertices, 3) [m], finite.
         bones: how many; fewer where there are fewer vertices.
-        progress: told of the rounds.
+        progress: called after each round.
     """
     paths = np.asarray(positions, dtype=np.float64)
     rest = paths[0]

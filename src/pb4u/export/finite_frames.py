@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from pb4u.errors import InputError, InputWarning
-from pb4u.export.selection import LazyFrames
 from pb4u.scene.trajectory import Trajectory
 
 HELD_FRAMES = "held_frames"
@@ -67,15 +65,5 @@ def spans(frames: list[int]) -> str:
 
 
 def _repeat(positions: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    if whole.all():
-        return positions
     last = np.maximum.accumulate(np.where(whole, np.arange(len(whole)), -1))
-    shown = np.where(last < 0, int(np.argmax(whole)), last)
-
-    def compute(frames: Any, vertices: Any) -> np.ndarray:
-        # Two steps, because numpy would pair an array of frames with an array of vertices.
-        return np.stack([positions[t, vertices] for t in np.atleast_1d(shown[frames])]).reshape(
-            np.shape(shown[frames]) + positions[0, vertices].shape
-        )
-
-    return LazyFrames(len(positions), positions.shape[1], compute).as_array()
+    return np.asarray(positions[np.where(last < 0, int(np.argmax(whole)), last)])

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from pb4u.errors import InputWarning
 from pb4u.export.bone_baking import BakedBones, bake_bones
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
+from pb4u.export.panels import SewnPanels
 from pb4u.export.shading import SKIN, ClothPart, cloth_parts
 from pb4u.export.shape_basis import fit_shapes
 from pb4u.geometry.appearance import image_suffix
@@ -52,7 +53,7 @@ def write_glb(
     Args:
         trajectory: what is written, every frame finite.
         path: file to write.
-        progress: told of the passes over the frames.
+        progress: called after each pass over the frames.
         body: whether the body is written as well.
         bones: of each surface, in the place of its morph targets: what game engines play.
 
@@ -67,7 +68,10 @@ def write_glb(
             document = _Document(file, trajectory, bones)
             uv = (header.uvs, header.uv_faces)
             cloth = cloth_parts(header)
-            document.add_surface("garment", trajectory.positions, header.faces, uv, cloth, _part(progress, 0, passes))
+            document.add_surface(
+                "garment", trajectory.positions, header.faces, uv, cloth, _part(progress, 0, passes),
+                SewnPanels.of(header),
+            )  # fmt: skip
             if body:
                 skin = [ClothPart("body", np.arange(len(header.body_faces)), SKIN)]
                 document.add_surface(
@@ -130,6 +134,7 @@ class _Document:
         uv: tuple[np.ndarray | None, np.ndarray | None],
         looks: Sequence[ClothPart],
         progress: Progress,
+        panels: SewnPanels | None = None,
     ) -> None:
         """Add a node with a mesh, its morph targets and their weights over time.
 
@@ -140,6 +145,7 @@ class _Document:
             uv: UV points (uv points, 2) and UV faces (faces, 3), or None for each.
             looks: its parts, each of which has a primitive and a material of its own.
             progress: called with (passes done, passes in all).
+            panels: of a sewn garment: the attribute `_PANEL` of a vertex, names and seams in the extras of the mesh.
         """
         # With bones the first frame alone is a shape.
         shown = positions if self._bones is None else positions[:1]
@@ -158,6 +164,12 @@ class _Document:
         }
         if uvs is not None:
             attributes["TEXCOORD_0"] = self._vectors(uvs * (1.0, -1.0) + (0.0, 1.0))  # v downward
+        extras: dict[str, Any] = {"largest_error": basis.error}
+        if panels is not None:
+            of_written = np.full(len(of_vertex), -1.0, dtype="<f4")
+            of_written[corners] = panels.of_face[:, None]
+            attributes["_PANEL"] = self._add(of_written, "SCALAR", _FLOAT, _ARRAY_BUFFER)
+            extras |= {"panels": panels.names, "seams": panels.seams.ravel().tolist()}
         baked = None if self._bones is None else bake_bones(np.asarray(positions), self._bones, progress)
         if baked is not None:
             joints, weights = baked.joints[of_vertex].astype("<u2"), baked.weights[of_vertex].astype("<f4")
@@ -174,7 +186,7 @@ class _Document:
             }
             for look in looks
         ]
-        mesh: dict[str, Any] = {"name": name, "primitives": primitives, "extras": {"largest_error": basis.error}}
+        mesh: dict[str, Any] = {"name": name, "primitives": primitives, "extras": extras}
         node = len(self._json["nodes"])
         if len(basis.shapes):
             targets = [
@@ -187,14 +199,14 @@ class _Document:
             for primitive in primitives:
                 primitive["targets"] = targets
             mesh["weights"] = [0.0] * len(basis.shapes)
-            mesh["extras"]["targetNames"] = [f"shape {k}" for k in range(len(basis.shapes))]
+            extras["targetNames"] = [f"shape {k}" for k in range(len(basis.shapes))]
             self._animate(node, "weights", basis.weights.reshape(-1), "SCALAR")
         self._json["nodes"].append({"name": name, "mesh": len(self._json["meshes"])})
         self._json["scenes"][0]["nodes"].append(node)
         self._json["meshes"].append(mesh)
         if baked is not None:
             self._add_skin(node, baked)
-            mesh["extras"] = {"largest_error": baked.largest_error, "rms_error": baked.rms_error}
+            extras |= {"largest_error": baked.largest_error, "rms_error": baked.rms_error}
             if name == "garment":
                 self.told = (
                     f"has {len(baked.centres)} bones, which leave the garment {1000 * baked.rms_error:.1f} mm off "

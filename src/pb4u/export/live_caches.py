@@ -91,7 +91,7 @@ class LiveCaches:
         self._folder = folder
 
     def append(self, frame: Frame) -> None:
-        """Take a computed frame, and write those that can be told now.
+        """Take a computed frame, and write those that are known now.
 
         Args:
             frame: the next one.
@@ -163,7 +163,7 @@ def _held(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        # While it is held: freed, it could be another's already.
+        # Before it is released, since another could hold it then.
         with suppress(OSError):
             (folder / _LOCK).unlink()
         lock.release()

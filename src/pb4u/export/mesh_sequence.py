@@ -17,6 +17,8 @@ import numpy as np
 
 from pb4u.errors import InputError
 from pb4u.export.finite_frames import held_frames
+from pb4u.export.panels import SewnPanels
+from pb4u.geometry.obj_file import group_name
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.trajectory import Trajectory
 
@@ -67,10 +69,12 @@ def _is_frame(mesh: Path, number: int) -> bool:
 def write_obj_sequence(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:
     """Write every frame of the garment, vertex order, polygons and UVs kept; metres, Y up.
 
+    A garment sewn of a pattern has a group for each panel, and its seams as lines of the group `seams`.
+
     Args:
         trajectory: what is written, every frame finite.
         path: name that the files are derived from, see `frame_files`.
-        progress: told of the frames written.
+        progress: called with the frames written.
     """
     topology = _topology(trajectory)
     held = set(held_frames(trajectory))
@@ -106,7 +110,7 @@ def write_pc2(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     Args:
         trajectory: what is written, every frame finite.
         path: file to write; its OBJ goes beside it.
-        progress: told of the frames written.
+        progress: called with the frames written.
     """
     samples, points = trajectory.positions.shape[:2]
     _write(trajectory, path, pc2_header(points, samples), "<f4", progress)
@@ -128,7 +132,7 @@ def write_mdd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     Args:
         trajectory: what is written, every frame finite.
         path: file to write; its OBJ goes beside it.
-        progress: told of the frames written.
+        progress: called with the frames written.
     """
     samples, points = trajectory.positions.shape[:2]
     times = (np.arange(samples) / trajectory.fps).astype(">f4")
@@ -150,11 +154,17 @@ def _topology(trajectory: Trajectory) -> str:
     uvs, outlines = trajectory.header.uvs, trajectory.header.outlines
     if uvs is None or outlines.uv_corners is None:
         return "".join(f"f {' '.join(map(str, row))}\n" for row in outlines.each(outlines.corners + 1))
-    uv_lines = "".join(f"vt {u:.6f} {v:.6f}\n" for u, v in uvs.tolist())
+    lines = [f"vt {u:.6f} {v:.6f}\n" for u, v in uvs.tolist()]
+    panels = SewnPanels.of(trajectory.header)
     rows = zip(outlines.each(outlines.corners + 1), outlines.each(outlines.uv_corners + 1), strict=True)
-    return uv_lines + "".join(
-        f"f {' '.join(f'{v}/{t}' for v, t in zip(row, uv_row, strict=True))}\n" for row, uv_row in rows
-    )
+    names = [] if panels is None else [*map(group_name, panels.names), "cloth"]
+    for face, (row, uv_row) in enumerate(rows):
+        if panels is not None and (face == 0 or panels.of_face[face] != panels.of_face[face - 1]):
+            lines.append(f"g {names[panels.of_face[face]]}\n")
+        lines.append(f"f {' '.join(f'{v}/{t}' for v, t in zip(row, uv_row, strict=True))}\n")
+    if panels is not None:
+        lines += ["g seams\n", *(f"l {a} {b}\n" for a, b in (panels.seams + 1).tolist())]
+    return "".join(lines)
 
 
 def _text(frame: int, positions: np.ndarray, topology: str, remark: str = "") -> str:

@@ -309,7 +309,7 @@ def write_still(
     Args:
         trajectory: what is drawn.
         path: file to write; its suffix decides the format.
-        progress: told of the moments drawn.
+        progress: called with the moments drawn.
         view: camera, size and colours.
         frames: moments side by side, spread evenly over the clip.
     """
@@ -335,7 +335,7 @@ def write_gif(
     Args:
         trajectory: what is drawn.
         path: file to write.
-        progress: told of the frames drawn.
+        progress: called with the frames drawn.
         view: camera, size and colours.
         highest_fps: frames are dropped so that it plays in real time at no more than this; more make files large.
     """
@@ -378,7 +378,7 @@ def write_mp4(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     Args:
         trajectory: what is drawn.
         path: file to write.
-        progress: told of the frames drawn.
+        progress: called with the frames drawn.
         view: camera, size and colours.
 
     Returns:

@@ -26,7 +26,7 @@ class Format:
     Args:
         suffixes: of the file names, in lower case.
         description: one sentence for the command line, without its full stop.
-        writer: called with the trajectory, the path and what is told of the progress; it may write more than
+        writer: called with the trajectory, the path and the progress to call; it may write more than
             one file, all of them in the folder of the path, and may return what a user should know of them.
         check: called with the path before any work is done; raises where the format cannot be written there.
         files: called with the path and the number of frames; the files written, where that is more than the path.
@@ -128,7 +128,7 @@ def formats_help() -> str:
 
 
 def check_target(path: Path) -> None:
-    """Refuse a file that cannot be written, as far as that can be told before any work is done.
+    """Refuse a file that cannot be written, as far as that is known before any work is done.
 
     Args:
         path: file to write.
@@ -248,7 +248,7 @@ def export(
         trajectory: frames that are not finite are held (`finite_frames`), except in .npz, which keeps what was
             simulated.
         path: file to write.
-        progress: told of what is done.
+        progress: called with what is done.
         view: camera, size and colours of pictures.
         say: called with a sentence where there is more to know of what was written, as a video's codec.
         bones: of each surface of a GLB, in the place of morph targets; None for those.
@@ -291,7 +291,7 @@ def write_npz(trajectory: Trajectory, path: Path, progress: Progress) -> None:
     Args:
         trajectory: what is written.
         path: file to write.
-        progress: not told of anything.
+        progress: not called.
     """
     trajectory.save(path)
 

@@ -77,9 +77,7 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
     first, last = (0, trajectory.frame_count) if span is None else (span[0], min(span[1], trajectory.frame_count))
     kept = slice(first, last, every)
     if first >= min(last, trajectory.frame_count):
-        raise InputError(
-            f"The trajectory has frames 0 to {trajectory.frame_count - 1}; none lies in the range asked for."
-        )
+        raise InputError(f"The trajectory has frames 0 to {trajectory.frame_count - 1}; none lies in the range.")
     if every > 1 and last - first > 1 and every >= last - first:
         raise InputError(f"Every {every}th of {last - first} frames is one frame; give a smaller stride.")
     if span is not None and span[1] > last:
@@ -131,9 +129,9 @@ def source_motion(header: TrajectoryHeader) -> Callable[[np.ndarray], np.ndarray
 
     def on_mesh(values: np.ndarray) -> np.ndarray:
         def compute(frames: Any, vertices: Any) -> np.ndarray:
-            asked, weight = corners[vertices], weights[vertices]
-            at = values[frames][..., asked.ravel(), :]
-            return np.einsum("...k,...kd->...d", weight, at.reshape(*at.shape[:-2], *asked.shape, 3))
+            chosen, weight = corners[vertices], weights[vertices]
+            at = values[frames][..., chosen.ravel(), :]
+            return np.einsum("...k,...kd->...d", weight, at.reshape(*at.shape[:-2], *chosen.shape, 3))
 
         return LazyFrames(len(values), len(weights), compute).as_array()
 

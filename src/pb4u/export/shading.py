@@ -20,7 +20,7 @@ Colour: TypeAlias = tuple[float, float, float]
 CLOTH = (0.16, 0.36, 0.62)
 SKIN = (0.93, 0.87, 0.83)
 _FURTHER_CLOTHS = ((0.74, 0.31, 0.24), (0.87, 0.68, 0.33), (0.32, 0.53, 0.40), (0.47, 0.37, 0.58))
-"""Colours of the second garment and those after it, in turn, so that layers can be told apart."""
+"""Colours of the second garment and those after it, in turn, so that layers can be distinguished."""
 
 
 def garment_colours(garments: int, chosen: Sequence[Colour] = ()) -> np.ndarray:

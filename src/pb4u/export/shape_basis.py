@@ -54,7 +54,7 @@ def fit_shapes(
         faces: (faces, 3) int64.
         tolerance: largest distance of a vertex from where it should be [m].
         most: bound on the number of shapes, at least 2.
-        progress: told of the passes over the frames.
+        progress: called after each pass over the frames.
     """
     frames, vertices = positions.shape[:2]
     start = np.array(positions[0], dtype=np.float32)

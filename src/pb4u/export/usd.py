@@ -12,6 +12,7 @@ import numpy as np
 from pb4u.errors import MissingExtraError
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
+from pb4u.export.panels import SewnPanels
 from pb4u.export.shading import CLOTH, SKIN, ClothPart, cloth_parts, unit_normals
 from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
@@ -52,7 +53,7 @@ def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progre
     Args:
         trajectory: what is written, every frame finite.
         path: file to write: .usdc (binary), .usda (text) or .usdz (a package of one .usdc).
-        progress: told of the frames written.
+        progress: called with the frames written.
 
     Raises:
         MissingExtraError: the "usd" extra is not installed.
@@ -96,6 +97,7 @@ def _write_binary(trajectory: Trajectory, path: Path, beside: Path, progress: Pr
     garment = _AnimatedMesh(_define(stage, "/Scene/Garment", outlines, CLOTH), header.faces)
     _colour_cloth(stage, garment.mesh, header, beside)
     _add_uvs(garment.mesh, header.uvs, outlines.uv_corners)
+    _add_panels(garment.mesh, header)
     skin = Polygons.of_triangles(header.body_faces, None)
     body = _AnimatedMesh(_define(stage, "/Scene/Body", skin, SKIN), header.body_faces)
     for t, (positions, body_positions) in enumerate(zip(trajectory.positions, trajectory.body_positions, strict=True)):
@@ -204,6 +206,20 @@ def _add_uvs(mesh: UsdGeom.Mesh, uvs: np.ndarray | None, uv_corners: np.ndarray 
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     st.Set(Vt.Vec2fArray.FromNumpy(np.array(uvs, dtype=np.float32)))
     st.SetIndices(_ints(uv_corners))
+
+
+def _add_panels(mesh: UsdGeom.Mesh, header: TrajectoryHeader) -> None:
+    """Subsets of faces that are the panels of a sewn garment, and one of edges, its seams."""
+    panels = SewnPanels.of(header)
+    if panels is None:
+        return
+    from pxr import UsdGeom
+
+    for number, name in enumerate(panels.names):
+        faces, prim = _ints(np.flatnonzero(panels.of_face == number)), f"panel_{number}"
+        subset = UsdGeom.Subset.CreateGeomSubset(mesh, prim, UsdGeom.Tokens.face, faces, "panels")
+        subset.GetPrim().SetDisplayName(name)
+    UsdGeom.Subset.CreateGeomSubset(mesh, "seams", UsdGeom.Tokens.edge, _ints(panels.seams), "seams")
 
 
 def _to_text(binary: Path, path: Path) -> None:

@@ -32,7 +32,7 @@ triangles, those of 24 and 34 degrees show 0 and 0.01 % of the skin beneath them
 quarter of a percent, and limbs go through two."""
 
 _ASKED_DEGREES = 28.0
-"""Span [degrees] that a finer mesh is asked to have: less than what is told of, since the widest spans grow more slowly
+"""Span [degrees] that a finer mesh should have: less than what is reported, since the widest spans grow more slowly
 than edges, and no mesh is quite even."""
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
@@ -16,10 +17,11 @@ from pb4u.collision.crossings import self_crossings
 from pb4u.collision.untangling import untangle
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.coarseness import Coarseness
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, find_holder, is_held_up
+from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
-from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.source_surface import Fault, SourceSurface, first_of, surface_faults
+from pb4u.garment.support import find_holder, held_by, is_held_up, loose_straps, slide
 from pb4u.garment.tangles import tangles
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
@@ -30,9 +32,9 @@ _WORST_MISFIT = 0.08
 _FAR = 0.05
 # Findings after which nothing is said of what holds the garment up.
 _NOT_WORN = ("far", "inside", "unsure")
-# Deviation of edge lengths, of their mean, above which they are told as graded; built-in garments have about a tenth.
+# Deviation of edge lengths, of their mean, above which they count as graded; built-in garments have about a tenth.
 _GRADED = 0.35
-# Share of faces with another layer behind them above which the cloth is told as double: a hem or a pocket has less.
+# Share of faces with another layer behind them above which the cloth is reported as double: a hem or a pocket has less.
 _DOUBLE = 0.2
 
 
@@ -56,6 +58,7 @@ class Finding:
         mendable: whether `repair` does that.
         where: indices of the first vertices, faces or edges concerned, as the sentence says.
         vertices: indices of all vertices concerned, in the author's mesh.
+        tacks: pairs of vertices, in the author's mesh, that would be sewn together to mend it.
     """
 
     code: str
@@ -65,6 +68,7 @@ class Finding:
     mendable: bool = False
     where: tuple[int, ...] = ()
     vertices: tuple[int, ...] = ()
+    tacks: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +79,14 @@ class Diagnosis:
         findings: worst first.
         fit: how the garment has to move to be worn; None without a body.
         measures: name -> number, SI units; None for what the body does not let be measured.
+        held_by: what holds it up: "pins", "shoulders", "straps", "waistband" or "collar"; None for nothing, or where
+            it is not worn.
     """
 
     findings: tuple[Finding, ...]
     fit: Fit | None
     measures: dict[str, float | None]
+    held_by: str | None = None
 
     @property
     def is_refused(self) -> bool:
@@ -97,7 +104,8 @@ class Diagnosis:
             {**asdict(f), "severity": f.severity.value, "where": list(f.where), "vertices": list(f.vertices)}
             for f in self.findings
         ]
-        return {"refused": self.is_refused, "findings": findings, "measures": self.measures}
+        told = {"refused": self.is_refused, "findings": findings, "measures": self.measures}
+        return {**told, "held_by": self.held_by}
 
 
 def diagnose(
@@ -133,7 +141,7 @@ def diagnose(
         "mean_edge_length": float(lengths.mean()) if len(lengths) else 0.0,
         "edge_length_variation": float(lengths.std() / lengths.mean()) if len(lengths) and lengths.any() else 0.0,
     }
-    fit = None
+    fit, held = None, "pins" if pinned else None
     if body is not None and len(vertices):
         rest = RestBody.of(body)
         fit = find_fit(vertices, rest)
@@ -143,6 +151,7 @@ def diagnose(
         findings += _contact_findings(surface, fit, rest, measures, mend)
         if not pinned and not any(f.code in _NOT_WORN for f in findings):
             findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
+            held = held_by(fit.apply(garment.vertices), surface.faces, rest)
         if not any(f.code in _NOT_WORN for f in findings):
             findings += _coarse_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
@@ -150,7 +159,7 @@ def diagnose(
     elif len(vertices):
         findings += _crossing_findings(surface, garment.vertices, measures)
     order = list(Severity)
-    return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures)
+    return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures, held)
 
 
 def require_worn(
@@ -175,7 +184,9 @@ def require_worn(
         findings = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
     findings += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
     if not pins_given and not garment.pinned.any():
-        findings += _support_findings(garment.vertices, garment.faces, rest)
+        source = garment.source
+        names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]
+        findings += _support_findings(garment.vertices, garment.faces, rest, names)
     for finding in findings:
         if finding.severity is Severity.REFUSED:
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
@@ -219,83 +230,42 @@ def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted:
 
 def _surface_findings(surface: SourceSurface) -> list[Finding]:
     """Faults of the mesh alone."""
-    findings: list[Finding] = []
-
-    def add(
-        code: str,
-        severity: Severity,
-        sentence: str,
-        fix: str,
-        mendable: bool = False,
-        faces: np.ndarray | None = None,
-        vertices: np.ndarray | None = None,
-    ) -> None:
-        told = vertices if faces is None else faces
-        first = () if told is None else tuple(np.asarray(told)[:20].tolist())
-        concerned = _corners(surface, faces) if faces is not None and vertices is None else vertices
-        findings.append(Finding(code, severity, sentence, fix, mendable, first, _indices(concerned)))
-
-    topology, warning = surface.topology, Severity.WARNING
-    if not len(surface.faces):
-        sentence = f"None of its {len(surface.all_faces)} faces has an area."
-        add("no-area", Severity.REFUSED, sentence, "export the garment again")
+    findings = [_finding(surface, fault) for fault in surface_faults(surface)]
     if len(surface.faces) > MOST_SIMULATED:
         sentence = f"The garment has {len(surface.faces):,} triangles, {MOST_SIMULATED:,} can be simulated."
-        add("too-many", Severity.REFUSED, sentence, "simulate it with `--triangles N`")
-    if len(edges := topology.non_manifold_edges):
-        extra = surface.extra_faces
-        sentence = f"{len(edges)} edge(s) are shared by three or more faces, first {_first(edges)} (pairs of vertices)."
-        add("non-manifold", Severity.REFUSED, sentence, f"delete the faces {_first(extra)}", False, extra, edges)
-    if len(collapsed := surface.polygon[surface.collapsed & ~surface.repeated]):
-        sentence = f"{len(collapsed)} triangle(s) have no area, first {_first(collapsed)}."
-        add("degenerate", warning, sentence, "drop them", True, collapsed)
-    if len(repeated := surface.polygon[surface.repeated]):
-        sentence = f"{len(repeated)} face(s) are there twice, first {_first(repeated)}."
-        add("duplicate", warning, sentence, "drop them", True, repeated)
-    if len(isolated := topology.isolated_vertices):
-        sentence = f"{len(isolated)} vertices belong to no face, first {_first(isolated)}."
-        add("isolated", warning, sentence, "drop them", True, vertices=isolated)
-    if len(unwelded := surface.unwelded):
-        sentence = (
-            f"{len(unwelded)} border vertices lie on top of others, first {_first(unwelded)}: a seam that will open."
-        )
-        add("unwelded", warning, sentence, "weld them", True, vertices=unwelded)
-    if surface.piece_count > 1:
-        sentence = f"The garment is in {surface.piece_count} pieces that nothing holds together."
-        seams = bool(len(unwelded))
-        fix = "weld the seams between them" if seams else "join them where they were made, or delete all but one"
-        add("pieces", warning, sentence, fix, seams)
-    if len(polygons := surface.turned_over):
-        sentence = f"{len(polygons)} face(s) are turned over against their neighbours, first {_first(polygons)}."
-        add("orientation", warning, sentence, "turn them", True, polygons)
-    if not surface.flipped[1]:
-        sentence = "The cloth has only one side, like a Moebius strip."
-        add("one-sided", warning, sentence, "cut it open where it is twisted")
-    if len(topology.edges) and len(surface.faces):
+        findings.append(Finding("too-many", Severity.REFUSED, sentence, "simulate it with `--triangles N`"))
+    if len(surface.faces):
         share = surface.double.mean()
         if share > _DOUBLE:
             polygons = surface.polygon[surface.kept[surface.double]]
-            sentence = f"{100 * share:.0f}% of the cloth lies double, back to back, first faces {_first(polygons)}."
-            add("double-layer", warning, sentence, "keep the outer layer only", False, polygons)
-        lengths = edge_lengths(surface.source.vertices, topology.edges)
+            sentence = f"{100 * share:.0f}% of the cloth lies double, back to back, first faces {first_of(polygons)}."
+            fault = Fault("double-layer", sentence, "keep the outer layer only", faces=polygons)
+            findings.append(_finding(surface, fault))
+        lengths = edge_lengths(surface.source.vertices, surface.topology.edges)
         if lengths.std() > _GRADED * lengths.mean():
             sentence = f"Edge lengths vary by {lengths.std() / lengths.mean():.2f} of their mean, more than {_GRADED}."
-            add("graded", warning, sentence, f"simulate it evenly meshed with `--triangles {len(surface.faces)}`")
-    if surface.many_sided:
-        fix = "none is needed: triangles are cut of them to simulate, and `pb4u convert --on source` writes them whole"
-        add("polygons", Severity.NOTE, f"{surface.many_sided} faces have four corners or more.", fix)
+            fix = f"simulate it evenly meshed with `--triangles {len(surface.faces)}`"
+            findings.append(Finding("graded", Severity.WARNING, sentence, fix))
     return findings
+
+
+def _finding(surface: SourceSurface, fault: Fault) -> Finding:
+    named = fault.vertices if fault.faces is None else fault.faces
+    first = () if named is None else tuple(np.asarray(named)[:20].tolist())
+    concerned = fault.vertices
+    if fault.faces is not None and concerned is None:
+        concerned = _corners(surface, fault.faces)
+    severity = Severity.REFUSED if fault.is_refused else Severity.WARNING
+    return Finding(fault.code, severity, fault.sentence, fault.fix, fault.mendable, first, _indices(concerned))
 
 
 def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str) -> list[Finding]:
     """Units, axes and place of (vertices, 3); `mend` is the command to mend them."""
     if fit.is_identity:
-        fix = "look whether it sits where it should, and move it in the program it comes from"
-        doubt = [] if fit.doubt is None else [Finding("closer", Severity.NOTE, fit.doubt, fix)]
-        return [*_far_finding(vertices, body), *doubt]
+        return _far_finding(vertices, body)
     if fit.is_unsure:
         sentence = (
-            "It cannot be told where on the body the garment belongs: it fits about as well in "
+            "Where on the body the garment belongs is unclear: it fits about as well in "
             f"{1 + len(fit.alike)} of {len(AXES)} ways to turn it, {1000 * fit.misfit:.0f} mm off on average."
         )
         fix = "place it on the resting body in the program it comes from, in metres, Y up and facing +Z"
@@ -352,8 +322,10 @@ def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
     return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made")]
 
 
-def _support_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> list[Finding]:
-    """A garment without pins, its (vertices, 3) where it is worn, that will slide down."""
+def _support_findings(
+    vertices: np.ndarray, faces: np.ndarray, body: RestBody, names: np.ndarray | None = None
+) -> list[Finding]:
+    """A garment without pins, its (vertices, 3) where it is worn, that will slide down; `names` of its vertices."""
     holder = find_holder(vertices, faces, body)
     if holder is None and is_held_up(vertices, faces, body):
         return []
@@ -361,8 +333,22 @@ def _support_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -
         sentence = f"Nothing but its {holder.name}, {int(holder.vertices.sum())} vertices, can hold the garment up."
         fix = "nothing: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
         return [Finding("unsupported", Severity.NOTE, sentence, fix)]
-    sentence = "Nothing holds the garment up: none of it lies on the shoulders."
-    return [Finding("unsupported", Severity.NOTE, sentence, "simulate it with `--pins waist`")]
+    why, fix = "none of it lies on the shoulders", "simulate it with `--pins waist`"
+    straps = loose_straps(vertices, faces, body)
+    names = np.arange(len(vertices)) if names is None else names
+    tacks = tuple((int(names[a]), int(names[b])) for strap in straps for a, b in strap.tacks)
+    if straps:
+        gap = max(strap.gap for strap in straps)
+        why = f"{len(straps)} of its straps end loose, {100 * gap:.1f} cm from the border they would be sewn to"
+        fix = "sew them where they were made"
+    if tacks:
+        fix = "sew them with " + " ".join(f"`--tack {a}:{b}`" for a, b in tacks)
+    down = slide(vertices, faces, body)
+    where = "to the ground" if down is None else f"by {100 * down:.0f} cm, to where the body is wider than it"
+    sentence = f"Nothing holds the garment up: {why}; it would slide down {where}."
+    ends = tuple(int(names[vertex]) for strap in straps for vertex in strap.end)
+    severity = Severity.WARNING if straps else Severity.NOTE
+    return [Finding("unsupported", severity, sentence, fix, where=ends[:20], vertices=ends, tacks=tacks)]
 
 
 def _contact_findings(
@@ -395,13 +381,13 @@ def _crossing_findings(
         return []
     (tangle,) = tangles(["The garment"], np.zeros(len(vertices), dtype=np.int64), vertices, faces, pairs)
     polygons = surface.polygon[surface.kept[whole[pairs]]]
-    freed = untangle(vertices, faces, gap=0.0)
-    sentence = f"{tangle}, first faces {_first(polygons)} (pairs)."
+    start = untangle(vertices, faces, gap=0.0)
+    sentence = f"{tangle}, first faces {first_of(polygons)} (pairs)."
     where, concerned = tuple(polygons.reshape(-1)[:20].tolist()), _indices(_corners(surface, polygons))
-    if not freed.is_free:
+    if not start.is_free:
         fix = "mend it where it was made, or simulate it with `--self-contact off`"
         return [Finding("self-crossing", Severity.REFUSED, sentence, fix, where=where, vertices=concerned)]
-    farthest = float(np.linalg.norm(freed.vertices - vertices, axis=1).max())
+    farthest = float(np.linalg.norm(start.vertices - vertices, axis=1).max())
     fix = f"mend it where it was made; simulation untangles its start, by at most {1000 * farthest:.1f} mm"
     return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where, vertices=concerned)]
 
@@ -442,11 +428,6 @@ def _penetration_findings(
         f"{-1000 * distances[deepest]:.1f} mm (vertex {names[deepest]})."
     )
     return [Finding("penetration", Severity.WARNING, sentence, f"push them out with {mend}", True, where, concerned)]
-
-
-def _first(ids: np.ndarray) -> str:
-    rows = np.asarray(ids)[:5].tolist()
-    return ", ".join("-".join(map(str, row)) if isinstance(row, list) else str(row) for row in rows)
 
 
 def _corners(surface: SourceSurface, faces: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from pb4u.garment.body_form import BodyForm, Limb, Sections, directions
 from pb4u.geometry.implicit_surface import Lattice
 
-#: Skin farther than this from a lattice point is only told apart as inside or outside [m].
+#: Skin farther than this from a lattice point is only classified as inside or outside [m].
 _BAND = 0.045
 # Width of the smoothing of hanging cloth along the height [m]: folds finer than this cloth does not take up at rest.
 _SMOOTHING = 0.02

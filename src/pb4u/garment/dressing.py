@@ -12,7 +12,6 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody
 from pb4u.body.skinning import SkinningWeights
 from pb4u.collision.nearest_surface import TriangleSurface
-from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.weight_cache import garment_weights
 from pb4u.geometry.triangle_mesh import vertex_normals
@@ -66,29 +65,6 @@ class SkinnedPlacement(Placement):
             for first in range(start, stop, _FRAME_CHUNK)
         ]
         return torch.cat(chunks) if chunks else torch.zeros(0, len(self.garment.vertices), 3)
-
-
-class PrescribedPlacement(Placement):
-    """Positions given frame by frame: where a cloth starts, and the paths of its pinned vertices.
-
-    Args:
-        frames: (frames, vertices, 3) [m]; the last one is held.
-
-    Raises:
-        InputError: another shape, no frame, or numbers that are not finite.
-    """
-
-    def __init__(self, frames: np.ndarray) -> None:
-        if frames.ndim != 3 or frames.shape[2] != 3 or not len(frames) or not np.isfinite(frames).all():
-            raise InputError(
-                f"Prescribed positions are finite numbers (frames, vertices, 3) of a frame or more, not {frames.shape}."
-            )
-        self.frames = frames
-
-    def positions(self, start: int, stop: int) -> Tensor:
-        """Garment vertices (stop - start, vertices, 3) float32 [m] as given; see `Placement`."""
-        rows = np.clip(np.arange(start, stop), 0, len(self.frames) - 1)
-        return torch.from_numpy(self.frames[rows].astype(np.float32))
 
 
 class AttachedPlacement(Placement):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,9 +11,8 @@ from scipy.spatial import cKDTree
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
-from pb4u.garment.pins import collar_of, highest_reaching
 from pb4u.geometry.topology import Topology
-from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas
+from pb4u.geometry.triangle_mesh import area_weighted_normals
 
 # Vertices of a garment that are looked at to place it, and every how many of them for a first look: thousands of
 # placements are compared, and the time grows with both.
@@ -30,11 +28,8 @@ _REFINED, _REFINED_IN_ALL, _HOPELESS = 2, 6, 1.8
 # A garment stays where it is, and as it is turned, unless another fit has less than 1 / (this share) of the misfit,
 # this [m] aside: clothes hang loose by a few millimetres, and real ones fit where they are twice as well as 3 cm away.
 _CLEARLY, _LOOSELY = 1.12, 1e-3
-_TOLD, _FAR = 1.03, 0.02
-"""A place that is not clearly better is told of from this many times the misfit, and this [m] away, on: a long skirt
-raised by 3 cm has 1.04 to 1.06 times, and in its place 1.01."""
 _WIDE = 1.25
-"""The same for the body model's own origin, where a garment is too wide for its shape to tell its place."""
+"""How many times the best misfit the body model's own origin may have, where a wide shape does not tell its place."""
 # Front and back, or two sides, fit alike where one has not this many times the misfit of the other; of shirts, trousers
 # and shorts made by others the wrong way round has twice.
 _ALIKE = 1.35
@@ -44,18 +39,6 @@ WHOLLY_INSIDE = 0.95
 _BELOW_GROUND = 0.1
 # Heights [m] that differ by less are one place on the body.
 _SAME_HEIGHT = 0.05
-# Share of the body's height above which cloth counts: feet face up as well, but a garment that lies there fell.
-_LEAST_HEIGHT = 0.6
-# Least upward part of the skin's unit normal where cloth can lie; hips and chest slope more than that.
-_FACING_UP = 0.75
-# Greatest distance [m] between the skin and the cloth that comes to lie on it.
-_RESTING = 0.1
-LEAST_AREA = 5e-4
-"""Cloth [m^2] over such skin that is a rest: a few square centimetres, as of a strap."""
-STRAP_AREA = 6e-3
-"""Cloth [m^2] on the shoulders below which it is straps: two of 3 cm by 10; a T-shirt has four times as much."""
-# Shares of the body's height between which a waistband sits, and the mean distance to the skin [m] of what holds.
-_WAIST, _CLOSE = (0.5, 0.75), 0.03
 _UP = np.array([0.0, 1.0, 0.0])
 
 UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
@@ -176,7 +159,6 @@ class Fit:
         misfit: of the moved garment, see `RestBody.misfit` [m].
         searched: whether the place was searched for, with nothing in the body model to say it.
         alike: other axes under which it fits about as well.
-        closer: (3,) shift [m] under which a garment that is left in its place fits closer, but not clearly, or None.
     """
 
     unit: str
@@ -185,7 +167,6 @@ class Fit:
     misfit: float
     searched: bool = False
     alike: tuple[str, ...] = ()
-    closer: np.ndarray | None = None
 
     @classmethod
     def identity(cls, misfit: float | np.ndarray) -> Fit:
@@ -204,20 +185,14 @@ class Fit:
 
     @property
     def front_alike(self) -> tuple[str, ...]:
-        """Other axes of the same upward one under which it fits about as well: its front is not told by its shape."""
+        """Other axes of the same upward one under which it fits about as well: its shape does not show its front."""
         return tuple(axes for axes in self.alike if axes[0] == self.axes[0])
 
     @property
     def move(self) -> str:
         """The shift in words, such as "+3.0 cm in x and -1.2 cm in y"."""
-        return _in_words(self.shift)
-
-    @property
-    def doubt(self) -> str | None:
-        """A sentence on a place where it fits closer than where it is left; None where there is none."""
-        if self.closer is None:
-            return None
-        return f"It was not moved, though it would fit a little closer {_in_words(self.closer)} away: it is wide."
+        parts = [f"{100 * d:+.1f} cm in {axis}" for axis, d in zip("xyz", self.shift, strict=True) if abs(d) > 5e-4]
+        return " and ".join(parts) or "0 cm"
 
     @property
     def is_identity(self) -> bool:
@@ -270,20 +245,7 @@ def find_fit(vertices: np.ndarray, body: RestBody) -> Fit:
         limit = min(_WIDE * best + 3 * _LOOSELY, 0.95 * _NEAR)
         loosely = [f for f in fits if not f.searched and f.shift.any() and f.misfit <= limit]
         chosen = _compared(min(loosely, key=_change), fits) if loosely else chosen
-    return replace(chosen, closer=_closer(fits, chosen)) if chosen.is_identity else chosen
-
-
-def _closer(fits: list[Fit], chosen: Fit) -> np.ndarray | None:
-    """Shift (3,) [m] of the closest of the searched fits with the unit and axes of the chosen one, where it is far."""
-    searched = [fit for fit in fits if fit.searched and (fit.unit, fit.axes) == (chosen.unit, chosen.axes)]
-    best = min(searched, key=lambda fit: fit.misfit, default=chosen)
-    told = best.misfit * _TOLD < chosen.misfit and np.linalg.norm(best.shift) > _FAR
-    return best.shift if told else None
-
-
-def _in_words(shift: np.ndarray) -> str:
-    parts = [f"{100 * d:+.1f} cm in {axis}" for axis, d in zip("xyz", shift, strict=True) if abs(d) > 5e-4]
-    return " and ".join(parts) or "0 cm"
+    return chosen
 
 
 def _compared(chosen: Fit, fits: list[Fit]) -> Fit:
@@ -349,103 +311,3 @@ def _change(fit: Fit) -> tuple[int, int, bool, bool, float]:
     """Order of preference among fits that are about as good."""
     unmoved = fit.axes == UPRIGHT and not fit.shift.any()
     return list(UNITS).index(fit.unit), list(AXES).index(fit.axes), not unmoved, fit.searched, fit.misfit
-
-
-def resting_area(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> float:
-    """Area [m^2] of the cloth that lies on the body's shoulders, or on other skin of its upper part that faces up.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    return float(face_areas(vertices, faces[_resting(vertices, faces, body)]).sum())
-
-
-def _resting(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndarray:
-    """Mask (faces,) of the cloth that lies on skin which faces up."""
-    ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
-    centres = vertices[faces].mean(axis=1)
-    rests = centres[:, 1] > ground + _LEAST_HEIGHT * (top - ground)
-    if rests.any():
-        below = body.surface.nearest(centres[rests])
-        upward = below.normals.numpy()[:, 1] > _FACING_UP
-        rests[rests] = upward & (np.abs(below.signed_distance.numpy()) < _RESTING)
-    return rests
-
-
-def is_held_up(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
-    """Whether enough cloth lies on the shoulders to hold a garment up.
-
-    Cloth stretches over hips that are wider than the waist, so a waist alone is not taken to hold. A bodice that fits
-    closely far above the waist can hold without shoulders all the same; that is not seen here.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    return resting_area(vertices, faces, body) >= LEAST_AREA
-
-
-class Holder(NamedTuple):
-    """What holds a garment that nothing else does.
-
-    Args:
-        name: "straps", "waistband" or "collar".
-        vertices: (vertices,) bool, the cloth of it.
-    """
-
-    name: str
-    vertices: np.ndarray
-
-
-def find_holder(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
-    """Straps too narrow to stay on the shoulders by friction, the collar of an open front, or a border at the waist.
-
-    None where broad cloth that is closed in front lies on the shoulders, and where nothing of the kind is found. A real
-    waistband is elastic or buttoned, and straps are sewn on under tension; cloth alone is neither. Nor does anything
-    keep the halves of an open front from parting and sliding down the arms: who wears them does.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    resting = _resting(vertices, faces, body)
-    area = float(face_areas(vertices, faces[resting]).sum())
-    if area >= LEAST_AREA:
-        held = np.zeros(len(vertices), dtype=bool)
-        if area >= STRAP_AREA:
-            return _open_collar(vertices, faces, body)
-        held[faces[resting].ravel()] = True
-        return Holder("straps", held)
-    ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
-    middle = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0))
-    for loop in sorted(Topology(faces, len(vertices)).boundary_loops, key=lambda loop: -vertices[loop, 1].mean()):
-        ring = vertices[loop]
-        height = (float(ring[:, 1].mean()) - ground) / (top - ground)
-        x, z = (ring - middle)[:, [0, 2]].T
-        # Once around the body's axis; a leg's border goes around none of it.
-        turn = np.angle(np.exp(1j * np.diff(np.arctan2(z, x), append=np.arctan2(z[:1], x[:1])))).sum()
-        close = float(np.abs(body.signed_distances(ring)).mean()) < _CLOSE
-        if _WAIST[0] < height < _WAIST[1] and abs(turn) > np.pi and close:
-            held = np.zeros(len(vertices), dtype=bool)
-            held[loop] = True
-            return Holder("waistband", held)
-    return None
-
-
-def _open_collar(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
-    """The collar of a garment that is open in front: the border at its neck goes on to below its middle."""
-    loops = Topology(faces, len(vertices)).boundary_loops
-    if not loops:
-        return None
-    border = highest_reaching(vertices, loops)
-    middle = 0.5 * float(vertices[:, 1].min() + vertices[:, 1].max())
-    collar = collar_of(vertices, border)
-    if vertices[border, 1].min() > middle or np.abs(body.signed_distances(vertices[collar])).mean() > _CLOSE:
-        return None
-    held = np.zeros(len(vertices), dtype=bool)
-    held[collar] = True
-    return Holder("collar", held)

@@ -95,6 +95,8 @@ class Garment:
             triangles are then the rest shape, and `vertices` only says where they are worn. None where `vertices` is
             the rest shape.
         appearances: colours and images of the faces, or None.
+        panels: names of the pattern's panels, where it was sewn of one: each is an island of `uv_faces`, in the order
+            of their first UV points.
 
     Raises:
         InputError: an array has another shape, or holds what cannot be used. Lists are taken for arrays.
@@ -113,6 +115,7 @@ class Garment:
     skinning: GarmentSkinning | None = None
     rest_uv: np.ndarray | None = None
     appearances: Appearances | None = None
+    panels: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         owner = f"garment {self.name}"

@@ -16,7 +16,7 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.material import Material
 from pb4u.garment.pins import resolve_pins
-from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.source_surface import SourceSurface, surface_faults
 from pb4u.geometry.mesh_file import MOST_READ, READERS, PolygonMesh, read_mesh
 
 MOST_SIMULATED = 1_000_000
@@ -47,8 +47,7 @@ def read_garment(
         raise InputError(f"The number of triangles must be 1 or more, not {triangles}.")
     source = read_source(path, MOST_SIMULATED if triangles is None else MOST_READ)
     surface = SourceSurface.of(source)
-    _refuse_unusable(path, surface)
-    _warn_of_oddities(path, surface)
+    _report_faults(path, surface)
     flip, _ = surface.flipped
     faces = np.where(flip[:, None], surface.faces[:, ::-1], surface.faces)
     corners = surface.corners[surface.kept]
@@ -149,17 +148,28 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
     return read_mesh(path, refuse_large)
 
 
-def _refuse_unusable(path: Path, surface: SourceSurface) -> None:
-    if not len(surface.faces):
-        raise InputError(f"{path}: none of its {len(surface.all_faces)} faces has an area; export the garment again.")
-    if unit := likely_unit(surface.source.vertices[np.unique(surface.faces)]):
+def _report_faults(path: Path, surface: SourceSurface) -> None:
+    """Refuse what cannot be simulated; warn of the other faults."""
+    faults = surface_faults(surface)
+    if len(surface.faces) and (unit := likely_unit(surface.source.vertices[np.unique(surface.faces)])):
         raise InputError(f"{path} {unit}; scale it to metres with {fix_command(path)}.")
-    if len(edges := surface.topology.non_manifold_edges):
-        first = ", ".join(f"{a}-{b}" for a, b in edges[:5].tolist())
-        raise InputError(
-            f"{path}: {len(edges)} edge(s) are shared by three or more faces, first {first} (vertex pairs, counted "
-            f"from 0); see which faces to delete with {fix_command(path)}."
-        )
+    for fault in faults:
+        if fault.is_refused:
+            raise InputError(f"{path}: {fault.sentence[:-1]}; {fault.fix}.")
+    sentences = [
+        f"{fault.sentence[:-1]}; {fault.meanwhile or f'{fault.fix} with {fix_command(path)}'}."
+        for fault in faults
+        if fault.mendable
+    ]
+    sentences += [fault.sentence for fault in faults if not fault.mendable]
+    if surface.many_sided:
+        cut = "quads or n-gons are cut into triangles to simulate; `pb4u convert --on source` writes them whole"
+        sentences.append(f"{surface.many_sided} {cut}.")
+    uvs = surface.source.uvs
+    if uvs is not None and not np.isfinite(uvs).all():
+        sentences.append(f"{(~np.isfinite(uvs)).any(axis=1).sum()} texture coordinates are not finite.")
+    for sentence in sentences:
+        warnings.warn(f"{path.name}: {sentence}", InputWarning, stacklevel=3)
 
 
 def likely_unit(vertices: np.ndarray) -> str | None:
@@ -175,39 +185,3 @@ def likely_unit(vertices: np.ndarray) -> str | None:
         unit = "centimetres" if extent <= 250.0 else "millimetres"
         return f"spans {extent:.0f} m as it is, it seems to be in {unit}"
     return f"spans {1000 * extent:.3g} mm as it is, too small for a garment in metres"
-
-
-def _warn_of_oddities(path: Path, surface: SourceSurface) -> None:
-    isolated, turned = surface.topology.isolated_vertices, len(surface.turned_over)
-    repeated, collapsed = surface.repeated, surface.collapsed & ~surface.repeated
-    uvs = surface.source.uvs
-    for count, sentence in (
-        (
-            surface.many_sided,
-            "quads or n-gons are cut into triangles to simulate; `pb4u convert --on source` writes them whole",
-        ),
-        (repeated.sum(), f"duplicate face(s) left out, first {repeated.argmax()}"),
-        (collapsed.sum(), f"face(s) without area left out, first {surface.collapsed.argmax()}"),
-        (
-            len(isolated),
-            f"isolated vertices are not simulated, first {isolated[:5].tolist()}; in exports they follow the nearest "
-            "cloth",
-        ),
-        (
-            len(surface.unwelded),
-            f"border vertices lie on others, first {surface.unwelded[:5].tolist()}: a seam that will open; weld it "
-            f"with {fix_command(path)}",
-        ),
-        (turned, "face(s) are turned over against their neighbours; simulated turned"),
-        (0 if uvs is None else (~np.isfinite(uvs)).any(axis=1).sum(), "texture coordinates are not finite"),
-    ):
-        if count:
-            _warn(f"{path.name}: {count} {sentence}.")
-    if surface.piece_count > 1:
-        _warn(f"{path.name}: the garment is in {surface.piece_count} pieces that nothing holds together.")
-    if not surface.flipped[1]:
-        _warn(f"{path.name}: the cloth has only one side, like a Moebius strip.")
-
-
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, InputWarning, stacklevel=4)

@@ -115,7 +115,7 @@ def _laid_under(
     """Positions (vertices, 3) [m] of a garment, what reaches beyond another laid towards the body."""
     surface = TriangleSurface(outer.faces, len(outer_places)).at(outer_places)
 
-    def asked(moved: np.ndarray) -> np.ndarray:
+    def push_at(moved: np.ndarray) -> np.ndarray:
         near = surface.nearest(moved)
         distance, normals = near.signed_distance.numpy() + gap, near.normals.numpy()
         alike = np.einsum("ij,ij->i", normals, area_weighted_normals(moved, inner.faces)) > 0.0
@@ -127,7 +127,7 @@ def _laid_under(
             push[chosen] = -np.minimum(distance[chosen], room)[:, None] * normals[chosen]
         return push
 
-    return _carried(inner, places, asked, _REACH_UNDER)
+    return _pushed(inner, places, push_at, _REACH_UNDER)
 
 
 def _laid_over(
@@ -136,27 +136,27 @@ def _laid_over(
     """Positions (vertices, 3) [m] of a garment, what lies beneath others brought over them."""
     layers = [_Layer(garment, vertices) for garment, vertices in zip(inner, inner_places, strict=True)]
 
-    def asked(moved: np.ndarray) -> np.ndarray:
+    def push_at(moved: np.ndarray) -> np.ndarray:
         push = np.zeros_like(moved)
         for layer in layers:
-            for more in (layer.lifted(moved, gap), layer.let_under(moved, outer, gap)):
+            for more in (layer.over(moved, gap), layer.let_under(moved, outer, gap)):
                 larger = np.einsum("ij,ij->i", more, more) > np.einsum("ij,ij->i", push, push)
                 push[larger] = more[larger]
         return push
 
-    return _carried(outer, places, asked, _REACH_OVER)
+    return _pushed(outer, places, push_at, _REACH_OVER)
 
 
-def _carried(
-    garment: Garment, start: np.ndarray, asked: Callable[[np.ndarray], np.ndarray], reach: float
+def _pushed(
+    garment: Garment, start: np.ndarray, push_at: Callable[[np.ndarray], np.ndarray], reach: float
 ) -> np.ndarray:
-    """Positions (vertices, 3) [m] after the displacements that are `asked` at them, again and again.
+    """Positions (vertices, 3) [m] after displacements, which `push_at` gives at each state, in several passes.
 
-    First the cloth around is carried along, so that it does not crease; then what this undid is asked for alone.
+    First the cloth around moves along, so that it does not crease; then what this undid is pushed alone.
     """
     spread, moved = neighbour_mean(garment.topology), start
     for made in range(_SMOOTHING_PASSES + _PROJECTION_PASSES):
-        push = asked(moved)
+        push = push_at(moved)
         if not (np.abs(push) > 1e-6).any():
             break
         displacement = moved + push - start
@@ -175,12 +175,12 @@ class _Layer:
         self.normals = area_weighted_normals(vertices, garment.faces)
         self.surface = TriangleSurface(garment.faces, len(vertices)).at(vertices)
 
-    def lifted(self, outer: np.ndarray, gap: float) -> np.ndarray:
+    def over(self, outer: np.ndarray, gap: float) -> np.ndarray:
         """Displacements (outer vertices, 3) [m] of cloth at `outer` to at least `gap` over this layer."""
         near = self.surface.nearest(outer)
         distance = near.signed_distance.numpy()
-        asked = (distance < gap - 1e-6) & (distance > -_REACH_OVER) & ~near.beyond_border.numpy()
-        return np.where(asked, gap - distance, 0.0)[:, None] * near.normals.numpy()
+        near_enough = (distance < gap - 1e-6) & (distance > -_REACH_OVER) & ~near.beyond_border.numpy()
+        return np.where(near_enough, gap - distance, 0.0)[:, None] * near.normals.numpy()
 
     def let_under(self, outer: np.ndarray, garment: Garment, gap: float) -> np.ndarray:
         """Displacements (outer vertices, 3) [m] of faces of `garment`, at `outer`, that vertices here stick out of."""
@@ -189,11 +189,11 @@ class _Layer:
         distance, normals = near.signed_distance.numpy(), near.normals.numpy()
         # The sleeve of the outer garment faces the side of the inner one, and is not to be moved through it.
         alike = np.einsum("ij,ij->i", normals, self.normals) > 0.0
-        asked = np.flatnonzero((distance > 1e-6 - gap) & (distance < _FACETING) & alike & ~near.beyond_border.numpy())
-        shares = near.barycentric.numpy()[asked]
-        corners = garment.faces[near.triangle.numpy()[asked]].reshape(-1)
-        push = ((distance[asked] + gap) / (shares**2).sum(axis=1))[:, None, None] * shares[:, :, None]
-        push = (push * normals[asked][:, None, :]).reshape(-1, 3)
+        rows = np.flatnonzero((distance > 1e-6 - gap) & (distance < _FACETING) & alike & ~near.beyond_border.numpy())
+        shares = near.barycentric.numpy()[rows]
+        corners = garment.faces[near.triangle.numpy()[rows]].reshape(-1)
+        push = ((distance[rows] + gap) / (shares**2).sum(axis=1))[:, None, None] * shares[:, :, None]
+        push = (push * normals[rows][:, None, :]).reshape(-1, 3)
         largest = np.zeros_like(outer)
         order = np.argsort(np.einsum("ij,ij->i", push, push))  # of several, the largest is written last
         largest[corners[order]] = push[order]

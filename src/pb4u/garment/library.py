@@ -20,7 +20,7 @@ from pb4u.geometry.implicit_surface import ImplicitSurface
 #: Triangle counts of the named levels of detail.
 LEVELS: dict[str, int] = {"base": 2500, "11K": 11000, "18K": 18000, "25K": 25000, "38K": 38000}
 
-SEWN: dict[str, str] = {".json": "pb4u.pattern.files:load_worn", ".npz": "pb4u.pattern.files:load_worn"}
+SEWN: dict[str, str] = dict.fromkeys((".json", ".toml", ".npz"), "pb4u.pattern.files:load_worn")
 """Kinds of garment files that are fitted to a body by simulation -> what loads them (file, body, material, triangles).
 
 It is named here and not imported: sewing needs the solver, which is built on garments."""

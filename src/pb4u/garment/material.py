@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from pb4u.errors import InputError, unknown_name
-from pb4u.io.reading_limits import read_json
+from pb4u.io.reading_limits import read_json, refusing
 
 
 @dataclass(frozen=True)
@@ -81,16 +81,10 @@ def load_material(name_or_path: str | Path) -> Material:
 
 
 def _read_material(path: Path) -> Material:
-    try:
+    if not path.exists():
+        raise InputError(f"There is no material file {path}.")
+    with refusing(path, "is not JSON"):
         record = read_json(path)
-    except FileNotFoundError:
-        raise InputError(f"There is no material file {path}.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"The material file {path} cannot be read: {error}.") from None
-    except InputError:
-        raise
-    except ValueError as error:
-        raise InputError(f"The material file {path} is not JSON: {error}.") from None
     known = [entry.name for entry in fields(Material)]
     if not isinstance(record, dict):
         raise InputError(f"The material file {path} must hold one object with the numbers {', '.join(known)}.")

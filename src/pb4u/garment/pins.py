@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
-from pb4u.io.reading_limits import parse_json, read_text
+from pb4u.io.reading_limits import parse_json
 
 NAMES = ("none", "waist", "collar", "hem")
 # How far [m] below its highest point the edge of a garment is a collar: from the sides of the neck to the nape, which
@@ -107,12 +107,10 @@ def _loops(garment: Garment) -> tuple[np.ndarray, ...]:
 
 def _read_indices(path: Path) -> np.ndarray:
     try:
-        text = read_text(path, "a list of vertices")
+        text = path.read_text(encoding="utf-8")
         is_json = text.lstrip().startswith("[")
-        values = parse_json(text, path) if is_json else [int(word) for word in text.replace(",", " ").split()]
+        values = parse_json(text) if is_json else [int(word) for word in text.replace(",", " ").split()]
         indices = np.array(values)
-    except InputError:
-        raise
     except (OSError, ValueError):
         raise InputError(
             f"{path} is no list of vertex indices; write one index a line, or a JSON list of whole numbers."

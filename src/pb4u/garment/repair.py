@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
+from pb4u.collision.crossings import self_crossings
+from pb4u.collision.untangling import untangle
 from pb4u.garment.diagnosis import is_inside_out
 from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit
 from pb4u.garment.source_surface import SourceSurface
@@ -22,40 +25,51 @@ CLEARANCE = 2e-3
 _SMOOTHING_PASSES, _PROJECTION_PASSES = 20, 40
 
 
-def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -> tuple[PolygonMesh, tuple[str, ...]]:
+class Repaired(NamedTuple):
+    """A garment after `repair`.
+
+    Args:
+        mesh: the garment.
+        changes: a plain sentence for each change.
+        left: a plain sentence for each fault that was looked at and not mended.
+    """
+
+    mesh: PolygonMesh
+    changes: tuple[str, ...]
+    left: tuple[str, ...]
+
+
+def repair(source: PolygonMesh, body: ShapedBody | AnimatedBody | None = None) -> Repaired:
     """Mend every mendable fault of a garment.
 
-    Polygons and UVs are kept; vertex order too, unless vertices had to be welded or dropped.
+    Polygons and UVs are kept; vertex order too, unless vertices had to be welded or dropped. No more pairs of triangles
+    cross than before.
 
     Args:
         source: the garment.
         body: who wears it; without a body only the mesh itself is mended.
-
-    Returns:
-        The garment mended, and a plain sentence for each change.
     """
-    said: list[str] = []
+    said, left = list[str](), list[str]()
     if not len(SourceSurface.of(source).faces):
-        return source, ()
+        return Repaired(source, (), ())
     rest = None if body is None else RestBody.of(body)
     if rest is not None:
-        source = _moved(source, rest, said)
-    source = _welded(source, said)
+        source = _moved(source, rest, said, left)
+    source = _welded(source, said, left)
     source = _without_waste(source, said)
     source = _oriented(source, rest, said)
     if rest is not None and rest.is_closed:
-        source = _pushed_out(source, rest, said)
-    return source, tuple(said)
+        source = _pushed_out(source, rest, said, left)
+    return Repaired(source, tuple(said), tuple(left))
 
 
-def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
+def _moved(source: PolygonMesh, body: RestBody, said: list[str], left: list[str]) -> PolygonMesh:
     used = np.unique(np.concatenate(source.polygons))
     fit = find_fit(source.vertices[used], body)
     if fit.is_identity:
-        said += [] if fit.doubt is None else [fit.doubt]
         return source
     if fit.is_unsure:
-        said.append("It was not moved: where on the body it belongs cannot be found out from its shape.")
+        left.append("It was not moved: where on the body it belongs cannot be found out from its shape.")
         return source
     if fit.unit != "metres":
         said.append(f"Scaled by {UNITS[fit.unit]:g}, from {fit.unit} to metres.")
@@ -68,14 +82,14 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
     return replace(source, vertices=fit.apply(source.vertices))
 
 
-def _welded(source: PolygonMesh, said: list[str]) -> PolygonMesh:
+def _welded(source: PolygonMesh, said: list[str], left: list[str]) -> PolygonMesh:
     surface = SourceSurface.of(source)
     target = surface.weld_target
     joined = Topology(target[surface.faces], len(target))
     if not len(surface.unwelded):
         return source
     if len(joined.non_manifold_edges) > len(surface.topology.non_manifold_edges):
-        said.append("Seams were left open: welded, more than two faces would share an edge.")
+        left.append("Seams were left open: welded, more than two faces would share an edge.")
         return source
     said.append(f"Welded {len(surface.unwelded)} border vertices.")
     return replace(source, polygons=tuple(target[p] for p in source.polygons))
@@ -130,22 +144,36 @@ def _oriented(source: PolygonMesh, body: RestBody | None, said: list[str]) -> Po
     return replace(source, polygons=turned(source.polygons), polygon_uvs=uvs)
 
 
-def _pushed_out(source: PolygonMesh, body: RestBody, said: list[str]) -> PolygonMesh:
-    before = body.signed_distances(source.vertices)
-    inside = before < 0.0
+def _pushed_out(source: PolygonMesh, body: RestBody, said: list[str], left: list[str]) -> PolygonMesh:
+    inside = body.signed_distances(source.vertices) < 0.0
     if not inside.any():
         return source
     if inside.mean() > _DEEPEST_SHARE:
-        said.append(f"Left {int(inside.sum())} vertices inside the body: the garment is too small for it.")
+        left.append(f"{int(inside.sum())} vertices stay inside the body: the garment is too small for it.")
         return source
-    topology = SourceSurface.of(source).topology
-    vertices = push_out(source.vertices, topology, body)
+    surface = SourceSurface.of(source)
+    vertices = push_out(source.vertices, surface.topology, body)
+    before = len(self_crossings(source.vertices, surface.faces, sharing=True))
+    made = len(self_crossings(vertices, surface.faces, sharing=True)) - before
+    if made > 0:
+        untangled = untangle(vertices, surface.faces, gap=0.0)
+        still = body.signed_distances(untangled.vertices) < 0.0
+        if len(untangled.crossings) > before or still.sum() >= inside.sum():
+            left.append(
+                f"{int(inside.sum())} vertices stay inside the body: pushed out, {made} more pairs of triangles would "
+                "cross."
+            )
+            return source
+        vertices = untangled.vertices
     farthest = float(np.linalg.norm(vertices - source.vertices, axis=1).max())
-    left = int((body.signed_distances(vertices) < 0.0).sum())
     said.append(
         f"Pushed {int(inside.sum())} vertices out of the body to {1000 * CLEARANCE:.0f} mm of clearance, "
-        f"by at most {1000 * farthest:.1f} mm" + (f"; {left} are still inside." if left else ".")
+        f"by at most {1000 * farthest:.1f} mm."
     )
+    if made > 0:
+        said.append(f"Untangled {made} pairs of triangles that the push had made cross.")
+    if count := int((body.signed_distances(vertices) < 0.0).sum()):
+        left.append(f"{count} vertices are still inside the body.")
     return replace(source, vertices=vertices)
 
 
@@ -165,7 +193,7 @@ def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.nda
     """
     spread = neighbour_mean(topology)
     distances = body.signed_distances(vertices)
-    # Only cloth this near can be reached by what is pushed; the rest need not be asked about again and again.
+    # Only cloth this near can be reached by what is pushed; the rest need not be searched in each pass.
     near = distances < 2.0 * max(0.0, -float(distances.min())) + 2.0 * CLEARANCE
     a, b = topology.edges[near[topology.edges].all(axis=1)].T
     moved = vertices.copy()
@@ -186,7 +214,7 @@ def push_out(vertices: np.ndarray, topology: Topology, body: RestBody) -> np.nda
         left, push = left[push.any(axis=1)], push[push.any(axis=1)]
         if not len(left):
             break
-        # A little further than asked: in a crease the last fraction would take forever.
+        # A little further than needed: in a crease the last fraction would take forever.
         moved[left] += 1.02 * push
     return moved
 
@@ -195,5 +223,5 @@ def _push(points: np.ndarray, body: RestBody, clearance: float) -> np.ndarray:
     """(points, 3) smallest displacement [m] that brings each point `clearance` outside; 0 where it is already."""
     near = body.surface.nearest(points)
     depth = clearance - near.signed_distance.numpy()
-    asked: np.ndarray = np.where(depth > 1e-6, depth, 0.0)[:, None] * near.normals.numpy()
-    return asked
+    push: np.ndarray = np.where(depth > 1e-6, depth, 0.0)[:, None] * near.normals.numpy()
+    return push

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -174,3 +175,75 @@ class SourceSurface:
         opposed = np.einsum("fkd,fd->fk", normals[near], normals) < -0.8
         double: np.ndarray = (opposed & (np.abs(height) < _LAYER_GAP) & (across < size[:, None])).any(axis=1)
         return double
+
+
+class Fault(NamedTuple):
+    """Something about a mesh that a simulation cannot use, or that its author may not have meant.
+
+    Args:
+        code: short fixed name.
+        sentence: what and where.
+        fix: how to mend it.
+        meanwhile: what is done about it when the mesh is simulated as it is.
+        mendable: whether `repair` mends it.
+        faces: indices of the author's polygons concerned.
+        vertices: indices of the author's vertices concerned.
+        is_refused: whether it cannot be simulated.
+    """
+
+    code: str
+    sentence: str
+    fix: str
+    meanwhile: str = ""
+    mendable: bool = False
+    faces: np.ndarray | None = None
+    vertices: np.ndarray | None = None
+    is_refused: bool = False
+
+
+def surface_faults(surface: SourceSurface) -> list[Fault]:
+    """Faults of a mesh on its own.
+
+    Args:
+        surface: the mesh.
+    """
+    topology, first = surface.topology, first_of
+    if not len(surface.faces):
+        sentence = f"None of its {len(surface.all_faces)} faces has an area."
+        return [Fault("no-area", sentence, "export the garment again", is_refused=True)]
+    faults = []
+    if len(edges := topology.non_manifold_edges):
+        extra = surface.extra_faces
+        sentence = f"{len(edges)} edge(s) are shared by three or more faces, first {first(edges)} (pairs of vertices)."
+        fix = f"delete the faces {first(extra)}"
+        faults.append(Fault("non-manifold", sentence, fix, "", False, extra, edges, is_refused=True))
+    if len(collapsed := surface.polygon[surface.collapsed & ~surface.repeated]):
+        sentence = f"{len(collapsed)} triangle(s) have no area, first {first(collapsed)}."
+        faults.append(Fault("degenerate", sentence, "drop them", "they are left out", True, collapsed))
+    if len(repeated := surface.polygon[surface.repeated]):
+        sentence = f"{len(repeated)} face(s) are there twice, first {first(repeated)}."
+        faults.append(Fault("duplicate", sentence, "drop them", "they are left out", True, repeated))
+    if len(isolated := topology.isolated_vertices):
+        sentence = f"{len(isolated)} vertices belong to no face, first {first(isolated)}."
+        meanwhile = "they are not simulated, and follow the nearest cloth in exports"
+        faults.append(Fault("isolated", sentence, "drop them", meanwhile, True, vertices=isolated))
+    if len(loose := surface.unwelded):
+        sentence = f"{len(loose)} border vertices lie on top of others, first {first(loose)}: a seam that will open."
+        faults.append(Fault("unwelded", sentence, "weld them", "", True, vertices=loose))
+    if surface.piece_count > 1:
+        sentence = f"The garment is in {surface.piece_count} pieces that nothing holds together."
+        fix = "weld the seams between them" if len(loose) else "join them where they were made, or delete all but one"
+        faults.append(Fault("pieces", sentence, fix, mendable=bool(len(loose))))
+    if len(turned := surface.turned_over):
+        sentence = f"{len(turned)} face(s) are turned over against their neighbours, first {first(turned)}."
+        faults.append(Fault("orientation", sentence, "turn them", "they are simulated turned", True, turned))
+    if not surface.flipped[1]:
+        sentence = "The cloth has only one side, like a Moebius strip."
+        faults.append(Fault("one-sided", sentence, "cut it open where it is twisted"))
+    return faults
+
+
+def first_of(ids: np.ndarray) -> str:
+    """The first of some indices (n,), or of pairs of them (n, 2), as text."""
+    rows = np.asarray(ids)[:5].tolist()
+    return ", ".join("-".join(map(str, row)) if isinstance(row, list) else str(row) for row in rows)

@@ -47,25 +47,41 @@ def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
             f"apart; choose vertices within {100 * FARTHEST:.0f} cm of each other."
         )
     size = len(garment.vertices)
-    graph = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (size, size))
-    joined, name = connected_components(graph, directed=False)
-    faces = name[garment.faces].astype(np.int64)
-    sides = np.sort(faces, axis=1)
-    if (np.diff(sides, axis=1) == 0).any() or len(Topology(faces, joined).non_manifold_edges):
+    joined = sewn(garment.faces, size, ends)
+    if joined is None:
         raise InputError(
             f"{garment.name}: its tacks would fold a triangle onto itself or sew three edges into one; choose vertices "
             "of borders that lie against each other."
         )
-    members = np.bincount(name, minlength=joined)[:, None]
-    vertices = np.stack([np.bincount(name, axis, joined) for axis in garment.vertices.T], axis=1) / members
-    pinned = np.bincount(name, garment.pinned, joined) > 0.0
+    faces, name = joined
+    count = int(name.max()) + 1
+    members = np.bincount(name, minlength=count)[:, None]
+    vertices = np.stack([np.bincount(name, axis, count) for axis in garment.vertices.T], axis=1) / members
+    pinned = np.bincount(name, garment.pinned, count) > 0.0
     first, skinning = np.unique(name, return_index=True)[1], garment.skinning
     if skinning is not None:
-        skinning = skinning.at(np.repeat(first[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (joined, 1)))
+        skinning = skinning.at(np.repeat(first[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
     return replace(
         garment, vertices=vertices, faces=faces, pinned=pinned, source=source or _source_of(garment), coarse_edges=(),
         skinning=skinning, rest_uv=_flat(garment.rest_corners),
     )  # fmt: skip
+
+
+def sewn(faces: np.ndarray, size: int, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Faces (faces, 3) int64 with vertices made one, and the new name (size,) of each; None where no cloth can be so.
+
+    Args:
+        faces: (faces, 3) int64.
+        size: number of vertices.
+        pairs: (tacks, 2) int64.
+    """
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (size, size))
+    count, name = connected_components(graph, directed=False)
+    joined = name[faces].astype(np.int64)
+    sides = np.sort(joined, axis=1)
+    if (np.diff(sides, axis=1) == 0).any() or len(Topology(joined, count).non_manifold_edges):
+        return None
+    return joined, name
 
 
 def _told(pair: Sequence[int]) -> str:

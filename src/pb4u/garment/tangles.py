@@ -1,4 +1,4 @@
-"""Where garments cross themselves and each other, told in words; and a start from which nothing crosses."""
+"""Where garments cross themselves and each other, as sentences; and a start from which nothing crosses."""
 
 from __future__ import annotations
 
@@ -48,20 +48,22 @@ def tangles(
     """Crossing triangles by the garments they belong to, most first.
 
     Args:
-        names: of the garments; of those with one name, the second and later ones are told by number.
+        names: of the garments; of those with one name, the second and later ones are numbered.
         vertex_garment: (vertices,) int64 garment of each vertex.
         vertices: (vertices, 3) [m].
         faces: (faces, 3) int64.
         pairs: (pairs, 2) int64 faces that cross.
     """
-    told = [name if name not in names[:k] else f"{name} ({names[:k].count(name) + 1})" for k, name in enumerate(names)]
+    titles = [
+        name if name not in names[:k] else f"{name} ({names[:k].count(name) + 1})" for k, name in enumerate(names)
+    ]
     owners = np.sort(vertex_garment[faces[pairs, 0]], axis=1)
     centres = vertices[faces[pairs[:, 0]]].mean(axis=1)
     found = []
     for one, other in np.unique(owners, axis=0).tolist():
         there = centres[(owners == [one, other]).all(axis=1)]
         place = there[np.linalg.norm(there - np.median(there, axis=0), axis=1).argmin()]
-        found.append(Tangle((told[one], told[other]), len(there), tuple(np.round(place, 4).tolist())))
+        found.append(Tangle((titles[one], titles[other]), len(there), tuple(np.round(place, 4).tolist())))
     return tuple(sorted(found, key=lambda tangle: -tangle.pairs))
 
 
@@ -128,14 +130,14 @@ def untangled_start(
     faces, owner = _joined(garments)
     pinned = np.concatenate([garment.pinned for garment in garments])
     mobility = np.where(pinned, 0.0, mobility_of(owner, len(garments)))
-    freed = untangle(positions, faces, mobility, tree)
-    if freed.is_free:
-        return freed.vertices
-    left = tangles([garment.name for garment in garments], owner, freed.vertices, faces, freed.crossings)
-    told = "; ".join(map(str, left[:3])) + (f"; and {len(left) - 3} more" if len(left) > 3 else "")
+    start = untangle(positions, faces, mobility, tree)
+    if start.is_free:
+        return start.vertices
+    left = tangles([garment.name for garment in garments], owner, start.vertices, faces, start.crossings)
+    listed = "; ".join(map(str, left[:3])) + (f"; and {len(left) - 3} more" if len(left) > 3 else "")
     mend = (
         "mend it where it was made"
         if all(tangle.garments[0] == tangle.garments[1] for tangle in left)
         else "wear them in another order"
     )
-    raise InputError(f"The start cannot be untangled: {told}; {mend}, or simulate with --self-contact off.")
+    raise InputError(f"The start cannot be untangled: {listed}; {mend}, or simulate with --self-contact off.")

@@ -23,7 +23,7 @@ _SAMPLES = 256
 _SLACK = 0.3
 # Vertices sampled at a time, which bounds the memory.
 _SAMPLE_CHUNK = 2048
-# So many edges may join different bones before a close garment is taken to be torn, and dressed as a loose one.
+# So many edges may join different bones before a close garment counts as split between limbs, and is dressed as loose.
 _TEARING_EDGES = 4
 
 

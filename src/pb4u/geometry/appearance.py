@@ -13,10 +13,7 @@ import numpy as np
 
 from pb4u.errors import InputError, InputWarning
 from pb4u.io.atomic_file import replace_file
-from pb4u.io.reading_limits import MOST_TEXT, parse_json, read_text, require_size
-
-_MOST_IMAGE = 1 << 26
-"""Bytes of an image file."""
+from pb4u.io.reading_limits import parse_json
 
 
 @dataclass(frozen=True)
@@ -102,7 +99,7 @@ class Appearances:
             return None
         images = io.BytesIO(members[f"{prefix}appearance_images"].tobytes())
         listed = []
-        for each in parse_json(text.tobytes(), "the appearances"):
+        for each in parse_json(text.tobytes()):
             red, green, blue = (min(max(float(channel), 0.0), 1.0) for channel in each["colour"])
             listed.append(Appearance(str(each["name"]), (red, green, blue), images.read(int(each["bytes"])) or None))
         of_face = np.asarray(members[f"{prefix}appearance_of_face"])
@@ -125,7 +122,6 @@ def read_image(path: Path) -> bytes:
     if not path.is_file():
         raise InputError(f"There is no image {path}.")
     try:
-        require_size(path, _MOST_IMAGE, "an image")
         content = path.read_bytes()
         with Image.open(io.BytesIO(content)) as image:
             image.load()
@@ -151,11 +147,11 @@ def read_mtl(path: Path) -> dict[str, Appearance]:
         path: the file.
 
     Raises:
-        InputError: it is too large, or a colour is none.
+        InputError: a colour is none.
     """
     found: dict[str, Appearance] = {}
     current = Appearance("")
-    for line in read_text(path, "an MTL file", MOST_TEXT).splitlines():
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         kind, _, rest = line.strip().partition(" ")
         if kind == "newmtl":
             current = Appearance(rest.strip(), (0.8, 0.8, 0.8))

@@ -53,7 +53,7 @@ def working_folder(path: Path) -> Iterator[Path]:
 
 
 def sweep(folder: Path) -> None:
-    """Delete what killed processes left unfinished in a folder; what is in use stays, and so does what cannot be told.
+    """Delete what killed processes left unfinished in a folder; what is in use, or may be, stays.
 
     Args:
         folder: path of the folder.
@@ -82,7 +82,7 @@ def _is_old(path: Path) -> bool:
 
 
 def _is_alive(process: str) -> bool:
-    """Whether a process of this number runs; as good as yes where that cannot be told."""
+    """Whether a process of this number runs; yes where that is unknown."""
     if not process.isdecimal():
         return True
     try:

@@ -15,7 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.io.reading_limits import MOST_NUMBERS_TEXT, Allowance, parse_json
+from pb4u.io.reading_limits import parse_json, refusing
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -107,8 +107,7 @@ def read_gltf(path: Path) -> GltfFile:
     Raises:
         InputError: it is none, is cut short, lacks a buffer, or is compressed by Draco or meshopt.
     """
-    try:
-        allowance = Allowance(path)
+    with refusing(path, "is no whole glTF file"):
         content = path.read_bytes()
         document, binary = _parted(path, content)
         if not isinstance(document, dict) or not str(document.get("asset", {}).get("version", "")).startswith("2"):
@@ -121,23 +120,17 @@ def read_gltf(path: Path) -> GltfFile:
                 )
         buffers = []
         for buffer in document.get("buffers", ()):
-            held = _buffer(path, buffer.get("uri"), binary, allowance)
+            held = _buffer(path, buffer.get("uri"), binary)
             if len(held) < buffer["byteLength"]:
                 raise InputError(f"{path} is cut short: a buffer has {len(held):,} of {buffer['byteLength']:,} bytes.")
             buffers.append(held)
         return GltfFile(path, document, tuple(buffers))
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except (LookupError, ValueError, TypeError, AttributeError, struct.error) as error:
-        raise InputError(f"{path} is no whole glTF file ({type(error).__name__}: {str(error)[:120]}).") from error
 
 
 def _parted(path: Path, content: bytes) -> tuple[Any, bytes]:
     """The JSON of a file, and the binary chunk behind it."""
     if content[:4] != struct.pack("<I", _MAGIC):
-        return parse_json(content, path, MOST_NUMBERS_TEXT), b""
+        return parse_json(content), b""
     document, binary, place = b"", b"", 12
     while place + 8 <= len(content):
         length, kind = struct.unpack_from("<II", content, place)
@@ -149,10 +142,10 @@ def _parted(path: Path, content: bytes) -> tuple[Any, bytes]:
         elif kind == _BINARY and not binary:
             binary = chunk
         place += 8 + length
-    return parse_json(document, path), binary
+    return parse_json(document), binary
 
 
-def _buffer(path: Path, uri: str | None, binary: bytes, allowance: Allowance) -> bytes:
+def _buffer(path: Path, uri: str | None, binary: bytes) -> bytes:
     if uri is None:
         return binary
     if uri.startswith("data:"):
@@ -162,5 +155,4 @@ def _buffer(path: Path, uri: str | None, binary: bytes, allowance: Allowance) ->
         raise InputError(f'{path} has its buffer at "{uri[:80]}", outside of its folder; put it beside the file.')
     if not beside.is_file():
         raise InputError(f"{path} needs {beside.name} beside it.")
-    allowance.take(max(0, beside.stat().st_size - 2**30), f"its buffer {beside.name}")
     return beside.read_bytes()

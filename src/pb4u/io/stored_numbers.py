@@ -1,13 +1,15 @@
-"""Arrays of numbers as files hold them: told from what is none, and checked against each other."""
+"""Arrays of numbers in files: read from lists or arrays, and checked against one layout."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pb4u.errors import InputError
+from pb4u.io.reading_limits import told_names
 
 Layout = Mapping[str, tuple[str, tuple[str | int | None, ...]]]
 """Member -> kinds of its numbers as numpy's letters, and its shape. Counts of one name agree over all members; None is
@@ -19,6 +21,7 @@ _KINDS = {
     "iu": "whole numbers",
     "i": "whole numbers",
     "fiu": "numbers",
+    "fiub": "numbers",
     "U": "text",
 }
 
@@ -34,15 +37,47 @@ def stored_numbers(value: object, where: str | Path, name: str) -> np.ndarray:
     Raises:
         InputError: it holds something else.
     """
-    try:
-        values = np.asarray(value)
-        if values.dtype.kind == "O":
-            values = values.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):
-        values = np.empty(0, dtype=object)
-    if values.dtype.kind not in "fiub":
+    values = _array(value)
+    if values is None or values.dtype.kind not in "fiub":
         raise InputError(f'{where}: "{name}" is not an array of numbers.')
     return values
+
+
+def _array(value: Any) -> Any:
+    if hasattr(value, "tocsr"):  # a sparse matrix of scipy
+        return value
+    try:
+        values = np.asarray(value)
+        return values.astype(np.float64) if values.dtype.kind == "O" else values
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def read_members(
+    content: object, layout: Layout, refuse: Callable[[str], InputError], optional: Collection[str] = ()
+) -> tuple[dict[str, Any], dict[str, int]]:
+    """Arrays (...) of a dictionary that a file holds, in the units of the file.
+
+    Args:
+        content: whatever the file holds.
+        layout: kinds and shapes that its members should have.
+        refuse: gives the error for a sentence on what does not fit.
+        optional: members that may be missing.
+
+    Returns:
+        The arrays by name, and every count by its name.
+
+    Raises:
+        InputError: whatever `refuse` gives, for the first member that is missing or does not fit.
+    """
+    if not isinstance(content, Mapping):
+        raise refuse(f"it holds a {type(content).__name__}, no dictionary")
+    if missing := [name for name in layout if name not in content and name not in optional]:
+        raise refuse(f"it has no {' and no '.join(missing)}; it holds {told_names(content)}")
+    arrays = {name: _array(content[name]) for name in layout if name in content}
+    if odd := [name for name, values in arrays.items() if values is None]:
+        raise refuse(f'"{odd[0]}" is not an array of numbers')
+    return arrays, require_layout(arrays, layout, refuse)
 
 
 def require_layout(

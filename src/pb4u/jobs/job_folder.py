@@ -23,7 +23,7 @@ from filelock import FileLock, Timeout
 from pb4u import __version__
 from pb4u.errors import InputError, Pb4uError
 from pb4u.io.atomic_file import json_text, replace_file
-from pb4u.io.reading_limits import MOST_NUMBERS_TEXT, read_json
+from pb4u.io.reading_limits import read_json
 from pb4u.jobs.job import Failure, Job, Made
 from pb4u.jobs.worker_pool import WorkerPool
 from pb4u.progress import Progress, no_progress
@@ -174,8 +174,7 @@ class JobFolder:
     def result(self, job: Job) -> dict[str, Any] | None:
         """The result of a job; None where there is none, or none that is whole."""
         try:
-            # Series of numbers: a long clip has more of them than other texts may have.
-            envelope = read_json(self._jobs / f"{job.key}.json", MOST_NUMBERS_TEXT)
+            envelope = read_json(self._jobs / f"{job.key}.json")
             result = envelope["result"]
             whole = envelope["key"] == job.key and envelope["checksum"] == _checksum(result)
         except (OSError, ValueError, KeyError, TypeError):

@@ -1,29 +1,44 @@
-"""Limbs that have gone through cloth: bones that cross its faces.
+"""Limbs that have gone through cloth: bones that cross its faces, and skin that comes out of it.
 
-Skin that is a little above or beside cloth may be a fold or a coarse mesh; a bone that crosses a face cannot be. A
-sleeve or a trouser leg is around its bone, and a hem or a collar lets it through an opening. Where a bone is outside of
-its own skin, as that of a shoulder is by some millimetres under a raised arm, what it crosses says nothing.
+A sleeve or a trouser leg is around its bone, and a hem or a collar lets it through an opening: a bone that crosses a
+face is through. Where it is outside of its own skin, as that of a shoulder is by some millimetres under a raised arm,
+what it crosses says nothing. Skin is through where some square centimetres of a limb lie over cloth that they cross,
+and not where the body is inside itself.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
 
 from pb4u.body.body_model import PosedBody
-from pb4u.collision.crossings import segments_through_faces
+from pb4u.collision.crossings import crossings, segments_through_faces
 from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.collision.overlaps import overlapping_faces
+from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas, vertex_areas
+from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.scene import Scene
-from pb4u.scene.trajectory import Trajectory
+from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
 _TOES = re.compile(r"^toe[\d-]+")
 _ARM = re.compile("arm|elbow|wrist")
 """In the names of an arm's bones, as Anny and the SMPL family have them; a shoulder's bone is held off by nothing."""
+
+
+_BARE, _OUT = 1e-3, 3e-3
+"""Skin [m^2] of a limb that lies so far [m] over cloth which it crosses from which on it has come through: 3 cm
+square. Cloth that sags between its vertices lies less deep."""
+
+_SPANNED = math.radians(22.0)
+"""Angle round a limb that an edge spans where cloth holds it, bent or stretched: sixteen edges. At seven to twelve,
+elbows and knees come through sleeves and tights that are worn without fault at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,61 +48,158 @@ class Bones:
     Args:
         names: name of each bone.
         ends: (frames, bones, 2, 3) its joint and the next [m].
+        skin: (body vertices,) int64 the bone that moves each most; -1 where that is none of these.
     """
 
     names: tuple[str, ...]
     ends: np.ndarray
+    skin: np.ndarray
 
     @staticmethod
-    def of(scene: Scene, trajectory: Trajectory) -> Bones:
-        """The bones of a scene's bodies at the frames of a trajectory; none of a body without a skeleton.
+    def of(scene: Scene, frames: int, fps: float) -> Bones:
+        """The bones of a scene's bodies at the frames that are written; none of a body without a skeleton.
 
         Args:
             scene: what was simulated.
-            trajectory: the result.
+            frames: number of frames.
+            fps: their rate [1/s].
         """
-        frames = trajectory.frame_count
-        at = scene.lead_in + np.arange(frames) * (scene.fps / trajectory.fps)
+        at = scene.lead_in + np.arange(frames) * (scene.fps / fps)
         names: list[str] = []
-        ends = [np.zeros((frames, 0, 2, 3))]
+        ends, skin = [np.zeros((frames, 0, 2, 3))], [np.zeros(0, dtype=np.int64)]
         for body in scene.colliders:
-            if isinstance(body, PosedBody):
-                bones, segments = _touchable_bones(body)
-                joints = body.joints
-                now = np.minimum(at.astype(int), len(joints) - 1)
-                share = (at - now)[:, None, None]
-                between = (1.0 - share) * joints[now] + share * joints[np.minimum(now + 1, len(joints) - 1)]
-                names += bones
-                ends.append(between[:, segments])
-        return Bones(tuple(names), np.concatenate(ends, axis=1))
+            if not isinstance(body, PosedBody):
+                skin.append(np.full(len(body.contact), -1))
+                continue
+            bones, segments, nearest = _touchable_bones(body)
+            joints = body.joints
+            now = np.minimum(at.astype(int), len(joints) - 1)
+            share = (at - now)[:, None, None]
+            between = (1.0 - share) * joints[now] + share * joints[np.minimum(now + 1, len(joints) - 1)]
+            skin.append(np.where(nearest < 0, -1, nearest + len(names)))
+            names += bones
+            ends.append(between[:, segments])
+        return Bones(tuple(names), np.concatenate(ends, axis=1), np.concatenate(skin))
 
-    def through_cloth(self, trajectory: Trajectory) -> np.ndarray:
-        """Which bones (frames, bones) bool cross a face of the garments inside the body.
+
+class LimbWatch:
+    """Finds limbs that have come through cloth, frame by frame.
+
+    Args:
+        bones: of the bodies.
+        header: of the trajectory.
+
+    Attributes:
+        enough: name of a bone -> triangles of the garment that would hold it, for those found; None where it has as
+            many already.
+    """
+
+    def __init__(self, bones: Bones, header: TrajectoryHeader) -> None:
+        self.bones, self.header = bones, header
+        self.enough: dict[str, int | None] = {}
+        self._faces = np.array(header.body_faces)
+        self._touched = self._faces[np.array(header.body_contact)[self._faces].all(axis=1)]
+
+    @cached_property
+    def _skin(self) -> TriangleSurface:
+        return TriangleSurface(self._faces, len(self.bones.skin))
+
+    def through(self, t: int, cloth: np.ndarray, body: np.ndarray) -> np.ndarray:
+        """Which bones (bones,) bool are through cloth.
 
         Args:
-            trajectory: the frames that the bones were taken at.
+            t: number of the frame.
+            cloth: (vertices, 3) of all garments [m].
+            body: (body vertices, 3) [m].
         """
-        crossed = np.zeros(self.ends.shape[:2], dtype=bool)
-        if not self.names:
-            return crossed
-        skin = TriangleSurface(np.array(trajectory.header.body_faces), trajectory.body_positions.shape[1])
-        for t, ends in enumerate(self.ends):
-            cloth = np.asarray(trajectory.positions[t], dtype=np.float64)
-            if not np.isfinite(cloth).all():
-                continue
-            pairs, places = segments_through_faces(ends[:, 0], ends[:, 1], cloth, trajectory.faces)
-            if len(pairs):
-                body = torch.from_numpy(np.array(trajectory.body_positions[t], dtype=np.float64))
-                inside = skin.at(body).nearest(torch.from_numpy(places)).signed_distance.numpy() < 0.0
-                crossed[t, pairs[inside, 0]] = True
-        return crossed
+        found = np.zeros(len(self.bones.names), dtype=bool)
+        cloth, body = np.asarray(cloth, dtype=np.float64), np.array(body, dtype=np.float64)
+        if not self.bones.names or not len(self._touched) or not np.isfinite(cloth).all():
+            return found
+        faces, ends = self.header.faces, self.bones.ends[t]
+        pairs, places = segments_through_faces(ends[:, 0], ends[:, 1], cloth, faces)
+        if len(pairs):
+            skin = self._skin.at(torch.from_numpy(body))
+            pairs = pairs[skin.nearest(torch.from_numpy(places)).signed_distance.numpy() < 0.0]
+            found[pairs[:, 0]] = True
+        crossing = crossings(cloth, faces, body, self._touched)
+        if len(crossing):
+            limb = self.bones.skin[self._touched[crossing[:, 1], 0]]
+            bare = self._bare(cloth, body, np.unique(limb[limb >= 0]))
+            found |= bare
+            pairs = np.concatenate([pairs, np.column_stack([limb, crossing[:, 0]])[bare[limb] & (limb >= 0)]])
+        for bone in np.flatnonzero(found).tolist():
+            if self.bones.names[bone] not in self.enough:
+                enough = self._enough(bone, ends[bone], body, cloth, pairs[pairs[:, 0] == bone, 1])
+                self.enough[self.bones.names[bone]] = enough
+        return found
+
+    def _bare(self, cloth: np.ndarray, body: np.ndarray, limbs: np.ndarray) -> np.ndarray:
+        """Which bones (bones,) bool, of some `limbs`, have skin over the cloth."""
+        bones = len(self.bones.names)
+        touched = np.unique(self._touched)
+        asked = touched[np.isin(self.bones.skin[touched], limbs)]
+        normals = area_weighted_normals(body, self._touched)[asked]
+        cover = SkinCover.at(body[asked], normals, TriangleSurface(self.header.faces, len(cloth)).at(cloth))
+        areas, shown = vertex_areas(body, self._touched), asked[cover.shown & (cover.heights < -_OUT)]
+        over = np.bincount(self.bones.skin[shown], areas[shown], bones) > _BARE
+        if not over.any():
+            return over
+        pinched = np.zeros(len(body), dtype=bool)
+        pinched[self._faces[overlapping_faces(body, self._faces)]] = True
+        shown = shown[~pinched[shown]]
+        bare: np.ndarray = np.bincount(self.bones.skin[shown], areas[shown], bones) > _BARE
+        return bare
+
+    def _enough(
+        self, bone: int, ends: np.ndarray, body: np.ndarray, cloth: np.ndarray, faces: np.ndarray
+    ) -> int | None:
+        """Triangles at which the edges that a limb came through would be short enough to go round it."""
+        way = ends[1] - ends[0]
+        offsets = body[self.bones.skin == bone] - ends[0]
+        along = np.clip(offsets @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
+        radius = float(np.quantile(np.linalg.norm(offsets - along[:, None] * way, axis=1), 0.25))
+        # An equilateral triangle of the same area has edges of this length.
+        area = float(face_areas(cloth, self.header.faces[faces]).mean())
+        edge, holds = math.sqrt(4.0 * area / math.sqrt(3.0)), 2.0 * radius * math.sin(0.5 * _SPANNED)
+        worn = next(g["triangles"] for g in self.header.garments if g["triangles"][0] <= faces[0] < g["triangles"][1])
+        count = worn[1] - worn[0]
+        enough = 100 * math.ceil(count * (edge / holds) ** 2 / 100)
+        return enough if enough > count else None
+
+    def sentence(self, bone: str, frame: int, model: str) -> str:
+        """What is said of a limb when it is found first.
+
+        Args:
+            bone: its name, one of `enough`.
+            frame: number of the frame.
+            model: that simulates.
+        """
+        enough = self.enough[bone]
+        if enough is not None:
+            why, way = "its triangles are too large for it", f"--triangles {enough}"
+        else:
+            why, way = "its triangles are small enough for it", "--model solver"
+            way = "a slower motion or more --fps" if model == "solver" else way
+        arms = " or --arms-away 8" if _ARM.search(bone) else ""
+        return f"Frame {frame}: {bone} has come through the cloth; {why}: try {way}{arms}."
 
 
-def _touchable_bones(body: PosedBody) -> tuple[list[str], np.ndarray]:
-    """Names of a body's bones whose skin is mostly touchable, and the two joints (bones, 2) int64 of each.
+def watched(bones: Bones, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
+    """Which bones (frames, bones) bool are through cloth, and what would hold them.
 
-    The toes of a foot have one name.
+    Args:
+        bones: at the frames of the trajectory.
+        trajectory: what was simulated.
     """
+    watch = LimbWatch(bones, trajectory.header)
+    frames = zip(trajectory.positions, trajectory.body_positions, strict=True)
+    return np.array([watch.through(t, *frame) for t, frame in enumerate(frames)], dtype=bool), watch
+
+
+def _touchable_bones(body: PosedBody) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Names of a body's bones whose skin is mostly touchable, the two joints (bones, 2) int64 of each, and whose each
+    vertex of the skin is; the toes of a foot have one name."""
     skeleton, weights = body.body.skeleton, body.body.weights
     nearest = weights.bones[np.arange(len(weights.bones)), weights.weights.argmax(axis=1)]
     skin = np.bincount(nearest, minlength=skeleton.bone_count)
@@ -97,22 +209,31 @@ def _touchable_bones(body: PosedBody) -> tuple[list[str], np.ndarray]:
         for bone, parent in enumerate(skeleton.parents.tolist())
         if parent >= 0 and skin[parent] and 2 * touched[parent] > skin[parent]
     ]
-    return [_TOES.sub("toes", skeleton.names[parent]) for parent, _ in segments], np.array(
-        segments, dtype=np.int64
-    ).reshape(-1, 2)
+    parents = [parent for parent, _ in segments]
+    # A joint with several children is the head of several bones: its skin counts as that of the first.
+    first = np.array([parents.index(bone) if bone in parents else -1 for bone in range(skeleton.bone_count)])
+    names = [_TOES.sub("toes", skeleton.names[parent]) for parent in parents]
+    return names, np.array(segments, dtype=np.int64).reshape(-1, 2), first[nearest]
 
 
-def limbs_through_cloth(names: Sequence[str], crossed: np.ndarray) -> list[dict[str, Any]]:
-    """What has gone through cloth, the longest first: name of the `bone`, `first_frame` and number of `frames`.
+def limbs_through_cloth(crossed: np.ndarray, watch: LimbWatch) -> list[dict[str, Any]]:
+    """What has gone through cloth, the longest first: name of the `bone`, `first_frame`, number of `frames`, and the
+    `triangles` of its garment that would hold it, or None where it has as many.
 
     Args:
-        names: names of the bones.
-        crossed: (frames, bones) bool as `Bones.through_cloth`.
+        crossed: (frames, bones) bool as `watched` gives it.
+        watch: that found them.
     """
+    names = watch.bones.names
     # A joint with several children is the head of several bones of one name.
     by_name = {name: crossed[:, [k for k, other in enumerate(names) if other == name]].any(axis=1) for name in names}
     found = [
-        {"bone": name, "first_frame": int(rows.argmax()), "frames": int(rows.sum())}
+        {
+            "bone": name,
+            "first_frame": int(rows.argmax()),
+            "frames": int(rows.sum()),
+            "triangles": watch.enough.get(name),
+        }
         for name, rows in by_name.items()
         if rows.any()
     ]
@@ -132,7 +253,9 @@ def limbs_sentence(found: Sequence[dict[str, Any]], frames: int) -> str | None:
     told = ", ".join(f"{each['bone']} ({each['frames']})" for each in found[:4])
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
     arms = "; --arms-away 8 holds arms off the body" if any(_ARM.search(each["bone"]) for each in found) else ""
+    enough = max((each["triangles"] or 0 for each in found), default=0)
+    finer = f"; --triangles {enough} makes the cloth fine enough for them" if enough else ""
     return (
-        f"Limbs have gone through the cloth from frame {first} on; bones that cross it, with the number of frames of "
-        f"{frames}: {told}{more}{arms}."
+        f"Limbs have gone through the cloth from frame {first} on; bones, with the number of frames of "
+        f"{frames}: {told}{more}{finer}{arms}."
     )

@@ -20,7 +20,7 @@ from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
 from pb4u.measures.divergence import first_lost
-from pb4u.measures.limbs import Bones, limbs_through_cloth
+from pb4u.measures.limbs import Bones, limbs_through_cloth, watched
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
@@ -89,8 +89,10 @@ def measure(
         measured = _series(rows, (*ENERGIES, *STRAINS))
         garments.append({"name": garment.name, "metrics": measured, "diverged": at is not None, "diverged_at": at})
     first = _earliest(diverged_at)
-    crossed = None if bones is None or not bones.names else bones.through_cloth(trajectory)
-    if crossed is not None:
+    limbs: dict[str, Any] = {}
+    if bones is not None and bones.names:
+        crossed, watch = watched(bones, trajectory)
+        limbs["limbs_through_cloth"] = limbs_through_cloth(crossed, watch)
         for frame, count in zip(frames, crossed.sum(axis=1), strict=True):
             frame.metrics["limbs_through_cloth"] = float(count)
     return {
@@ -99,11 +101,7 @@ def measure(
         "diverged": first is not None,
         "diverged_at": first,
         "garments": garments,
-        **(
-            {}
-            if bones is None or crossed is None
-            else {"limbs_through_cloth": limbs_through_cloth(bones.names, crossed)}
-        ),
+        **limbs,
     }
 
 

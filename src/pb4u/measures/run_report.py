@@ -41,7 +41,7 @@ def run_report(
     Raises:
         InputError: the trajectory does not say what its garments are made of, or the reference is of other meshes.
     """
-    bones = Bones.of(scene, trajectory)
+    bones = Bones.of(scene, trajectory.frame_count, trajectory.fps)
     measured = measure(trajectory, skinned_centres(scene, trajectory), progress, bones)
     if record.failed_at is not None and not measured["diverged"]:
         # The frames that are not finite are not written.

@@ -1,4 +1,4 @@
-"""Arms held off the body, where a recording puts them into it.
+"""Arms swung out of the body, where a recording puts them into it.
 
 A body that is broader than who was recorded presses its forearms into hips and belly: on an average woman most CMU
 recordings by 2 to 7 cm, walks in most of their frames. No sleeve can be where skin is inside skin.

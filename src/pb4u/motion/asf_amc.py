@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, from_euler, multiply, rotate
-from pb4u.io.reading_limits import MOST_JOINTS, Allowance, read_lines, read_text
+from pb4u.io.reading_limits import refusing
 from pb4u.motion.correspondences import CMU
 from pb4u.motion.recording import Recording, finite_frames
 
@@ -44,14 +43,11 @@ def read_asf(path: Path) -> AcclaimSkeleton:
     Raises:
         InputError: it is cut short or is not such a file.
     """
-    sections = _sections(path)
-    missing = [name for name in ("root", "bonedata", "hierarchy") if not sections.get(name)]
-    if missing:
-        raise InputError(f"{path} has no :{missing[0]} section; it is cut short or is not an ASF skeleton.")
-    degrees = "rad" not in " ".join(sections.get("units", ["angle deg"])).lower()
-    bones = _bones(path, sections["bonedata"])
-    bones["root"] = _root(path, sections["root"])
-    parents = _parents(path, sections["hierarchy"], bones)
+    with refusing(path, "is cut short or is not an ASF skeleton"):
+        sections = _sections(path)
+        degrees = "rad" not in " ".join(sections.get("units", ["angle deg"])).lower()
+        bones = _bones(sections["bonedata"]) | {"root": _root(sections["root"])}
+        parents = _parents(sections["hierarchy"], bones)
 
     names = tuple(parents)
     parent_index = np.array([names.index(p) if p else -1 for p in parents.values()], dtype=np.int64)
@@ -137,7 +133,7 @@ def _sections(path: Path) -> dict[str, list[str]]:
     """The lines under each `:keyword`, comments dropped."""
     sections: dict[str, list[str]] = {}
     current: list[str] = []
-    for line in read_text(path, "an ASF skeleton", encoding="latin-1").splitlines():
+    for line in path.read_text(encoding="latin-1").splitlines():
         text = line.split("#")[0].strip()
         if text.startswith(":"):
             keyword, _, rest = text[1:].partition(" ")
@@ -148,131 +144,102 @@ def _sections(path: Path) -> dict[str, list[str]]:
     return sections
 
 
-def _numbers(path: Path, words: list[str], count: int, what: str) -> np.ndarray:
-    try:
-        values = np.array([float(word) for word in words[:count]])
-    except ValueError:
-        values = np.empty(0)
+def _numbers(words: list[str], count: int) -> np.ndarray:
+    values = np.array([float(word) for word in words[:count]])
     if len(values) != count or not np.isfinite(values).all():
-        raise InputError(f'{path}: {what} should be {count} number(s), found "{" ".join(words)}".')
+        raise ValueError(f'"{" ".join(words)[:80]}" where {count} number(s) belong')
     return values
 
 
-def _bones(path: Path, lines: list[str]) -> dict[str, _Bone]:
+def _bones(lines: list[str]) -> dict[str, _Bone]:
     bones: dict[str, _Bone] = {}
-    fields: dict[str, list[str]] | None = None
+    fields: dict[str, list[str]] = {}
     for line in lines:
         key, *words = line.split()
         if key == "begin":
             fields = {}
-        elif key == "end":
-            if not fields or not {"name", "direction", "length", "axis"} <= set(fields):
-                raise InputError(f"{path}: bone {len(bones) + 1} lacks its name, direction, length or axis.")
-            name = fields["name"][0]
-            direction = _numbers(path, fields["direction"], 3, f"direction of bone {name}")
-            length = _numbers(path, fields["length"], 1, f"length of bone {name}")
-            angles = _numbers(path, fields["axis"], 3, f"axis of bone {name}")
-            order = _axis_order(path, fields["axis"][3] if len(fields["axis"]) > 3 else "xyz", f"bone {name}")
-            if length <= 0.0 or not direction.any():
-                raise InputError(f"{path}: bone {name} has no length or no direction; every bone needs both.")
-            channels = tuple(word.lower() for word in fields.get("dof", []))
-            if not set(channels) <= set(_DEGREES_OF_FREEDOM):
-                raise InputError(f'{path}: bone {name} has an unknown degree of freedom in "{" ".join(channels)}".')
-            direction /= float(np.linalg.norm(direction))
-            if name in bones or len(bones) == MOST_JOINTS:
-                raise InputError(f"{path} describes the bone {name} twice, or more than {MOST_JOINTS} bones.")
-            bones[name] = _Bone(direction * length, angles, order, channels)
-            fields = None
-        elif fields is not None:
+        elif key != "end":
             fields[key] = words
-    if fields is not None:
-        raise InputError(f"{path} is cut short inside the bone after {len(bones)} complete ones.")
+        elif not {"name", "direction", "length", "axis"} <= set(fields):
+            raise ValueError(f"bone {len(bones) + 1} lacks its name, direction, length or axis")
+        else:
+            name, direction, length = fields["name"][0], _numbers(fields["direction"], 3), _numbers(fields["length"], 1)
+            if length <= 0.0 or not direction.any() or name in bones:
+                raise ValueError(f"bone {name} has no length or no direction, or is there twice")
+            order = fields["axis"][3] if len(fields["axis"]) > 3 else "xyz"
+            direction /= float(np.linalg.norm(direction))
+            turn = _numbers(fields["axis"], 3), _axis_order(order), _channels(fields.get("dof", []))
+            bones[name] = _Bone(direction * length, *turn)
+            fields = {}
+    if fields:
+        raise ValueError(f"it ends inside the bone after {len(bones)} whole ones")
     return bones
 
 
-def _root(path: Path, lines: list[str]) -> _Bone:
+def _root(lines: list[str]) -> _Bone:
     fields = {words[0].lower(): words[1:] for words in map(str.split, lines) if words}
-    channels = tuple(word.lower() for word in fields.get("order", ["tx", "ty", "tz", "rx", "ry", "rz"]))
-    orientation = _numbers(path, fields.get("orientation", ["0", "0", "0"]), 3, "orientation of the root")
+    channels = _channels(fields.get("order", ["tx", "ty", "tz", "rx", "ry", "rz"]))
+    orientation = _numbers(fields.get("orientation", ["0", "0", "0"]), 3)
+    return _Bone(np.zeros(3), orientation, _axis_order((fields.get("axis") or ["xyz"])[0]), channels)
+
+
+def _channels(words: list[str]) -> tuple[str, ...]:
+    channels = tuple(word.lower() for word in words)
     if not set(channels) <= set(_DEGREES_OF_FREEDOM):
-        raise InputError(f'{path}: the root has an unknown degree of freedom in "{" ".join(channels)[:80]}".')
-    order = _axis_order(path, (fields.get("axis") or ["xyz"])[0], "the root")
-    return _Bone(np.zeros(3), orientation, order, channels)
+        raise ValueError(f'an unknown degree of freedom in "{" ".join(channels)[:80]}"')
+    return channels
 
 
-def _axis_order(path: Path, text: str, what: str) -> str:
+def _axis_order(text: str) -> str:
     if sorted(text.lower()) != ["x", "y", "z"]:
-        raise InputError(f'{path}: the axis order of {what} should be one such as XYZ, found "{text[:20]}".')
+        raise ValueError(f'the axis order should be one such as XYZ, not "{text[:20]}"')
     return text.lower()
 
 
-def _parents(path: Path, lines: list[str], bones: dict[str, _Bone]) -> dict[str, str]:
+def _parents(lines: list[str], bones: dict[str, _Bone]) -> dict[str, str]:
     """Bone -> parent ("" for the root), parents first."""
     parents = {"root": ""}
     for line in lines:
         parent, *children = line.split()
         if parent in ("begin", "end"):
             continue
-        for name in (parent, *children):
-            if name not in bones:
-                raise InputError(f'{path}: the hierarchy names a bone "{name}" without data; the file is cut short.')
-        if twice := [child for child in children if child in parents]:
-            raise InputError(f'{path}: the hierarchy gives the bone "{twice[0]}" a second parent, or one below itself.')
-        if parent not in parents:
-            raise InputError(f'{path}: bone "{parent}" has children before it has a parent.')
-        parents |= {child: parent for child in children}
+        if unknown := [name for name in (parent, *children) if name not in bones]:
+            raise ValueError(f'the hierarchy names a bone "{unknown[0]}" without data')
+        if parent not in parents or any(child in parents for child in children):
+            raise ValueError(f'the hierarchy gives a bone below "{parent}" a second parent, or comes to it too early')
+        parents |= dict.fromkeys(children, parent)
     return parents
 
 
 def _read_frames(path: Path, rest: AcclaimSkeleton, asf: Path) -> tuple[list[str], np.ndarray, bool]:
     """Bone names in file order, channel values (frames, channels), and whether angles are in degrees."""
-    lines = (line.split() for line in read_lines(path, "a recording"))
-    degrees = True
-    for words in lines:
-        if [word.upper() for word in words] == [":RADIANS"]:
-            degrees = False
-        if len(words) == 1 and words[0].isdigit():
-            break
-    else:
+    lines = [words for line in path.read_text(encoding="latin-1").splitlines() if (words := line.split())]
+    first = next((k for k, words in enumerate(lines) if len(words) == 1 and words[0].isdigit()), len(lines))
+    degrees = [":RADIANS"] not in [[word.upper() for word in words] for words in lines[:first]]
+    lines = lines[first:]
+    if not lines:
         raise InputError(f"{path} holds no frames.")
+    size = next((k for k, words in enumerate(lines[1:], 1) if len(words) == 1), len(lines))
+    names = [words[0] for words in lines[1:size]]
     known = dict(zip(rest.skeleton.names, rest.channels, strict=True))
-    moving = {name for name, channels in known.items() if channels}
-    names: list[str] = []
-    values = array("d")
-    frames, row = 1, 0
-    for words in filter(None, lines):
-        if frames == 1 and len(words) > 1:
-            if words[0] not in known:
-                raise InputError(
-                    f'{path} moves a bone "{words[0]}" that {asf.name} does not have; give the skeleton it was '
-                    "recorded with."
-                )
-            names.append(words[0])
-        elif row == len(names):
-            _require_bones(path, moving, names, asf)
-            if len(words) != 1:
-                raise _damaged(path, frames + 1, words, "a frame number")
-            frames, row = frames + 1, 0
-            continue
-        if words[0] != names[row] or len(words) != 1 + len(known[names[row]]):
-            raise _damaged(path, frames, words, f"{names[row]} with {len(known[names[row]])} number(s)")
-        try:
-            values.extend(map(float, words[1:]))
-        except ValueError as problem:
-            raise InputError(f"{path} has a word where a number should be: {problem}.") from None
-        row += 1
-    _require_bones(path, moving, names, asf)
-    if row < len(names):
-        raise InputError(f"{path} is cut short: frame {frames} has {row} of its {len(names)} bones.")
-    Allowance(path).take(32 * frames * rest.skeleton.bone_count, "rotations of its bones")
-    return names, finite_frames(np.frombuffer(values).reshape(frames, -1), path), degrees
-
-
-def _require_bones(path: Path, moving: set[str], names: list[str], asf: Path) -> None:
-    if missing := sorted(moving - set(names)):
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(
+            f'{path} moves a bone "{unknown[0]}" that {asf.name} does not have; give the skeleton it was recorded with.'
+        )
+    if missing := sorted({name for name, channels in known.items() if channels} - set(names)):
         raise InputError(f"{path} is cut short: the first frame lacks the bones {', '.join(missing)} of {asf.name}.")
-
-
-def _damaged(path: Path, frame: int, words: list[str], wanted: str) -> InputError:
-    found = " ".join(words)[:80]
-    return InputError(f'{path} is damaged or cut short: frame {frame} reads "{found}" instead of {wanted}.')
+    values: list[float] = []
+    for k, words in enumerate(lines):
+        frame, row = k // size + 1, k % size
+        name = names[row - 1] if row else ""
+        wanted = f"{name} with {len(known[name])} number(s)" if row else "a frame number"
+        if len(words) != (1 + len(known[name]) if row else 1) or (row and words[0] != name):
+            found = " ".join(words)[:80]
+            raise InputError(f'{path} is damaged or cut short: frame {frame} reads "{found}" instead of {wanted}.')
+        with refusing(path, "has a word where a number should be"):
+            values += map(float, words[1:])
+    if len(lines) % size:
+        raise InputError(
+            f"{path} is cut short: frame {len(lines) // size + 1} has {len(lines) % size - 1} of its {size - 1} bones."
+        )
+    return names, finite_frames(np.array(values).reshape(len(lines) // size, -1), path), degrees

@@ -10,14 +10,12 @@ import numpy as np
 from pb4u.body.skeleton import PoseSequence, Skeleton, world_rotations
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_euler
-from pb4u.io.reading_limits import MOST_JOINTS, MOST_NUMBERS_TEXT, MOST_TEXT, Allowance, read_text
+from pb4u.io.reading_limits import refusing
 from pb4u.motion.correspondences import BVH_SOURCES, SkeletonRoles
 from pb4u.motion.recording import Recording, finite_frames, require_rate
 
 _HEADING = 200
 """Characters of the MOTION section that hold its number of frames and its frame time."""
-_NUMBERS_AT_ONCE = 1 << 20
-"""Characters of a text of numbers that are taken apart at once."""
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -40,18 +38,16 @@ def read_bvh(path: Path) -> Recording:
         InputError: it is cut short or malformed (naming the joint or frame), has no frames or no frame time, or its
             joints are not of a known skeleton.
     """
-    text = read_text(path, "a recording", MOST_NUMBERS_TEXT, errors="replace")
+    text = path.read_text(encoding="utf-8", errors="replace")
     head, motion, tail = text.partition("MOTION")
     if not motion or not head.lstrip().upper().startswith("HIERARCHY"):
         missing = "MOTION section; it is cut short" if "HIERARCHY" in head else "HIERARCHY; it is not a BVH recording"
         raise InputError(f"{path} has no {missing}.")
-    if len(head) > MOST_TEXT:
-        raise InputError(f"{path}: its HIERARCHY has {len(head):,} characters; {MOST_TEXT:,} are the most.")
-    joints = _hierarchy(path, head)
+    with refusing(path, "is cut short in its HIERARCHY, or damaged"):
+        joints = _hierarchy(head)
     source = _source(path, joints)
     values, fps = _motion(path, tail, sum(len(joint.channels) for joint in joints))
 
-    Allowance(path).take(32 * len(values) * len(joints), "rotations of its joints")
     local = np.empty((len(values), len(joints), 4))
     rest = np.zeros((len(joints), 3))
     for i, joint in enumerate(joints):
@@ -76,69 +72,42 @@ def _plain(name: str) -> str:
     return name.rpartition(":")[2]
 
 
-def _hierarchy(path: Path, text: str) -> list[_Joint]:
+def _hierarchy(text: str) -> list[_Joint]:
     words = iter(text.split()[1:])
     joints: list[_Joint] = []
-    open_joints: list[int] = []
-    name, count = "", 0
-    end_site = False
-
-    def following(what: str) -> str:
-        word = next(words, None)
-        if word is None:
-            raise InputError(f'{path} is cut short: {what} of joint "{name}" is missing.')
-        return word
-
+    parents: list[int] = []
+    name, count, end_site = "", 0, False
     for word in words:
         keyword = word.upper()
         if keyword in ("ROOT", "JOINT"):
-            name = following("the name")
+            name = next(words, "")
             if keyword == "ROOT" and joints:
-                raise InputError(f'{path} has a second root, "{name}"; a recording of one person has one.')
+                raise ValueError(f'a second root, "{name}"; a recording of one person has one')
         elif keyword == "END":
-            following("the end site")
+            next(words, "")
             end_site = True
         elif keyword == "{":
             if not end_site:
-                parent = open_joints[-1] if open_joints else -1
-                joints.append(_Joint(name, parent, np.zeros(3), (), count))
-                if len(joints) > MOST_JOINTS:
-                    raise InputError(f"{path} has over {MOST_JOINTS} joints, which no recording of a person has.")
-            open_joints.append(-2 if end_site else len(joints) - 1)
+                joints.append(_Joint(name, parents[-1] if parents else -1, np.zeros(3), (), count))
+            parents.append(-2 if end_site else len(joints) - 1)
         elif keyword == "}":
-            if not open_joints:
-                raise InputError(f'{path}: a closing brace too many after joint "{name}".')
-            open_joints.pop()
+            parents.pop()
             end_site = False
         elif keyword == "OFFSET":
-            offset = np.array([_number(path, following("OFFSET"), f'OFFSET of "{name}"') for _ in range(3)])
-            if not end_site and joints:
+            offset = np.array([float(next(words, "")) for _ in range(3)])
+            if not end_site:
                 joints[-1] = replace(joints[-1], offset=offset)
         elif keyword == "CHANNELS":
-            number = int(_number(path, following("CHANNELS"), f'CHANNELS of "{name}"'))
-            channels = tuple(following("CHANNELS") for _ in range(number))
-            unknown = [c for c in channels if c not in _CHANNELS]
-            if unknown or not joints:
-                raise InputError(f'{path}: joint "{name}" has an unknown channel "{(unknown or channels)[0]}".')
-            if joints[-1].channels:
-                raise InputError(f'{path}: joint "{joints[-1].name}" has its CHANNELS twice.')
+            channels = tuple(next(words, "") for _ in range(int(next(words, ""))))
+            if joints[-1].channels or not set(channels) <= _CHANNELS:
+                raise ValueError(f'joint "{joints[-1].name}" has its CHANNELS twice, or unknown ones: {channels}')
             joints[-1] = replace(joints[-1], channels=channels, first_channel=count)
-            count += number
+            count += len(channels)
         else:
-            raise InputError(f'{path}: "{word}" after joint "{name}" is not part of a BVH hierarchy.')
-    if open_joints or not joints:
-        raise InputError(f'{path} is cut short in its HIERARCHY, after joint "{name}".')
+            raise ValueError(f'"{word[:60]}" after joint "{name}" is no part of a hierarchy')
+    if parents or not joints or not all(np.isfinite(joint.offset).all() for joint in joints):
+        raise ValueError(f'it ends after joint "{name}", or an offset is not finite')
     return joints
-
-
-def _number(path: Path, word: str, what: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise InputError(f'{path}: {what} should be a number, found "{word}".')
-    return value
 
 
 def _source(path: Path, joints: list[_Joint]) -> SkeletonRoles:
@@ -162,16 +131,13 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
     lower = [word.lower() for word in words]
     if not words[4] or lower[0] != "frames:" or lower[2:4] != ["frame", "time:"]:
         raise InputError(f'{path}: MOTION does not begin with "Frames:" and "Frame Time:"; the file is cut short.')
-    frames = int(_number(path, words[1], "Frames"))
-    frame_time = _number(path, words[4], "Frame Time")
+    with refusing(path, "has a word where a number should be"):
+        frames, frame_time = int(words[1]), float(words[4])
+        values = np.array([float(word) for word in (following + text[_HEADING:]).split()])
     if frames < 1:
         raise InputError(f"{path} holds no frames.")
-    if frame_time <= 0.0:
+    if not 0.0 < frame_time < np.inf:
         raise InputError(f"{path}: the frame time is {frame_time:g} s; it should be positive, such as 0.00833333.")
-    try:
-        values = _parsed_numbers(following + text[_HEADING:])
-    except ValueError as problem:
-        raise InputError(f"{path} has a word where a number should be: {problem}.") from None
     count = len(values)
     if count < frames * channels:
         raise InputError(
@@ -182,23 +148,3 @@ def _motion(path: Path, text: str, channels: int) -> tuple[np.ndarray, float]:
         raise InputError(f"{path} has {count} numbers, not the {frames} frames of {channels} that its header tells.")
     require_rate(1.0 / frame_time, path)
     return finite_frames(values.reshape(frames, channels), path), 1.0 / frame_time
-
-
-def _parsed_numbers(text: str) -> np.ndarray:
-    """The numbers (n,) float64 of a text, in any unit, some at a time: words take eight times the room.
-
-    Args:
-        text: numbers between blanks.
-
-    Raises:
-        ValueError: a word is none.
-    """
-    parts: list[np.ndarray] = []
-    start = 0
-    while start < len(text):
-        stop = min(start + _NUMBERS_AT_ONCE, len(text))
-        while stop < len(text) and not text[stop].isspace():
-            stop += 1
-        parts.append(np.array([float(word) for word in text[start:stop].split()]))
-        start = stop
-    return np.concatenate(parts) if parts else np.zeros(0)

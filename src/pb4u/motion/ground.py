@@ -10,7 +10,7 @@ from pb4u.body.skeleton import joint_positions
 from pb4u.geometry.rotation import between, multiply, rotate
 from pb4u.motion.recording import Recording
 
-# Lengths are told in the leg of an average adult [m], since files have units of their own.
+# Lengths are for the leg of an average adult [m], since files have units of their own.
 _LEG = 0.85
 # A foot stands where its ball moves slower than this [m/s] for so long [s], and nothing of the body is lower. At the
 # top of a jump it is as slow for a few hundredths of a second.
@@ -80,10 +80,10 @@ def _of_branch(recording: Recording, bone: int) -> np.ndarray:
 
 
 def on_level_ground(recording: Recording) -> Recording:
-    """The recording on a level floor: turned upright where its floor slopes, and lowered or lifted where that drifts.
+    """The recording on a level floor: turned upright where its floor slopes, and shifted in height where that drifts.
 
     Both are taken from the stances alone and only where a floor explains them: flight stays flight, and stairs, ramps,
-    objects that are stepped on, and a body that lies stay as they are. What is done is told in `Recording.notes`.
+    objects that are stepped on, and a body that lies stay as they are. `Recording.notes` reports what is done.
 
     Args:
         recording: Y up.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.io.array_archive import DamagedArchiveError, open_archive
-from pb4u.io.reading_limits import require_size, told_names
+from pb4u.io.reading_limits import told_names
+from pb4u.io.restricted_pickle import load_tensors
 from pb4u.motion.recording import Recording
 from pb4u.motion.smpl_recording import full_poses, shape_note, smpl_recording
 
-# The demo writes its video anew at this rate and numbers the frames by it.
+# The demo resamples its video to this rate and numbers the frames by it.
 _RATE = 30.0
-_MOST_BYTES = 2 * 2**30
 _PARAMETERS = "smpl_params_global"
 
 
@@ -35,7 +32,7 @@ def read_gvhmr(path: Path) -> Recording:
     Raises:
         InputError: it is of another kind, would run code, lacks a part, or holds values that are not finite.
     """
-    content = _tensors(path)
+    content = load_tensors(path)
     parameters = content.get(_PARAMETERS) if isinstance(content, Mapping) else None
     if not isinstance(parameters, Mapping):
         held = told_names(content) if isinstance(content, Mapping) else f"a {type(content).__name__}"
@@ -48,27 +45,6 @@ def read_gvhmr(path: Path) -> Recording:
     recording = smpl_recording(path, poses, translations, _RATE)
     notes = (*recording.notes, *shape_note(path, arrays.get("betas")))
     return replace(recording, notes=notes, from_video=True)
-
-
-def _tensors(path: Path) -> Any:
-    import torch
-
-    require_size(path, _MOST_BYTES, "a result of GVHMR")
-    try:
-        with open_archive(path) as archive:
-            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
-                raise InputError(f"{path}: its members are packed, which torch.save never does.")
-        # Mapped: what is not looked at is not read.
-        return torch.load(path, map_location="cpu", weights_only=True, mmap=True)
-    except DamagedArchiveError:
-        raise InputError(f"{path} is no whole file of torch.save since version 1.6; write it again.") from None
-    except InputError:
-        raise
-    except Exception as error:
-        # A damaged archive can raise nearly anything, and what torch says of it fills a page.
-        named = re.search(r"GLOBAL (\S+)", str(error))
-        asked = f'it asks for "{named[1]}"' if named else "it is damaged"
-        raise InputError(f"{path}: {asked}; only plain tensors are read, nothing in it was run.") from error
 
 
 def _array(path: Path, name: str, value: Any) -> np.ndarray:

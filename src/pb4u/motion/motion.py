@@ -58,14 +58,14 @@ class Motion(ABC):
             start: first frame, counted at `fps`.
 
         Raises:
-            InputError: a number is out of range, or a recording ends before the last frame asked for.
+            InputError: a number is out of range, or a recording ends before the last frame.
         """
         if frames < 1 or start < 0 or not fps > 0:
-            raise InputError(f"{self.name}: asked for {frames} frame(s) from frame {start} at {fps:g} fps.")
+            raise InputError(f"{self.name}: {frames} frame(s) from frame {start} at {fps:g} fps cannot be given.")
         available = self.available_frames(fps)
         if available is not None and start + frames > available:
             raise InputError(
-                f"{self.name} ends after {available} frames at {fps:g} fps and {start + frames} were asked for; "
+                f"{self.name} ends after {available} frames at {fps:g} fps but {start + frames} are wanted; "
                 f"ask for at most {max(available - start, 0)} from frame {start}, or crop less."
             )
         performed = self._perform(body, fps, np.arange(start, start + frames))

@@ -44,7 +44,7 @@ class Turn:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """Angles of an arm, told from hanging with the palm to the thigh; mirrored on the right.
+    """Angles of an arm, relative to hanging with the palm to the thigh; mirrored on the right.
 
     Args:
         flexion: upper arm swung forward [deg], one number or (frames,), as all of them.

@@ -94,7 +94,7 @@ class Recording:
         )
 
     def with_vertical_legs(self) -> Recording:
-        """The same performance, told from a reference pose whose legs hang straight down in the frontal plane.
+        """The same performance, relative to a reference pose whose legs hang straight down in the frontal plane.
 
         The rest poses of motion capture skeletons often spread the legs, feet and all; a body at rest does not.
         """

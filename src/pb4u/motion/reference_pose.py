@@ -11,7 +11,7 @@ from pb4u.geometry.rotation import between, from_axis_angle, multiply, rotate
 from pb4u.motion.correspondences import ROLE_INDEX, ROLES
 
 _SEGMENT_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
-# Below this bend the plane of an elbow is not told by the rest pose.
+# Below this bend the rest pose does not determine the plane of an elbow.
 _STRAIGHT = np.deg2rad(10.0)
 
 

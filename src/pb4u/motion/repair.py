@@ -1,4 +1,4 @@
-"""Faults of recordings that can be told from the motion alone, mended and counted."""
+"""Faults of recordings that show in the motion alone, mended and counted."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SAME_FLIP = 0.25
 _FLIPPING = ("upper_arm", "forearm", "forearm_end", "hand", "thigh", "shin", "foot", "toes")
 _LIMB_ENDS = {"upper_arm": "forearm", "thigh": "shin", "forearm": "hand", "shin": "foot"}
 # Nobody travels faster than this [m/s]; less than that distance [m] in a frame is a tremble of slow recordings. Lengths
-# are told in the leg of an average adult [m], since files have units of their own.
+# are for the leg of an average adult [m], since files have units of their own.
 _FASTEST, _LEAST_LEAP, _LEG = 15.0, 0.3, 0.85
 # Of so many frames one at least must be there.
 _MOST_MISSING = 20
@@ -49,8 +49,8 @@ def without_flips(recording: Recording) -> Recording:
     if not counts:
         return recording
     mended = world_rotations(local, recording.skeleton.parents)
-    told = ", ".join(f"{name} {count}" for name, count in counts.items())
-    note = f"{recording.name}: {sum(counts.values())} sudden joint flip(s) replaced by a smooth turn ({told})."
+    joints = ", ".join(f"{name} {count}" for name, count in counts.items())
+    note = f"{recording.name}: {sum(counts.values())} sudden joint flip(s) replaced by a smooth turn ({joints})."
     return replace(recording, poses=replace(recording.poses, rotations=mended), notes=(*recording.notes, note))
 
 
@@ -88,7 +88,7 @@ def told_of_leaps(recording: Recording) -> Recording:
 
 
 def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
-    """The recording with frames that its file leaves out between their neighbours, by slerp; told in its notes.
+    """The recording with frames that its file leaves out between their neighbours, by slerp; its notes report it.
 
     Args:
         recording: the frames that there are.
@@ -117,10 +117,10 @@ def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
         root_positions=roots[upper - 1] + share[:, None] * (roots[upper] - roots[upper - 1]),
     )
     gaps = np.flatnonzero(np.diff(numbers) > 1)
-    told = ", ".join(f"{numbers[k] - numbers[0] + 1} to {numbers[k + 1] - numbers[0] - 1}" for k in gaps[:5])
+    spans = ", ".join(f"{numbers[k] - numbers[0] + 1} to {numbers[k + 1] - numbers[0] - 1}" for k in gaps[:5])
     note = (
         f"{recording.name}: {span - frames} frame(s) in which the person was not seen are interpolated "
-        f"({told}{' and others' if len(gaps) > 5 else ''}); cut long ones out with --crop."
+        f"({spans}{' and others' if len(gaps) > 5 else ''}); cut long ones out with --crop."
     )
     return replace(recording, poses=poses, notes=(*recording.notes, note))
 

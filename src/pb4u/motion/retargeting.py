@@ -18,7 +18,7 @@ from pb4u.motion.motion import Motion, Performed
 from pb4u.motion.recording import Recording
 from pb4u.motion.reference_pose import ReferencePose
 
-# The floor is where the lowest point of the body is in all but the lowest frames, told from at most so many of them.
+# The floor is where the lowest point of the body is in all but the lowest frames, of at most so many samples.
 _FLOOR_PERCENTILE = 5.0
 _FLOOR_SAMPLES = 240
 # Where feet stand, that is the lowest of the levels they stand on: no more than this [m] above the lowest frames, which
@@ -156,13 +156,13 @@ class RecordedMotion(Motion):
         as_measured = retargeting.direct and not self.recording.from_video
         if as_measured or self.arms_away_degrees is not None:
             return Performed(replace(retargeting.poses(frames / fps), fps=fps))
-        # With some frames around them, so that a frame does not depend on which others are asked for.
+        # With some frames around them, so that a frame does not depend on which others are computed.
         end = self.available_frames(fps) or int(frames[-1]) + 1
         around = np.arange(max(frames[0] - reach(fps), 0), min(frames[-1] + 1 + reach(fps), end))
         return self._held_off(retargeting, replace(retargeting.poses(around / fps), fps=fps), frames - around[0])
 
     def _held_off(self, retargeting: Retargeting, poses: PoseSequence, kept: np.ndarray) -> Performed:
-        """Some frames of the poses with the arms off the body."""
+        """Some frames of the poses with the arms swung out of the body."""
         turns = retargeting.arm_clearance.turns(poses)
         turns = np.stack([eased(each, poses.fps)[kept] for each in turns])
         poses = replace(poses, rotations=poses.rotations[kept], root_positions=poses.root_positions[kept])
@@ -171,7 +171,7 @@ class RecordedMotion(Motion):
             return Performed(held_off(retargeting.humanoid, poses, turns))
         frames = int((angles >= _LEAST_TOLD).any(axis=0).sum())
         note = (
-            f"{self.name}: arms are held off by up to {angles.max():.0f} degrees in {frames} of {len(kept)} frames, "
+            f"{self.name}: arms are swung out by up to {angles.max():.0f} degrees in {frames} of {len(kept)} frames, "
             "where they would go into the body; --arms-away 0 leaves them as recorded."
         )
         return Performed(held_off(retargeting.humanoid, poses, turns), (note,))

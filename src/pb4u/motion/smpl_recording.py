@@ -14,7 +14,7 @@ from pb4u.body.smpl import JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.io.array_archive import member_names, read_arrays
-from pb4u.io.reading_limits import Allowance, told_names
+from pb4u.io.reading_limits import told_names
 from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames, require_rate
@@ -44,14 +44,14 @@ _TRANSLATION_KEYS = ("trans", "translation", "transl")
 _SMPLX_PARTS = {"jaw_pose": 3, "leye_pose": 3, "reye_pose": 3, "left_hand_pose": 45, "right_hand_pose": 45}
 # The files do not tell their rate; it is that of the released VTO sequences.
 _VTO_RATE = 30.0
-# A recorded shape is told where a beta exceeds this, else it counts as average; so many betas are told.
+# A recorded shape is reported where a beta exceeds this, else it counts as average; so many betas are reported.
 _SLIGHT_BETA, _BETAS_TOLD = 0.05, 4
 
 
 def read_amass(path: Path) -> Recording:
     """An AMASS recording (Mahmood et al. 2019) of SMPL, SMPL-H or SMPL-X; Z is up.
 
-    Its `betas` and `gender` are told in a note: any body may perform the motion.
+    A note reports its `betas` and `gender`: any body may perform the motion.
 
     Args:
         path: an .npz with `poses` (frames, 72, 156 or 165), `trans` (frames, 3) and a frame rate.
@@ -102,7 +102,7 @@ def shape_note(path: Path, betas: np.ndarray | None, gender: np.ndarray | None =
 
     Args:
         path: the file, for the sentence.
-        betas: (..., shape parameters) [1]; of several rows the first is told.
+        betas: (..., shape parameters) [1]; of several rows the first is reported.
         gender: text, as files have it.
     """
     if betas is None or betas.dtype.kind != "f" or not betas.size:
@@ -110,9 +110,9 @@ def shape_note(path: Path, betas: np.ndarray | None, gender: np.ndarray | None =
     values = betas.reshape(-1, betas.shape[-1])[0] if betas.ndim else betas.reshape(1)
     if not np.isfinite(values).all() or np.abs(values).max() <= _SLIGHT_BETA:
         return ()
-    told = values[:_BETAS_TOLD]
-    shape = ",".join(f"beta{k}={round(value, 2) + 0.0:g}" for k, value in enumerate(told.tolist()))
-    rest = f" (the first {len(told)} of {len(values)})" if len(values) > len(told) else ""
+    first = values[:_BETAS_TOLD]
+    shape = ",".join(f"beta{k}={round(value, 2) + 0.0:g}" for k, value in enumerate(first.tolist()))
+    rest = f" (the first {len(first)} of {len(values)})" if len(values) > len(first) else ""
     # Older files write it as bytes; "female" holds "male".
     figure = next((f" ({name})" for name in ("female", "male", "neutral") if name in str(gender)), "")
     return (
@@ -171,7 +171,6 @@ def smpl_recording(
     if not len(poses):
         raise InputError(f"{path} holds no frames.")
     require_rate(fps, path)
-    Allowance(path).take(32 * poses.size // 3, "rotations of its joints")
     skeleton = nominal_skeleton(_FAMILY_OF_WIDTH[poses.shape[1]])
     numbers = np.concatenate([poses, translations], axis=1, dtype=np.float64)
     local = from_axis_angle(finite_frames(numbers, path)[:, :-3].reshape(len(poses), -1, 3))

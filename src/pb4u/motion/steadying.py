@@ -30,7 +30,7 @@ _LEG = 0.85
 def steadied(recording: Recording) -> Recording:
     """The recording without what is faster than `CUTOFF`, and without the travel that feet make while they stand.
 
-    What was done is told in `Recording.notes`.
+    `Recording.notes` reports what was done.
 
     Args:
         recording: Y up.

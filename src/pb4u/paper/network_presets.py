@@ -1,4 +1,4 @@
-"""The networks by name. An ablation is the paper's network with one part replaced by its null object."""
+"""The networks by name. An ablation is the paper's network with one part replaced by another."""
 
 from __future__ import annotations
 

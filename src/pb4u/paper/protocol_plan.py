@@ -22,7 +22,7 @@ from pb4u.motion.library import motion_names, recording_file
 from pb4u.paper.protocols import PROTOCOLS, Protocol
 from pb4u.paper.reference_energies import REFERENCE_LEAD_IN, stored_reference
 from pb4u.run import Run, WornGarment
-from pb4u.scene.catalogue import SEEDS, SceneName
+from pb4u.scene.catalogue import SEEDS
 from pb4u.simulation.checkpoint import weights_name
 from pb4u.simulation.control_simulator import QUICK_SOLVER
 from pb4u.simulation.models import looks_at, model_descriptions
@@ -257,7 +257,8 @@ class _Planning:
     def _floor(self, scene: Run, motion: _Motion, level: str) -> RunJob | dict[str, float] | None:
         name, garment = motion.label if motion.seed is None else motion.source, str(scene.garments[0].garment)
         if (scene.body, scene.lead_in) == ("woman", REFERENCE_LEAD_IN) and not Path(garment).suffix:
-            stored = stored_reference(str(SceneName("test", garment, name, motion.seed)), level, self.protocol.frames)
+            title = f"test/{garment}/{name}" + ("" if motion.seed is None else f"-{motion.seed}")
+            stored = stored_reference(title, level, self.protocol.frames)
             if stored is not None:
                 return stored
         return self._solver_on(scene, self.protocol.excess) if self.request.floors else None

@@ -158,6 +158,29 @@ DEFAULT_STEPS = {
 """Optimiser steps of each where neither steps nor minutes are asked for."""
 
 
+def trainable(name: str) -> str | None:
+    """What to train for a name that is a network's or a training's and no model's, and which of them is the paper's.
+
+    Args:
+        name: name that was given for a model.
+
+    Returns:
+        Part of a sentence; None where nothing is trained under the name.
+    """
+    word = name.lower().replace("-", "_")
+    if word not in TRAININGS and word not in network_presets.NETWORKS and word not in ("pb4u", "pb4u_gnet"):
+        return None
+    if word in TRAININGS:
+        how = f"`pb4u train --preset {word}` trains it"
+    elif word in network_presets.NETWORKS:
+        how = f"`pb4u train --set network={word}` trains it"
+    else:
+        how = "it is the name of the method"
+    if word == "literal":
+        return f"{how}, the paper's network to the letter"
+    return f"{how}; the paper's network to the letter is `literal`, and of its size with inputs of ours `paper`"
+
+
 def training_preset(name: str) -> TrainingConfiguration:
     """Training configuration called `name`.
 

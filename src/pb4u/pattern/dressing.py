@@ -21,10 +21,11 @@ from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.errors import InputError
 from pb4u.garment.diagnosis import is_inside_out
-from pb4u.garment.fit import RestBody, find_holder
+from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import nearest_places
 from pb4u.garment.material import MATERIALS, Material
+from pb4u.garment.support import find_holder
 from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
@@ -192,8 +193,11 @@ def passed_on(
 
 def sewn_garment(mesh: PatternMesh, places: np.ndarray, material: Material) -> Garment:
     """The garment of a mesh with its vertices at `places` (vertices, 3) [m], flat at rest, its UVs the pattern."""
-    name, faces = mesh.pattern.name, mesh.sewn_faces
-    return Garment(name, places, faces, material, uvs=mesh.uvs, uv_faces=mesh.faces, rest_uv=mesh.rest_uv)
+    panels = tuple(panel.name for panel in mesh.pattern.panels)
+    return Garment(
+        mesh.pattern.name, places, mesh.sewn_faces, material,
+        uvs=mesh.uvs, uv_faces=mesh.faces, rest_uv=mesh.rest_uv, panels=panels,
+    )  # fmt: skip
 
 
 def carried(source: PatternMesh, places: np.ndarray, target: PatternMesh) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Garments of pattern files (`.json`), and of dressed garments kept with their pattern (`.npz`)."""
+"""Garments of pattern files (`.json`, `.toml`), and of dressed garments kept with their pattern (`.npz`)."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.garment.weight_cache import cache_folder
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.obj_file import write_obj
+from pb4u.geometry.obj_file import group_name, write_obj
 from pb4u.io.array_archive import read_arrays
 from pb4u.io.atomic_file import json_text, replace_file
 from pb4u.io.reading_limits import parse_json
-from pb4u.io.stored_numbers import Layout, require_layout, require_places
+from pb4u.io.stored_numbers import Layout, read_members, require_places
 from pb4u.pattern.drawing import draw_pattern
 from pb4u.pattern.dressing import DEFAULT_TRIANGLES, Dressed, dress, passed_on
-from pb4u.pattern.garmentcode import pattern_of, read_pattern, record_of
+from pb4u.pattern.garmentcode import pattern_of, read_specification, record_of
 from pb4u.pattern.mesh import PatternMesh
 from pb4u.pattern.pattern import Pattern
+from pb4u.pattern.svg import read_drawn
 
 FORMAT_VERSION = 1
 """Format of a dressed garment's file."""
@@ -57,7 +58,7 @@ def load_worn(
     on another body, and only meshed again for another number of triangles.
 
     Args:
-        path: a pattern (`.json`) or a dressed garment (`.npz`).
+        path: a pattern (`.json`, `.toml`) or a dressed garment (`.npz`).
         body: the body that wears it.
         material: the cloth.
         triangles: wanted number of triangles; None is 5,000, or that of the dressed garment.
@@ -71,7 +72,7 @@ def load_worn(
             f"{path.name} is a sewing pattern, which is dressed on a body with bones; {body.name} is a sequence of "
             "vertices: dress it on the body that the sequence was made with, and give that as an OBJ."
         )
-    if path.suffix.lower() == ".json":
+    if path.suffix.lower() != ".npz":
         return dressed_once(read_pattern(path), body, material, triangles or DEFAULT_TRIANGLES)
     mesh, places, made_on = read_dressed(path)
     if made_on[1] != body_key(body):
@@ -152,16 +153,14 @@ def read_dressed(path: str | Path) -> tuple[PatternMesh, np.ndarray, tuple[str, 
     def refuse(what: str) -> InputError:
         return InputError(f"{path} is no dressed garment: {what}; make one with `pb4u dress PATTERN.json --out FILE`.")
 
-    if missing := [name for name in _LAYOUT if name not in members]:
-        raise refuse(f"it has no {missing[0]}")
-    counts = require_layout(members, _LAYOUT, refuse)
+    counts = read_members(members, _LAYOUT, refuse)[1]
     if int(members["format_version"]) != FORMAT_VERSION:
         raise InputError(f"{path} is of a newer format; update pb4u to read it.")
     require_places(members, {"faces": "points", "vertex": "vertices"}, counts, refuse)
     if not all(np.isfinite(members[name]).all() for name in ("points", "vertices")):
         raise refuse("it holds numbers that are not finite")
     try:
-        record = parse_json(str(members["pattern"]), path)
+        record = parse_json(str(members["pattern"]))
         pattern = pattern_of(record, str(record["name"]))
     except InputError:
         raise
@@ -174,11 +173,12 @@ def read_dressed(path: str | Path) -> tuple[PatternMesh, np.ndarray, tuple[str, 
     return mesh, members["vertices"].astype(np.float64), (str(members["body"]), str(members["body_key"]))
 
 
-def load_pattern(path: str | Path) -> Pattern:
-    """The pattern in a specification (`.json`), or that of a dressed garment (`.npz`).
+def read_pattern(path: str | Path) -> Pattern:
+    """The pattern of a file.
 
     Args:
-        path: the file.
+        path: a specification of GarmentCode (`.json`), a drawn pattern (`.toml`, which names its SVG) or a dressed
+            garment (`.npz`).
 
     Raises:
         InputError: it cannot be read.
@@ -186,7 +186,10 @@ def load_pattern(path: str | Path) -> Pattern:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"There is no pattern {path}.")
-    return read_dressed(path)[0].pattern if path.suffix.lower() == ".npz" else read_pattern(path)
+    kind = path.suffix.lower()
+    if kind == ".toml":
+        return read_drawn(path)
+    return read_dressed(path)[0].pattern if kind == ".npz" else read_specification(path)
 
 
 def write_worn(path: Path, dressed: Dressed, body: ShapedBody) -> None:
@@ -205,7 +208,8 @@ def write_worn(path: Path, dressed: Dressed, body: ShapedBody) -> None:
     if kind == ".npz":
         write_dressed(path, dressed, body)
     elif kind == ".obj":
-        write_obj(path, PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, tuple(dressed.mesh.faces)))
+        mesh = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, tuple(dressed.mesh.faces))
+        write_obj(path, mesh, [group_name(garment.panels[k]) for k in dressed.mesh.face_panel])
     elif kind == ".json":
         replace_file(path, json_text(record_of(dressed.mesh.pattern), indent=1).encode())
     elif kind in (".svg", ".png"):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.io.reading_limits import read_json, told_error
+from pb4u.io.reading_limits import read_json, refusing
 from pb4u.pattern.pattern import MOST_EDGES, MOST_PANELS, Curve, Panel, Pattern, Seam
 
 
@@ -17,7 +17,7 @@ def is_pattern(record: Any) -> bool:
     return isinstance(record, dict) and isinstance(record.get("pattern"), dict)
 
 
-def read_pattern(path: str | Path) -> Pattern:
+def read_specification(path: str | Path) -> Pattern:
     """The pattern in a GarmentCode specification.
 
     Args:
@@ -28,14 +28,8 @@ def read_pattern(path: str | Path) -> Pattern:
             the edge.
     """
     path = Path(path)
-    try:
+    with refusing(path, "is not JSON"):
         record = read_json(path)
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(f"The pattern {path} cannot be read: {error.strerror or error}.") from None
-    except ValueError as error:
-        raise InputError(f"The pattern {path} is not JSON: {told_error(error)}.") from None
     if not is_pattern(record):
         raise InputError(f'{path} is no sewing pattern: GarmentCode\'s specification has an entry "pattern".')
     return pattern_of(record, path.name.removesuffix(".json").removesuffix("_specification"))

@@ -23,7 +23,7 @@ from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.diagnosis import require_fine, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
-from pb4u.garment.fit import RestBody, find_holder
+from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import layered, worn_order
@@ -31,6 +31,7 @@ from pb4u.garment.library import SEWN, build_garment, garment_names
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
+from pb4u.garment.support import find_holder
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import PolygonMesh
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from pb4u.compat.recording_as_released import RecordingAsItIs
 
 DEFAULT_FRAMES = 60
-"""Frames written of a motion without end when none are asked for: two seconds at 30 frames per second."""
+"""Frames written of a motion without end by default: two seconds at 30 frames per second."""
 
 DEFAULT_MOTION = "walk"
 DEFAULT_MATERIAL = "default"
@@ -148,7 +149,7 @@ def build_scene(run: Run) -> Scene:
 def _load_garments(
     specified: Sequence[WornGarment], body: ShapedBody | VertexSequence, as_recorded: bool
 ) -> tuple[list[Garment], list[WornGarment]]:
-    """The garments, pinned, and how each was asked for, in the order they are worn, inner first."""
+    """The garments, pinned, and how each was specified, in the order they are worn, inner first."""
     garments = []
     for each in specified:
         garment = load_garment(each, body)
@@ -162,7 +163,7 @@ def _load_garments(
 
 
 def _is_own_count(worn: WornGarment, garment: Garment) -> bool:
-    """Whether the user asked for just as many triangles as the garment was made with."""
+    """Whether the user wants just as many triangles as the garment was made with."""
     is_built_in = str(worn.garment) in garment_names()
     return worn.triangles == garment.triangle_count and garment.is_authors_mesh and not is_built_in
 
@@ -209,7 +210,7 @@ def _load_body(run: Run, recording: RecordingAsItIs | None = None) -> ShapedBody
 
 
 def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
-    """The body with the `shape` that its recording says, and over it what is asked for."""
+    """The body with the `shape` that its recording says, and over it that of the run."""
     body = run.body
     if shape and not (isinstance(body, str | Path) and Path(body).suffix):
         raise InputError(
@@ -246,8 +247,8 @@ def _perform(body: ShapedBody, run: Run) -> _Performance:
     elif available is not None and frames > available:
         _say_shorter(name, available, frames, fps)
         frames = available
-    poses, told = clip.perform(body, fps, frames)
-    notes = (*clip.notes, *told)
+    poses, more = clip.perform(body, fps, frames)
+    notes = (*clip.notes, *more)
     for note in notes:
         _say(note)
     return _Performance(body.posed(prepend_lead_in(poses, body, run.lead_in)), frames, name, notes)
@@ -305,7 +306,7 @@ def _load_motion(run: Run) -> tuple[Motion, str]:
 
 
 def _play(body: VertexSequence, run: Run) -> _Performance:
-    """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed anew."""
+    """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed."""
     motion, frames, fps = run.motion, run.frames, run.fps
     for given, flag in ((run.crop is not None, "crop"), (run.arms_away is not None, "arms-away")):
         if given:
@@ -321,7 +322,7 @@ def _play(body: VertexSequence, run: Run) -> _Performance:
             f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."
         )
         body = body.smoothed(CUTOFF)
-    # A body that never moves has no end: it stands for as long as is asked.
+    # A body that never moves has no end: it stands for as long as wanted.
     standing = (frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
     held = body.resampled(fps).with_held_start(run.lead_in + standing)
     available = held.frame_count - run.lead_in
@@ -443,8 +444,8 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
     return replace(remeshed, source=SourceMap(author, *nearest_places(author.vertices, vertices, faces)))
 
 
-def _say_shorter(name: str, available: int, asked: int, fps: float) -> None:
-    _say(f"{name} ends after {available} frames at {fps:g} fps; {asked} were asked for, {available} are there.")
+def _say_shorter(name: str, available: int, wanted: int, fps: float) -> None:
+    _say(f"{name} ends after {available} frames at {fps:g} fps; {wanted} are wanted, {available} are there.")
 
 
 def _say(sentence: str) -> None:

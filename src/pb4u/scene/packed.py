@@ -350,7 +350,7 @@ class PackedColliders:
 
 
 class ColliderPose:
-    """The bodies of a pack at one instant; their search trees are built when first asked for, and kept with it.
+    """The bodies of a pack at one instant; their search trees are built on first use, and kept with it.
 
     Args:
         colliders: static quantities of the bodies.

@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from io import BytesIO
@@ -19,9 +19,8 @@ import numpy as np
 from pb4u.errors import InputError, Interrupted
 from pb4u.garment.garment import Garment
 from pb4u.geometry.appearance import Appearances
-from pb4u.io.array_archive import DamagedArchiveError
 from pb4u.io.atomic_file import move_into_place, working_folder
-from pb4u.io.reading_limits import Allowance, told_error
+from pb4u.io.reading_limits import require_room
 from pb4u.scene.author_mesh import Polygons, SourceTrack, joined_indices, joined_uvs, offsets
 from pb4u.scene.mapped_archive import map_archive
 from pb4u.scene.scene import Scene
@@ -96,6 +95,7 @@ class TrajectoryHeader:
                 "triangles": triangles[k : k + 2],
                 "source": sources[k],
                 "rest_area": float(garment.face_areas.sum()),
+                **({"panels": list(garment.panels)} if garment.panels else {}),
             }
             for k, garment in enumerate(garments)
         ]
@@ -148,43 +148,42 @@ class TrajectoryHeader:
             "fps": np.array(self.fps, dtype=np.float64),
             "metadata": np.array(json.dumps(self.metadata)),
         }
-        if self.uvs is not None and self.uv_faces is not None:
-            members |= {"uvs": self.uvs.astype(np.float64), "uv_faces": self.uv_faces.astype(np.int64)}
         if self.rest_uv is not None:
             members["rest_uv"] = self.rest_uv.astype(np.float64)
-        if self.polygons is not None:
-            members |= self.polygons.members()
-        if self.appearances is not None:
-            members |= self.appearances.members()
+        members |= _looks(self, "")
         if self.source is not None:
             members |= {
                 "source_faces": self.source.faces.astype(np.int64),
                 "source_triangle": self.source.triangle.astype(np.int64),
                 "source_barycentric": self.source.barycentric.astype(np.float64),
+                **_looks(self.source, "source_"),
             }
-            if self.source.uvs is not None and self.source.uv_faces is not None:
-                members |= {
-                    "source_uvs": self.source.uvs.astype(np.float64),
-                    "source_uv_faces": self.source.uv_faces.astype(np.int64),
-                }
-            if self.source.polygons is not None:
-                members |= self.source.polygons.members("source_")
-            if self.source.appearances is not None:
-                members |= self.source.appearances.members("source_")
         return members
+
+
+def _looks(mesh: TrajectoryHeader | SourceTrack, prefix: str) -> dict[str, np.ndarray]:
+    """Members of a file that say how a mesh looks: UVs, polygons, colours and images."""
+    members: dict[str, np.ndarray] = {}
+    if mesh.uvs is not None and mesh.uv_faces is not None:
+        uvs, uv_faces = mesh.uvs.astype(np.float64), mesh.uv_faces.astype(np.int64)
+        members = {f"{prefix}uvs": uvs, f"{prefix}uv_faces": uv_faces}
+    for part in (mesh.polygons, mesh.appearances):
+        members |= {} if part is None else part.members(prefix)
+    return members
+
+
+def _write_members(archive: zipfile.ZipFile, members: Mapping[str, np.ndarray]) -> None:
+    for name, array in members.items():
+        with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+            np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
 
 
 def _joined_rest(garments: Sequence[Garment]) -> np.ndarray | None:
     """`TrajectoryHeader.rest_uv` of garments."""
     if all(garment.rest_uv is None for garment in garments):
         return None
-    unknown = [np.full((len(garment.faces), 3, 2), np.nan) for garment in garments]
-    return np.concatenate(
-        [
-            other if garment.rest_uv is None else garment.rest_uv
-            for garment, other in zip(garments, unknown, strict=True)
-        ]
-    )
+    parts = (np.full((len(g.faces), 3, 2), np.nan) if g.rest_uv is None else g.rest_uv for g in garments)
+    return np.concatenate(list(parts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,9 +291,7 @@ class Trajectory:
                 members[name] = values.astype(np.float16 if half else np.float32)
         whole = BytesIO()
         with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
-            for name, array in members.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+            _write_members(archive, members)
         return whole.getvalue()
 
     @classmethod
@@ -305,20 +302,13 @@ class Trajectory:
             InputError: the file is cut short, of a newer format, not a trajectory, or holds what does not fit together.
         """
         path = Path(path)
+        if not path.is_file():
+            raise InputError(f"There is no trajectory file {path}.")
         try:
-            if not path.is_file():
-                raise InputError(f"There is no trajectory file {path}.")
             members = map_archive(path)
-        except DamagedArchiveError as error:
-            raise InputError(
-                f"{path} cannot be read as a trajectory (cut short or another format): {error.reason}."
-            ) from error
-        except InputError:
-            raise
-        except Exception as error:  # zipfile and numpy let through whatever their parsers trip over
-            raise InputError(
-                f"{path} cannot be read as a trajectory (cut short or another format): {told_error(error)}."
-            ) from error
+        except InputError as error:
+            told = str(error).removeprefix(f"{path}: ")
+            raise InputError(f"{path} cannot be read as a trajectory (cut short or another format): {told}") from error
         version = members.get("format_version", np.array(FORMAT_VERSION))
         if version.shape != () or version.dtype.kind not in "iu":
             raise InputError(f"{path} is not a pb4u trajectory: its format version is not a whole number.")
@@ -339,7 +329,7 @@ class Trajectory:
 def _whole_precision(members: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
     """The streamed members of a file in half precision, as they are in one of the first format."""
     # Each takes twice its size in the file, and is no longer mapped.
-    Allowance(path).take(4 * sum(members[name].size for name in _STREAMED), "its frames at full precision")
+    require_room(path, 4 * sum(members[name].size for name in _STREAMED))
     whole = {name: np.asarray(members[name], dtype=np.float32) for name in _STREAMED}
     for name, origins in _ORIGINS.items():
         whole[name] = whole[name] + members[origins][:, None]
@@ -417,9 +407,7 @@ class TrajectoryWriter:
             if self.frame_count:
                 beside = self._folder / "trajectory.npz"
                 with zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
-                    for name, array in self.header._members().items():
-                        with archive.open(f"{name}.npy", "w") as member:
-                            np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+                    _write_members(archive, self.header._members())
                     for name in _STREAMED:
                         self._copy_member(archive, name)
                 move_into_place(beside, self.path)

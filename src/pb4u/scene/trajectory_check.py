@@ -106,9 +106,7 @@ def require_consistent(members: dict[str, np.ndarray], path: Path) -> dict[str, 
 
 def _metadata(text: str, path: Path, refuse: Any) -> dict[str, Any]:
     try:
-        metadata = parse_json(text, path)
-    except InputError:
-        raise
+        metadata = parse_json(text)
     except ValueError:
         raise refuse("its metadata is not JSON") from None
     if not isinstance(metadata, dict):

@@ -20,7 +20,7 @@ from torch.overrides import TorchFunctionMode
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.garment import Garment
 from pb4u.io.atomic_file import replace_file
-from pb4u.io.reading_limits import MOST_DIGITS, parse_json, require_small_header, told_error
+from pb4u.io.reading_limits import parse_json, told_error
 from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
@@ -208,27 +208,24 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
     if not path.is_file():
         raise InputError(f"There is no checkpoint {path}.")
     try:
-        require_small_header(path)
         with safe_open(path, framework="pt") as file:
             metadata: dict[str, str] = file.metadata() or {}
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    except InputError:
-        raise
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
             f"{path} is no whole safetensors file ({told_error(error)}); fetch or train it again. "
             "Of checkpoints in pickle formats (.pt, .pth, .ckpt) only .pth of the released research code are read."
         ) from error
     version = metadata.get("pb4u_format_version")
-    if version is None or not version.isdecimal() or len(version) > MOST_DIGITS:
+    if version is None or not version.isdecimal() or len(version) > 9:
         raise InputError(f"{path} holds weights, but not those of a pb4u network: its header names no pb4u format.")
     if int(version) > FORMAT_VERSION:
         raise InputError(
             f"{path} is of checkpoint format {version} and this pb4u reads up to {FORMAT_VERSION}; upgrade pb4u."
         )
     try:
-        configuration = configuration_from_json(parse_json(metadata["configuration"], "the configuration"))
-        record = training_record_from_json(parse_json(metadata["training_record"], "the training record"))
+        configuration = configuration_from_json(parse_json(metadata["configuration"]))
+        record = training_record_from_json(parse_json(metadata["training_record"]))
         _described(configuration)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
         raise InputError(f"{path} has a header that this pb4u cannot read: {told_error(error)}") from error

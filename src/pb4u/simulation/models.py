@@ -43,7 +43,7 @@ def model_descriptions() -> dict[str, str]:
         }
     descriptions |= {
         "solver": "minimises the physics energies each frame: the reference",
-        "quick-solver": "at most --refine iterations of it a step, without a network: the fastest on a processor",
+        "quick-solver": "at most --refine iterations of it a step, without a network: fastest for most garments",
         "skinning": "no physics: the garment follows the body",
     }
     return descriptions
@@ -157,7 +157,21 @@ def _require_possible(run: Run, model: str) -> None:
     if model not in model_descriptions():
         _refuse_other_files_of_a_training(Path(model))
         if not Path(model).suffix:
-            raise unknown_name("model", model, model_descriptions())
+            raise unknown_model(model)
+
+
+def unknown_model(name: str) -> InputError:
+    """Error for a name that is no model's; of a network that can be trained under it, where the paper's is and how.
+
+    Args:
+        name: name that was given.
+    """
+    trainable: str | None = resolve_name("pb4u.paper.training_presets:trainable")(name)
+    known = model_descriptions()
+    if trainable is None:
+        return unknown_name("model", name, known)
+    networks = ", ".join(each for each in known if each not in OPTIONS and not each.startswith("comparison-"))
+    return InputError(f"There is no model {name!r} with weights: {trainable}; the weights shipped are {networks}.")
 
 
 def _first_frame(name: str, own: str, potential: IncrementalPotential) -> FirstFrame:
@@ -182,11 +196,13 @@ def load_checkpoint_of(name: str) -> Checkpoint:
     Raises:
         InputError: there is none, or its file cannot be used.
     """
-    from pb4u.simulation.checkpoint import from_pretrained
+    from pb4u.simulation.checkpoint import built_in_models, from_pretrained
 
     if Path(name).suffix.lower() in _RELEASED_WEIGHTS:
         checkpoint: Checkpoint = resolve_name("pb4u.compat.released_weights:read_released")(name).checkpoint()
         return checkpoint
+    if name not in built_in_models() and not Path(name).suffix and not Path(name).exists():
+        raise unknown_model(name)
     return from_pretrained(name)
 
 
@@ -203,10 +219,7 @@ def _refuse_other_files_of_a_training(path: Path) -> None:
 def _header(path: Path) -> dict[str, str]:
     from safetensors import SafetensorError, safe_open
 
-    from pb4u.io.reading_limits import require_small_header
-
     try:
-        require_small_header(path)
         with safe_open(path, framework="pt") as file:
             return file.metadata() or {}
     except (SafetensorError, OSError, ValueError):

@@ -17,9 +17,9 @@ from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
-from pb4u.io.array_archive import DamagedArchiveError, read_arrays
+from pb4u.io.array_archive import read_arrays
 from pb4u.io.atomic_file import replace_file
-from pb4u.io.reading_limits import parse_json, told_error
+from pb4u.io.reading_limits import parse_json, refusing
 
 FORMAT_VERSION = 1
 _STEPS = 32767.0
@@ -193,25 +193,15 @@ def load_training_data(path: Path | str) -> TrainingData:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"There is no training pack {path}; write one with `pb4u assets pack`.")
-    try:
+    with refusing(path, "is no whole training pack; write it again with `pb4u assets pack`"):
         arrays = read_arrays(path)
-        header = parse_json(str(arrays["header"]), path)
+        header = parse_json(str(arrays["header"]))
         if header["format_version"] > FORMAT_VERSION:
             raise InputError(f"{path} is a training pack of a newer format; upgrade pb4u or write the pack again.")
         bodies: list[ShapedBody] = []
         for i, record in enumerate(header["bodies"]):
             bodies.append(_body(i, record, arrays, bodies))
         return TrainingData(tuple(bodies), tuple(_outfits(header, arrays)), tuple(_clips(header, arrays)))
-    except DamagedArchiveError as error:
-        raise InputError(
-            f"{path} is no whole training pack ({error.reason}); write it again with `pb4u assets pack`."
-        ) from error
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, OSError, IndexError) as error:
-        raise InputError(
-            f"{path} is no whole training pack ({told_error(error)}); write it again with `pb4u assets pack`."
-        ) from error
 
 
 def _body(i: int, record: dict[str, Any], arrays: dict[str, np.ndarray], before: list[ShapedBody]) -> ShapedBody:

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from pb4u.errors import InputError
 from pb4u.io.atomic_file import replace_file
-from pb4u.io.reading_limits import parse_json, read_json, require_small_header, told_error
+from pb4u.io.reading_limits import parse_json, read_json, told_error
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
@@ -174,10 +174,9 @@ class RunFolder:
         if not path.is_file():
             return None
         try:
-            require_small_header(path)
             with safe_open(path, framework="pt") as file:
                 metadata = file.metadata() or {}
-                counters = parse_json(metadata["counters"], path)
+                counters = parse_json(metadata["counters"])
                 return {key: file.get_tensor(key) for key in file.keys()}, counters  # noqa: SIM118
         except (SafetensorError, OSError, KeyError, ValueError) as error:
             raise InputError(f"{path} is no checkpoint of a training ({told_error(error)}).") from error
@@ -201,7 +200,7 @@ class RunFolder:
             for line in stream:
                 # One that a kill cut in two is no JSON, or no text.
                 with contextlib.suppress(ValueError):
-                    record = parse_json(line, self.path / METRICS)
+                    record = parse_json(line)
                     if isinstance(record, dict):
                         lines.append(record)
         return lines

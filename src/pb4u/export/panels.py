@@ -1,0 +1,77 @@
+"""Panels and seams of garments that were sewn of a pattern, found in what is written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pb4u.scene.trajectory import TrajectoryHeader
+
+
+@dataclass(frozen=True, eq=False)
+class SewnPanels:
+    """The panels that triangles were cut from.
+
+    Args:
+        names: of the panels.
+        of_face: (faces,) int64 panel of each triangle; -1 of garments that were not sewn of a pattern.
+        seams: (edges, 2) int64 vertices of the edges at which panels, or two edges of one panel, are sewn together.
+    """
+
+    names: tuple[str, ...]
+    of_face: np.ndarray
+    seams: np.ndarray
+
+    @staticmethod
+    def of(header: TrajectoryHeader) -> SewnPanels | None:
+        """Panels of the garments of a trajectory; None where no garment was sewn of a pattern.
+
+        Args:
+            header: of what is written.
+        """
+        if header.uv_faces is None or header.polygons is not None:
+            return None
+        sewn = [k for k, garment in enumerate(header.garments) if garment.get("panels")]
+        names: list[str] = []
+        of_face = np.full(len(header.faces), -1)
+        for k in sewn:
+            own = np.flatnonzero(header.vertex_garment[header.faces[:, 0]] == k)
+            listed, islands = header.garments[k]["panels"], uv_islands(header.uv_faces[own])
+            if islands.max(initial=-1) + 1 == len(listed):
+                of_face[own] = len(names) + islands
+                names += listed if len(sewn) == 1 else [f"{header.garments[k]['name']} {name}" for name in listed]
+        if not names:
+            return None
+        rows = of_face >= 0
+        return SewnPanels(tuple(names), of_face, seam_edges(header.faces[rows], header.uv_faces[rows]))
+
+
+def uv_islands(uv_faces: np.ndarray) -> np.ndarray:
+    """Island (faces,) int64 of each face (faces, 3) of UV points, numbered in the order of their first points."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    points, corners = np.unique(uv_faces, return_inverse=True)
+    corners = corners.reshape(-1, 3)
+    links = np.concatenate([corners[:, :2], corners[:, 1:]]).T
+    matrix = coo_matrix((np.ones(links.shape[1]), links), shape=(len(points), len(points)))
+    island = connected_components(matrix, directed=False)[1]
+    first = np.unique(island, return_index=True)[1]
+    return np.asarray(np.argsort(np.argsort(first))[island][corners[:, 0]], dtype=np.int64)
+
+
+def seam_edges(faces: np.ndarray, uv_faces: np.ndarray) -> np.ndarray:
+    """Edges (edges, 2) int64 whose two faces have other UV points there.
+
+    Args:
+        faces: (faces, 3) int64 vertices.
+        uv_faces: (faces, 3) int64 UV points.
+    """
+    ends = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    points = np.concatenate([uv_faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    turned = ends[:, 0] > ends[:, 1]
+    ends[turned], points[turned] = ends[turned, ::-1], points[turned, ::-1]
+    edges, first, of_edge = np.unique(ends, axis=0, return_index=True, return_inverse=True)
+    differs = (points != points[first][of_edge.reshape(-1)]).any(axis=1)
+    return np.asarray(edges[np.unique(of_edge.reshape(-1)[differs])], dtype=np.int64)

@@ -1,0 +1,280 @@
+"""What holds a garment up on the resting body: its shoulders, straps, a waistband, a collar, or nothing."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from pb4u.garment.fit import RestBody
+from pb4u.garment.pins import collar_of, highest_reaching
+from pb4u.garment.tacks import sewn
+from pb4u.geometry.topology import Topology, connected_labels
+from pb4u.geometry.triangle_mesh import face_areas
+
+# Share of the body's height above which cloth counts: feet face up as well, but a garment that lies there fell.
+_LEAST_HEIGHT = 0.6
+# Least upward part of the skin's unit normal where cloth can lie; hips and chest slope more than that.
+_FACING_UP = 0.75
+# Greatest distance [m] between the skin and the cloth that comes to lie on it.
+_RESTING = 0.1
+LEAST_AREA = 5e-4
+"""Cloth [m^2] over such skin that is a rest: a few square centimetres, as of a strap."""
+STRAP_AREA = 6e-3
+"""Cloth [m^2] on the shoulders below which it is straps: two of 3 cm by 10; a T-shirt has four times as much."""
+# Shares of the body's height between which a waistband sits, and the mean distance to the skin [m] of what holds.
+_WAIST, _CLOSE = (0.5, 0.75), 0.03
+_LEVEL = 0.1
+"""Share of the body's height that a waistband spans at most; the border of a bib with its straps spans more."""
+_SEWABLE = 0.03
+"""Distance [m] between the end of a strap and a border across which it is taken to be left unsewn."""
+_STEP, _NEAR_AXIS, _STRETCH = 0.02, 0.25, 1.05
+"""Step between levels [m] of cross sections, how far [m] from the body's axis a part of one lies that is no arm, and
+how much cloth gives where it slides over what is wider."""
+
+
+def resting_area(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> float:
+    """Area [m^2] of the cloth that lies on the body's shoulders, or on other skin of its upper part that faces up.
+
+    What hangs on it on one side alone, such as a strap whose end is loose, does not count.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
+    return float(face_areas(vertices, faces[_closing(vertices, faces, body)[0]]).sum())
+
+
+def _resting(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndarray:
+    """Mask (faces,) of the cloth that lies on skin which faces up."""
+    ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
+    centres = vertices[faces].mean(axis=1)
+    rests = centres[:, 1] > ground + _LEAST_HEIGHT * (top - ground)
+    if rests.any():
+        below = body.surface.nearest(centres[rests])
+        upward = below.normals.numpy()[:, 1] > _FACING_UP
+        rests[rests] = upward & (np.abs(below.signed_distance.numpy()) < _RESTING)
+    return rests
+
+
+class Strap(NamedTuple):
+    """Cloth that goes over a shoulder and ends loose.
+
+    Args:
+        end: (n,) int64 vertices at its end.
+        gap: distance [m] from there to the garment that it hangs on.
+        tacks: pairs of vertices that sew it on; none where it ends too far away.
+    """
+
+    end: np.ndarray
+    gap: float
+    tacks: tuple[tuple[int, int], ...]
+
+
+def loose_straps(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> tuple[Strap, ...]:
+    """Straps that end unsewn beyond the shoulder.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
+    return _closing(vertices, faces, body)[1]
+
+
+def _closing(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> tuple[np.ndarray, tuple[Strap, ...]]:
+    """Mask (faces,) of the cloth that lies on skin which faces up and hangs on from both sides, and the loose straps.
+
+    Without that cloth, what is left of the garment is a largest part and others: it has to meet the largest in front of
+    its middle and behind.
+    """
+    resting = _resting(vertices, faces, body)
+    if not resting.any():
+        return resting, ()
+    topology = Topology(faces, len(vertices))
+    a, b = topology.edges.T
+    own = Topology(faces[resting], len(vertices)).piece_of_vertex
+    loose, straps = np.zeros(len(faces), dtype=bool), []
+    for number in np.unique(own[faces[resting]]):
+        patch = own == number
+        apart = ~patch[a] & ~patch[b]
+        part = connected_labels(len(vertices), a[apart], b[apart])
+        main = ~patch & (part == np.bincount(part[~patch], minlength=1).argmax()) if not patch.all() else ~patch
+        met = np.concatenate([a[patch[a] & main[b]], b[patch[b] & main[a]]])
+        middle = vertices[patch, 2].mean()
+        if len(met) and vertices[met, 2].min() < middle < vertices[met, 2].max():
+            continue
+        loose |= resting & patch[faces[:, 0]]
+        hung = np.unique(part[np.concatenate([a[patch[b] & ~patch[a] & ~main[a]], b[patch[a] & ~patch[b] & ~main[b]]])])
+        if len(met) and (strap := _strap(vertices, topology, patch | np.isin(part, hung), met, main)):
+            straps.append(strap)
+    return resting & ~loose, tuple(straps)
+
+
+def _strap(
+    vertices: np.ndarray, topology: Topology, cloth: np.ndarray, begins: np.ndarray, main: np.ndarray
+) -> Strap | None:
+    """The strap of some `cloth` (vertices,) bool that begins at the `main` garment and ends elsewhere."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    a, b = topology.edges[cloth[topology.edges].all(axis=1)].T
+    lengths = np.linalg.norm(vertices[a] - vertices[b], axis=1)
+    graph = coo_matrix((lengths, (a, b)), shape=(len(vertices), len(vertices)))
+    away = dijkstra(graph, directed=False, indices=np.unique(begins), min_only=True)
+    border = topology.border_vertices
+    away = np.where(np.isfinite(away) & border & cloth, away, -np.inf)
+    end = np.flatnonzero(away > away.max() - 1.5 * float(np.median(lengths)))
+    targets = np.flatnonzero(main & border)
+    if not len(end) or not len(targets):
+        return None
+    gaps, nearest = cKDTree(vertices[targets]).query(vertices[end])
+    tacks: list[tuple[int, int]] = []
+    for k in np.argsort(gaps).tolist():
+        pair = int(end[k]), int(targets[nearest[k]])
+        if gaps[k] < _SEWABLE and sewn(topology.faces, len(vertices), np.array([*tacks, pair])) is not None:
+            tacks.append(pair)
+    return Strap(end, float(gaps.min()), tuple(tacks))
+
+
+def slide(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> float | None:
+    """How far [m] a garment that nothing holds slides down until the body is wider than it is; None for to the ground.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
+    middle = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0))[[0, 2]]
+    low, high = float(body.vertices[:, 1].min()), float(vertices[:, 1].max())
+    levels = np.arange(low, high + _STEP, _STEP)
+    wide, rings = np.zeros(len(levels)), np.zeros(len(levels))
+    for k, level in enumerate(levels):
+        parts = _cut(body.vertices, body.faces, level, middle)
+        wide[k] = _band(parts)
+        centre = np.concatenate(parts).mean(axis=0) if parts else middle
+        rings[k] = _band([part for part in _cut(vertices, faces, level, middle) if _is_around(part - centre)])
+    # Where it is worn it goes round, whatever part of an arm the band is led over there.
+    most = np.maximum(rings * _STRETCH, wide + 0.5 * _STEP)
+    for steps in range(1, len(levels)):
+        stopped = most[steps:] < wide[: len(levels) - steps]
+        if (stopped & (rings[steps:] > 0.0)).any():
+            return _STEP * steps
+    return None
+
+
+def _cut(vertices: np.ndarray, faces: np.ndarray, level: float, middle: np.ndarray) -> list[np.ndarray]:
+    """Points (n, 2) [m] in x and z of each part of a surface at a level that is no arm."""
+    near = faces[np.abs(vertices[faces, 1] - level).min(axis=1) < 0.75 * _STEP]
+    labels = connected_labels(len(vertices), *near[:, [0, 1, 1, 2]].reshape(-1, 2).T)
+    used = np.unique(near)
+    parts = [vertices[used[labels[used] == label]][:, [0, 2]] for label in np.unique(labels[used])]
+    return [part for part in parts if abs(part[:, 0].mean() - middle[0]) < _NEAR_AXIS]
+
+
+def _is_around(points: np.ndarray) -> bool:
+    """Whether points (n, 2) lie all around the origin."""
+    angles = np.sort(np.arctan2(points[:, 1], points[:, 0]))
+    return bool(np.diff(angles, append=angles[:1] + 2.0 * np.pi).max() < 0.6 * np.pi)
+
+
+def _band(parts: list[np.ndarray]) -> float:
+    """Length [m] of a band round all parts; 0 where there is none."""
+    try:
+        return float(ConvexHull(np.concatenate(parts)).area) if parts else 0.0
+    except QhullError:
+        return 0.0
+
+
+def is_held_up(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
+    """Whether enough cloth lies on the shoulders to hold a garment up.
+
+    Cloth stretches over hips that are wider than the waist, so a waist alone is not taken to hold. A bodice that fits
+    closely far above the waist can hold without shoulders all the same; that is not seen here.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
+    return resting_area(vertices, faces, body) >= LEAST_AREA
+
+
+def held_by(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> str | None:
+    """What holds a garment without pins: "shoulders", or the name of its `Holder`; None for nothing.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
+    holder = find_holder(vertices, faces, body)
+    if holder is not None:
+        return holder.name
+    return "shoulders" if is_held_up(vertices, faces, body) else None
+
+
+class Holder(NamedTuple):
+    """What holds a garment that nothing else does.
+
+    Args:
+        name: "straps", "waistband" or "collar".
+        vertices: (vertices,) bool, the cloth of it.
+    """
+
+    name: str
+    vertices: np.ndarray
+
+
+def find_holder(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
+    """Straps too narrow to stay on the shoulders by friction, the collar of an open front, or a border at the waist.
+
+    None where broad cloth that is closed in front lies on the shoulders, and where nothing of the kind is found. A real
+    waistband is elastic or buttoned, and straps are sewn on under tension; cloth alone is neither. Nor does anything
+    keep the halves of an open front from parting and sliding down the arms: who wears them does.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
+    resting = _closing(vertices, faces, body)[0]
+    area = float(face_areas(vertices, faces[resting]).sum())
+    if area >= LEAST_AREA:
+        held = np.zeros(len(vertices), dtype=bool)
+        if area >= STRAP_AREA:
+            return _open_collar(vertices, faces, body)
+        held[faces[resting].ravel()] = True
+        return Holder("straps", held)
+    ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
+    middle = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0))
+    for loop in sorted(Topology(faces, len(vertices)).boundary_loops, key=lambda loop: -vertices[loop, 1].mean()):
+        ring = vertices[loop]
+        height = (float(ring[:, 1].mean()) - ground) / (top - ground)
+        x, z = (ring - middle)[:, [0, 2]].T
+        # Once around the body's axis; a leg's border goes around none of it.
+        turn = np.angle(np.exp(1j * np.diff(np.arctan2(z, x), append=np.arctan2(z[:1], x[:1])))).sum()
+        close = float(np.abs(body.signed_distances(ring)).mean()) < _CLOSE
+        level = float(np.ptp(ring[:, 1])) < _LEVEL * (top - ground)
+        if _WAIST[0] < height < _WAIST[1] and abs(turn) > np.pi and close and level:
+            held = np.zeros(len(vertices), dtype=bool)
+            held[loop] = True
+            return Holder("waistband", held)
+    return None
+
+
+def _open_collar(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
+    """The collar of a garment that is open in front: the border at its neck goes on to below its middle."""
+    loops = Topology(faces, len(vertices)).boundary_loops
+    if not loops:
+        return None
+    border = highest_reaching(vertices, loops)
+    middle = 0.5 * float(vertices[:, 1].min() + vertices[:, 1].max())
+    collar = collar_of(vertices, border)
+    if vertices[border, 1].min() > middle or np.abs(body.signed_distances(vertices[collar])).mean() > _CLOSE:
+        return None
+    held = np.zeros(len(vertices), dtype=bool)
+    held[collar] = True
+    return Holder("collar", held)

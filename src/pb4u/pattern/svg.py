@@ -1,0 +1,170 @@
+"""Patterns drawn in an SVG: each panel is a closed path, and a TOML beside it says how they are sewn and placed.
+
+svg = "skirt.svg"
+seams = [["front", 1, "back", 1], ["front", 3, "back", 3]]
+[panels.front]
+position = [0, 0.85, 0.25]
+[panels.back]
+position = [0, 0.85, -0.22]
+rotation = [0, 180, 0]
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pb4u.errors import InputError, MissingExtraError, unknown_name
+from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
+from pb4u.run import read_tables
+
+_PIXEL = 0.0254 / 96.0
+"""Length [m] of a user unit of an SVG that states no other."""
+
+_TOUCHES = 1e-6
+"""Distance [m] between points of a path that are one."""
+
+_LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
+
+_KEYS = ("svg", "seams", "panels")
+_PANEL_KEYS = ("position", "rotation", "label", "edge_labels")
+
+
+def read_drawn(path: str | Path) -> Pattern:
+    """The pattern of a TOML file and the SVG that it names.
+
+    A panel is seen from the outside of the cloth. Its edges are counted counter-clockwise from the first point of its
+    path. `position` [m] is where the middle of its bounding box is placed, `rotation` XYZ Euler angles [degrees];
+    without a rotation the panel lies in the frontal plane and faces forwards. A seam names two panels with an edge
+    each; the start of one edge meets the end of the other, unless a fifth entry says "same way".
+
+    Args:
+        path: the `.toml` file.
+
+    Raises:
+        InputError: a file cannot be read, or its pattern cannot be sewn; names the panel and the edge.
+        MissingExtraError: the extra `svg` is not installed.
+    """
+    path = Path(path)
+    record = read_tables(path, "a pattern drawn in an SVG")
+    for key in record:
+        if key not in _KEYS:
+            raise unknown_name("entry", key, _KEYS, str(path))
+    entries, seams = record.get("panels"), record.get("seams", [])
+    if not isinstance(record.get("svg"), str) or not isinstance(entries, dict) or not isinstance(seams, list):
+        raise InputError(
+            f'{path} must name its drawing (svg = "FILE.svg"), list its seams (seams = [["front", 1, "back", 1]]) and '
+            "have a table [panels.NAME] for each panel."
+        )
+    outlines = _outlines(path.parent / record["svg"])
+    panels = []
+    for name, entry in entries.items():
+        if name not in outlines:
+            raise unknown_name("path", name, tuple(outlines), record["svg"])
+        panels.append(_panel(path, name, entry, outlines[name]))
+    return Pattern(path.stem, panels, [_seam(path, number, seam) for number, seam in enumerate(seams)])
+
+
+def _panel(path: Path, name: str, entry: Any, outline: list[Any]) -> Panel:
+    from scipy.spatial.transform import Rotation
+
+    if not isinstance(entry, dict) or "position" not in entry:
+        raise InputError(f"{path}: [panels.{name}] must say where the panel is placed: position = [x, y, z] in metres.")
+    for key in entry:
+        if key not in _PANEL_KEYS:
+            raise unknown_name("entry", key, _PANEL_KEYS, f"[panels.{name}] of {path}")
+    try:
+        angles = np.array(entry.get("rotation", (0, 0, 0)), dtype=np.float64).reshape(3)
+        position = np.array(entry["position"], dtype=np.float64).reshape(3)
+        labels = {int(k): str(label) for k, label in dict(entry.get("edge_labels", {})).items()}
+    except (TypeError, ValueError):
+        raise InputError(f"{path}: position and rotation of panel {name} must be three numbers each.") from None
+    rotation = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
+    corners, curves = _edges(name, outline)
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    curves = {k: replace(curve, controls=curve.controls - middle) for k, curve in curves.items()}
+    return Panel(name, corners - middle, position, rotation, curves, str(entry.get("label", "")), labels)
+
+
+def _edges(name: str, outline: list[Any]) -> tuple[np.ndarray, dict[int, Curve]]:
+    """Corners (n, 2) [m], y up and counter-clockwise, and the curves of the edges between them."""
+    from svgelements import Arc, CubicBezier, Move, QuadraticBezier
+
+    def at(point: Any) -> np.ndarray:
+        return _PIXEL * np.array([point.x, -point.y])
+
+    starts: list[np.ndarray] = []
+    ends: list[np.ndarray] = []
+    curves: list[Curve | None] = []
+    for segment in outline:
+        if isinstance(segment, Move) or segment.start is None or segment.end is None:
+            continue
+        start, end = at(segment.start), at(segment.end)
+        curve = None
+        if isinstance(segment, QuadraticBezier):
+            curve = Curve(at(segment.control)[None])
+        elif isinstance(segment, CubicBezier):
+            curve = Curve(np.stack([at(segment.control1), at(segment.control2)]))
+        elif isinstance(segment, Arc):
+            if abs(segment.rx - segment.ry) > 1e-6 * abs(segment.rx):
+                raise InputError(f"Panel {name}: edge {len(starts)} is part of an ellipse; make it a Bezier curve.")
+            sweep = float(segment.sweep)
+            curve = Curve(radius=_PIXEL * float(segment.rx), large=abs(sweep) > np.pi, counter_clockwise=sweep < 0.0)
+        if curve is None and np.hypot(*(end - start)) < _TOUCHES:
+            continue  # closes what is closed
+        starts.append(start)
+        ends.append(end)
+        curves.append(curve)
+    gaps = [k for k in range(len(starts)) if np.hypot(*(ends[k] - starts[(k + 1) % len(starts)])) > _TOUCHES]
+    if gaps or len(starts) < 3:
+        where = f"edge {gaps[0]} does not end where the next one starts" if gaps else f"it has {len(starts)} edges"
+        raise InputError(f"The outline of panel {name} is no closed loop of 3 edges or more: {where}.")
+    loop = [
+        start[None] if curve is None else curve.at(start, end, np.linspace(0.0, 1.0, 33))[:-1]
+        for start, end, curve in zip(starts, ends, curves, strict=True)
+    ]
+    corners = np.array(starts)
+    if signed_area(np.concatenate(loop)) < 0.0:
+        corners = np.concatenate([corners[:1], corners[:0:-1]])
+        curves = [None if curve is None else _reversed(curve) for curve in curves[::-1]]
+    return corners, {k: curve for k, curve in enumerate(curves) if curve is not None}
+
+
+def _reversed(curve: Curve) -> Curve:
+    return Curve(curve.controls[::-1], curve.radius, curve.large, not curve.counter_clockwise)
+
+
+def _outlines(path: Path) -> dict[str, list[Any]]:
+    """Segments [user units] of the paths of an SVG by their ids, or the labels that Inkscape shows."""
+    try:
+        from svgelements import SVG, Shape
+        from svgelements import Path as Outline
+    except ImportError as error:
+        raise MissingExtraError("svg", "Reading a pattern drawn in an SVG") from error
+
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"The drawing {path} cannot be read: {error.strerror or error}.") from None
+    if "<!ENTITY" in text or "<use" in text:
+        raise InputError(f"{path} draws by reference (<use> or entities): unlink clones before saving it.")
+    try:
+        drawing = SVG.parse(io.StringIO(text), reify=True, ppi=96.0)
+        shapes = [element for element in drawing.elements() if isinstance(element, Shape) and element.id]
+        return {shape.values.get(_LABEL) or shape.id: list(abs(Outline(shape))) for shape in shapes}
+    except (ValueError, TypeError, SyntaxError, IndexError, KeyError, AttributeError, ZeroDivisionError) as error:
+        raise InputError(f"{path} cannot be read as SVG: {error}.") from None
+
+
+def _seam(path: Path, number: int, record: Any) -> Seam:
+    sound = isinstance(record, list) and len(record) in (4, 5) and record[4:] in ([], ["same way"])
+    if not sound or not all(isinstance(record[k], kind) for k, kind in ((0, str), (1, int), (2, str), (3, int))):
+        raise InputError(
+            f'{path}: seam {number} must be [panel, edge, panel, edge], such as ["front", 1, "back", 1], with "same '
+            'way" as a fifth entry where the starts of both edges meet.'
+        )
+    return Seam((record[0], record[1]), (record[2], record[3]), same_way=len(record) == 5)
