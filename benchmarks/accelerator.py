@@ -161,7 +161,7 @@ def faked(value: Any, card: torch.device = CARD, known: dict[int, Any] | None = 
         made = type(value)(faked(part, card, known) for part in value)
     elif isinstance(value, dict):
         made = {faked(key, card, known): faked(part, card, known) for key, part in value.items()}
-    elif dataclasses.is_dataclass(value) or type(value).__module__.startswith(("pb4u", "torch.nn")):
+    elif dataclasses.is_dataclass(value) or type(value).__module__.startswith(("pb4u", "torch.nn", "torch.optim")):
         if isinstance(value, type):
             return value
         made = copy.copy(value)

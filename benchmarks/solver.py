@@ -142,7 +142,7 @@ def measures(case: Case, step: StepPotential, x: Tensor) -> dict[str, float]:
     assert planes is not None
     depth = torch.where(planes.touchable, -planes.distance, 0.0)
     return {
-        "strain_p95": strain_percentile(case.garments, x),
+        "strain_p95": float(strain_percentile(case.garments, x)),
         "penetration_percent": 100.0 * float((depth > 1e-3).double().mean()),
         "depth_mm": 1e3 * max(0.0, float(depth.max())),
         **step.energies(x).floats(),

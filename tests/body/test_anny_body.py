@@ -1,4 +1,5 @@
 import os
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +8,12 @@ import torch
 
 from pb4u.body.anny_body import AnnyBody, to_world_axes
 from pb4u.body.baked_body import BUILT_IN, BakedBody
-from pb4u.body.baking import GENDER, bake
 from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import InputError, MissingExtraError
 from pb4u.geometry.rotation import from_axis_angle, matrix_from_quaternion
+
+BAKING = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "bake_bodies.py"))
+GENDER, bake = BAKING["GENDER"], BAKING["bake"]
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -138,20 +137,6 @@ def test_assets_write_tells_what_it_wrote(pb4u: Callable, tmp_path: Path) -> Non
     refused = pb4u("assets", "write", "man", tmp_path / "man.obj", "--json", tmp_path / "absent" / "r.json")
     assert refused.code == 1
     assert not (tmp_path / "man.obj").exists()
-
-
-def test_assets_bake_tells_what_it_wrote(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pb4u.body.baking.bake", lambda folder: [folder / "woman.npz", folder / "man.npz"])
-    told = json.loads(pb4u("assets", "bake", "--folder", tmp_path, "--json", "-").out)
-    assert told == {"out": [str(tmp_path / "woman.npz"), str(tmp_path / "man.npz")]}
-    assert "absent for --json" in pb4u("assets", "bake", "--json", tmp_path / "absent" / "r.json").err
-
-
-def test_bake_without_its_extra_says_what_for(pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "anny", None)
-    ended = pb4u("assets", "bake", "--folder", tmp_path / "bodies")
-    assert ended.err == 'pb4u: Baking a body needs the "anny" extra: pip install "pb4u[anny]".\n'
-    assert not (tmp_path / "bodies").exists()
 
 
 def test_what_stays_after_a_mend_is_said_and_ends_with_1(pb4u: Callable, tmp_path: Path) -> None:

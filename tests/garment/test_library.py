@@ -17,13 +17,23 @@ from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import LEVELS, build_garment, garment_names
 from pb4u.geometry.topology import Topology
-from pb4u.geometry.triangle_mesh import smallest_angles
 
 LOOPS = {
     "tshirt": 4, "tanktop": 4, "longsleeve": 4, "dress": 4, "fitted_dress": 4, "cardigan": 3, "trousers": 3, "skirt": 2,
 }  # fmt: skip
 WAIST_PINNED = {"trousers", "skirt"}
 SMALL = 1200
+
+
+def smallest_angles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Smallest interior angle (faces,) [rad] of each face."""
+    corners = vertices[faces]
+    angles = []
+    for k in range(3):
+        u = corners[:, (k + 1) % 3] - corners[:, k]
+        v = corners[:, (k + 2) % 3] - corners[:, k]
+        angles.append(np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("ij,ij->i", u, v)))
+    return np.min(angles, axis=0)
 
 
 @cache

@@ -24,9 +24,8 @@ def test_straight_panels_keep_their_areas_and_edges_at_every_count(triangles: in
     areas = _areas(mesh.rest_uv)
     for number, panel in enumerate(pattern.panels):
         assert areas[mesh.face_panel == number].sum() == pytest.approx(abs(panel.area), rel=1e-9)
-    for seam, sides in zip(pattern.seams, mesh.sides, strict=True):
-        for side, length in zip(sides, pattern.seam_lengths(seam), strict=True):
-            assert np.hypot(*np.diff(mesh.points[side], axis=0).T).sum() == pytest.approx(length, rel=1e-9)
+    lengths = np.array([pattern.seam_lengths(seam) for seam in pattern.seams])
+    assert mesh.seam_lengths == pytest.approx(lengths, rel=1e-9)
 
 
 @pytest.mark.parametrize("triangles", [60, 300, 2500])
@@ -49,6 +48,21 @@ def test_curves_are_followed_with_the_square_of_the_edge_length():
     exact = gathered().area
     coarse, fine = (abs(_areas(mesh_pattern(gathered(), count).rest_uv).sum() - exact) for count in (300, 4800))
     assert fine < coarse / 8.0
+
+
+def test_chords_of_a_curve_end_on_it():
+    pattern = gathered()
+    mesh, panel = mesh_pattern(pattern, 300), pattern.panels[1]
+    own = mesh.panel == 1
+    shape = Topology(mesh.faces[mesh.face_panel == 1] - np.flatnonzero(own)[0], own.sum())
+    border = mesh.points[own][shape.boundary_loops[0]]
+    for edge in panel.curves:
+        ends = panel.corners[[edge, (edge + 1) % panel.edge_count]]
+        start, end = (int(np.hypot(*(border - corner).T).argmin()) for corner in ends)
+        chords = np.roll(border, -start, axis=0)[: (end - start) % len(border) + 1]
+        on_curve = panel.edge_points(edge, np.linspace(0.0, 1.0, len(chords)))
+        assert len(chords) > 4
+        assert chords == pytest.approx(on_curve, abs=1e-9)
 
 
 def test_edges_sewn_the_other_way_round_meet_start_to_start():

@@ -171,8 +171,8 @@ def test_what_conflicts_with_a_loaded_object_is_refused(woman: ShapedBody) -> No
     dance = load_motion("dance")
     for given, says in (
         ({"body_shape": {"height": 0.7}}, "woman is a body already loaded"),
-        ({"motion": dance, "crop": (0, 9)}, "dance is a motion already loaded, so crop"),
-        ({"motion": dance, "arms_away": 5.0}, "dance is a motion already loaded, so arms_away"),
+        ({"motion": dance, "crop": (0, 9)}, "dance is a motion already loaded, so --crop"),
+        ({"motion": dance, "arms_away": 5.0}, "dance is a motion already loaded, so --arms-away"),
         ({"motion": object()}, "motion must be a name, a path or a Motion"),
         ({"material": object()}, "material must be a name, a path or a Material"),
         ({"garment": object()}, "garment must be a name, a path or a Garment"),

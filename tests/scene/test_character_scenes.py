@@ -42,7 +42,7 @@ def test_what_a_clip_leaves_no_room_for_is_refused(tmp_path):
     doll = write_doll(tmp_path / "doll.glb")
     with pytest.raises(InputError, match="performs either its clip slide or --motion; leave one out"):
         make_scene("tshirt", doll, "walk", clip="slide")
-    with pytest.raises(InputError, match="performs its own clip, to which --crop cannot be applied"):
+    with pytest.raises(InputError, match="performs its own clip, so --crop cannot be applied"):
         make_scene("tshirt", doll, crop=(0, 2))
     with pytest.raises(InputError, match='has no clip "run"; it has slide'):
         make_scene("tshirt", doll, clip="run")

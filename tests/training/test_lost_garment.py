@@ -30,15 +30,17 @@ def test_a_garment_is_lost_at_once_when_apart_or_off(stretch, fall, collision, l
     positions = stretch * rest - torch.tensor([0.0, fall, 0.0])
     # The body is stretched alike, so that only the fall sets them apart.
     drift = drift_from(stretch * rest, garments, positions)
-    assert GarmentWatch().is_lost(strain_percentile(garments, positions), drift, collision) is lost
+    stretched, deep = strain_percentile(garments, positions), torch.tensor(collision)
+    assert bool(GarmentWatch().is_lost(stretched, drift, deep)) is lost
 
 
 def test_a_garment_that_sinks_in_may_come_out_again():
     watch = GarmentWatch()
     deep, out = 1.1 * SUNK, 0.9 * SUNK
     collisions = [deep] * (MOST_SUNK - 1) + [out] + [deep] * (MOST_SUNK - 1)
-    assert not any(watch.is_lost(0.1, 0.0, collision) for collision in collisions)
-    assert watch.is_lost(0.1, 0.0, float("nan")), "that is the last step on end"
+    small = torch.tensor(0.1)
+    assert not any(watch.is_lost(small, small, torch.tensor(collision)) for collision in collisions)
+    assert watch.is_lost(small, small, torch.tensor(torch.nan)), "that is the last step on end"
 
 
 def test_the_strain_of_a_uniform_stretch_is_its_excess():

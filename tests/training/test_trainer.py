@@ -108,7 +108,7 @@ def test_predictions_that_are_not_finite_are_not_learnt_from() -> None:
     before = [p.detach().clone() for p in trainer.model.parameters()]
     lost = State(state.positions * torch.nan, state.velocities, state.frame + 1)
     lost.positions.requires_grad_(True)
-    assert not trainer.learn(course.prepared, course.window.timeline.step_from(state), lost, None)
+    assert not trainer.learn(course.prepared, course.window.timeline.step_from(state), lost)
     assert all(torch.equal(a, b) for a, b in zip(before, trainer.model.parameters(), strict=True))
 
 

@@ -80,7 +80,7 @@ def _require_consistent(members: Mapping[str, np.ndarray], path: Path) -> None:
 
 
 class BakedBody(BodyModel):
-    """A body with a few shape parameters, read from a file that `baking.bake` wrote.
+    """A body with a few shape parameters, read from a file that `tools/bake_bodies.py` wrote.
 
     Args:
         path: the .npz.

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pb4u.body.baking import reachable
 from pb4u.body.bone_names import smpl_names
 from pb4u.body.character import Character, Morph, Rig
+from pb4u.body.contact_region import reachable
 from pb4u.body.node_animation import Channel, Clip, NodePoses, NodeTree, parted
 from pb4u.body.skeleton import Skeleton
 from pb4u.body.skinning import SkinningWeights
@@ -92,7 +92,7 @@ def read_character(path: Path, clip: str | None = None, parts: Collection[str] |
         InputError: it is no glTF, is compressed by Draco or meshopt, has no skin, no such clip or part, or is damaged.
     """
     file = read_gltf(path)
-    with refusing(path, "is damaged; export it again"):
+    with refusing(path, "is damaged"):
         return _character(file, clip, parts)
 
 

@@ -217,20 +217,3 @@ def pack(
             f"{out.stat().st_size / 1e6:.1f} MB; train with `pb4u train --pack {out.name} --preset {preset} "
             "--out RUN`, and the same --set."
         )
-
-
-@group.command("bake")
-def bake(
-    folder: Annotated[
-        Path | None, typer.Option(help="Folder to write to; default the package's own data folder.")
-    ] = None,
-    json: JsonFlag = None,
-) -> None:
-    """Rebuild the built-in bodies from Anny (needs the "anny" extra; takes minutes)."""
-    from pb4u.body.baking import bake as build
-
-    check_json_target(json)
-    written = [str(path) for path in build(folder)]
-    _tell(json, out=written)
-    if json != "-":
-        print("\n".join(written))

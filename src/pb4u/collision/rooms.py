@@ -42,6 +42,12 @@ class Rooms:
         before = self._wanted.get(name)
         self._wanted[name] = wanted if before is None else torch.maximum(before, wanted)
 
+    def too_little(self) -> Tensor:
+        """Whether () bool a search has found more than its room since `taken` was last called."""
+        return torch.stack(
+            [wanted > self.sizes[name] for name, wanted in self._wanted.items() if name not in self._limits]
+        ).any()
+
     def taken(self) -> tuple[tuple[str, ...], Tensor]:
         """Names of the searches since this was last called, and the most rows (searches,) int64 that each wanted."""
         wanted, self._wanted = self._wanted, {}

@@ -92,22 +92,3 @@ def edge_lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
         (edges,) [m].
     """
     return np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-
-
-def smallest_angles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Smallest interior angle of each face of a numpy mesh.
-
-    Args:
-        vertices: (vertices, 3) [m].
-        faces: (faces, 3) int64.
-
-    Returns:
-        (faces,) [rad]; 0 for a degenerate face.
-    """
-    corners = vertices[faces]
-    angles = []
-    for k in range(3):
-        u = corners[:, (k + 1) % 3] - corners[:, k]
-        v = corners[:, (k + 2) % 3] - corners[:, k]
-        angles.append(np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("ij,ij->i", u, v)))
-    return np.min(angles, axis=0)

@@ -118,15 +118,15 @@ def _series(rows: Sequence[dict[str, float]], names: Iterable[str]) -> dict[str,
     }
 
 
-def strain_percentile(garments: PackedGarments, positions: Tensor) -> float:
-    """Area-weighted 95th percentile [1] of the strains of all faces of packed garments; 0 at rest.
+def strain_percentile(garments: PackedGarments, positions: Tensor) -> Tensor:
+    """Area-weighted 95th percentile () [1] of the strains of all faces of packed garments; 0 at rest.
 
     Args:
         garments: the garments, with (faces, 3) corners.
         positions: (vertices, 3) of all garments [m], in the dtype of the garments.
     """
     strains = face_strains(positions, garments.faces, garments.inverse_rest_shape)
-    return float(weighted_percentile(strains, garments.face_areas, 95.0))
+    return weighted_percentile(strains, garments.face_areas, 95.0)
 
 
 def _strains(garments: PackedGarments, x: Tensor) -> tuple[dict[str, float], list[dict[str, float]]]:

@@ -33,6 +33,7 @@ from pb4u.pattern.mesh import PatternMesh, mesh_pattern
 from pb4u.pattern.pattern import Pattern
 from pb4u.pattern.thin_body import SewingBody
 from pb4u.physics.contact.contact_set import nearest_planes
+from pb4u.physics.contact.penetration_cleanup import FaceClearance
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import implicit_steps
 from pb4u.physics.solver.newton_solver import Solver
@@ -94,6 +95,10 @@ _LEFT_INSIDE = 1e-3
 _STIFF_WEIGHT = 5e5
 """Weight of the collision term for that; the usual one is 5e3."""
 
+_CLEAR = 2e-3
+"""Distance [m] from the skin to which cloth that hangs is lifted: a waistband that is pinned there stays out of skin
+that bends, though no step moves it."""
+
 _AHEAD = 0.02
 """Distance [m] from the body at which panels begin."""
 
@@ -114,7 +119,8 @@ class Dressed:
         crossings: pairs of its triangles that cross.
         body_crossings: pairs of a triangle of it and one of the body that cross.
         depth: how deep its deepest vertex is in the body [m].
-        strain: largest principal strain of each face, averaged by area.
+        strain: largest principal strain of each face, averaged by area, as the cloth hung before it was lifted off the
+            skin.
     """
 
     garment: Garment
@@ -125,16 +131,25 @@ class Dressed:
     strain: float
 
     def to_json(self) -> dict[str, Any]:
-        """Measures of the dressed garment, lengths in [m] and areas in [m^2], for reports."""
-        pattern, lengths = self.mesh.pattern, [self.mesh.pattern.seam_lengths(seam) for seam in self.mesh.pattern.seams]
+        """Measures of the dressed garment, lengths in [m] and areas in [m^2], for reports.
+
+        Lengths are of both sides of all seams, by the pattern and in the rest shape; errors are relative, the largest.
+        """
+        pattern = self.mesh.pattern
+        lengths = np.array([pattern.seam_lengths(seam) for seam in pattern.seams]).reshape(-1, 2)
+        sewn = self.mesh.seam_lengths
+        off = np.bincount(self.mesh.face_panel, self.garment.face_areas) / [abs(each.area) for each in pattern.panels]
         return {
             "garment": pattern.name,
             "panels": len(pattern.panels),
             "seams": len(pattern.seams),
-            "seam_length": [sum(first for first, _ in lengths), sum(second for _, second in lengths)],
+            "seam_length": lengths.sum(axis=0).tolist(),
+            "rest_seam_length": sewn.sum(axis=0).tolist(),
+            "seam_length_error": float(np.abs(sewn / lengths - 1.0).max(initial=0.0)),
             "pattern_area": pattern.area,
             "triangles": len(self.garment.faces),
             "rest_area": float(self.garment.face_areas.sum()),
+            "panel_area_error": float(np.abs(off - 1.0).max()),
             "crossings": self.crossings,
             "body_crossings": self.body_crossings,
             "depth": self.depth,
@@ -187,7 +202,7 @@ def passed_on(
     """
     sewing = _Sewing(mesh, body, material, None)
     if triangles is None or triangles == len(mesh.faces):
-        return sewing.dressed(places).garment
+        return sewing.garment(places)
     return sewing.on_mesh(mesh_pattern(mesh.pattern, triangles), places).garment
 
 
@@ -373,7 +388,7 @@ class _Sewing:
         return max(0.0, -float(torch.where(found.beyond_border, 0.0, found.signed_distance).min()))
 
     def dressed(self, places: np.ndarray) -> Dressed:
-        """What became of it, checked."""
+        """The garment that hangs at `places` (vertices, 3) [m], checked, and lifted off the skin."""
         garment = self.garment(places)
         if is_inside_out(places, garment.faces, self.rest_body):
             raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
@@ -383,9 +398,13 @@ class _Sewing:
         strain = float(np.average(strains, weights=garment.face_areas))
         if strain > _TIGHT:
             self._refuse_tight(places, strain, strains)
+        # Contact is at vertices: between them the skin may be through the cloth, its waistband included.
+        hanging, cloth = State(x, torch.zeros_like(x), 0), self.potential.self_contact
+        x = FaceClearance(clearance=_CLEAR).lift(packed, hanging, self.rest_pose, cloth).positions
+        places = x.numpy()
         skin = self.body.faces[self.body.contact[self.body.faces].all(axis=1)]
         return Dressed(
-            garment,
+            self.garment(places),
             self.mesh,
             crossings=len(self_crossings(places.astype(np.float32), garment.faces, sharing=True)),
             body_crossings=len(crossings(places, garment.faces, self.body.vertices, skin)),

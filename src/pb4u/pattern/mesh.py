@@ -72,6 +72,12 @@ class PatternMesh:
         return (self.points + moves[self.panel]) / side
 
     @cached_property
+    def seam_lengths(self) -> np.ndarray:
+        """Lengths (seams, 2) [m] of both sides of each seam, along the edges of the triangles."""
+        lengths = [np.hypot(*np.diff(self.points[side], axis=0).T).sum() for pair in self.sides for side in pair]
+        return np.array(lengths).reshape(-1, 2)
+
+    @cached_property
     def placed(self) -> np.ndarray:
         """Places (points, 3) [m] of the points around the body, their seams open."""
         placed = np.empty((len(self.points), 3))

@@ -240,14 +240,8 @@ def _perform(body: ShapedBody, run: Run) -> _Performance:
     if isinstance(body, Character) and run.clip is not None:
         raise InputError(f"{body.name} performs either its clip {run.clip} or --motion; leave one out.")
     clip, name = _load_motion(run)
-    frames, fps = run.frames, run.fps
-    available = clip.available_frames(fps)
-    if frames is None:
-        frames = available or DEFAULT_FRAMES
-    elif available is not None and frames > available:
-        _say_shorter(name, available, frames, fps)
-        frames = available
-    poses, more = clip.perform(body, fps, frames)
+    frames = _frames(run, name, clip.available_frames(run.fps))
+    poses, more = clip.perform(body, run.fps, frames)
     notes = (*clip.notes, *more)
     for note in notes:
         _say(note)
@@ -256,79 +250,70 @@ def _perform(body: ShapedBody, run: Run) -> _Performance:
 
 def _perform_clip(body: Character, run: Run) -> _Performance:
     """A character performs its own clip; one that has none stands."""
-    frames, fps, lead_in = run.frames, run.fps, run.lead_in
-    for given, flag in ((run.crop is not None, "crop"), (run.arms_away is not None, "arms-away")):
-        if given:
-            raise InputError(
-                f"{body.name} performs its own clip, to which --{flag} cannot be applied; change the clip in its file."
-            )
+    _refuse_changes(run, f"{body.name} performs its own clip", "change the clip in its file")
     name = "stand" if body.clip is None else body.clip.name
     if run.clip is None and len(body.clip_names) > 1:
         _say(f"{body.name} performs {name}, the first of its clips {', '.join(body.clip_names[:10])}; --clip chooses.")
-    available = frames or DEFAULT_FRAMES if body.clip is None else body.available_frames(fps)
-    if frames is not None and frames > available:
-        _say_shorter(name, available, frames, fps)
-    poses = character_lead_in(body, body.clip_poses(fps, available), fps, lead_in)
-    return _Performance(PosedCharacter(body, poses, fps), min(frames or available, available), name, body.notes)
+    available = run.frames or DEFAULT_FRAMES if body.clip is None else body.available_frames(run.fps)
+    poses = character_lead_in(body, body.clip_poses(run.fps, available), run.fps, run.lead_in)
+    return _Performance(PosedCharacter(body, poses, run.fps), _frames(run, name, available), name, body.notes)
 
 
 def _replay(body: ShapedBody, recording: RecordingAsItIs, run: Run) -> _Performance:
     """A body with bones plays its recording, nothing changed."""
-    frames, lead_in = run.frames, run.lead_in
-    available = recording.available_frames(run.fps) or 0
-    if frames is not None and frames > available:
-        _say_shorter(recording.name, available, frames, run.fps)
-    poses = recording.led_in(body, run.fps, lead_in)
-    return _Performance(body.posed(poses), min(frames or available, available), str(run.motion))
+    poses = recording.led_in(body, run.fps, run.lead_in)
+    frames = _frames(run, recording.name, recording.available_frames(run.fps))
+    return _Performance(body.posed(poses), frames, str(run.motion))
 
 
 def _load_motion(run: Run) -> tuple[Motion, str]:
     motion = DEFAULT_MOTION if run.motion is None else run.motion
-    crop, arms_away = run.crop, run.arms_away
     if isinstance(motion, str | Path):
+        away, seed = run.arms_away, run.seed
         clip = load_motion(
-            motion,
-            crop,
-            seed=run.seed,
-            arms_away_degrees=arms_away,
-            raw=run.raw_motion,
-            recorded_fps=run.recorded_fps,
+            motion, run.crop, seed=seed, arms_away_degrees=away, raw=run.raw_motion, recorded_fps=run.recorded_fps
         )
         return clip, str(motion)
     if not isinstance(motion, Motion):
         raise InputError(f"The motion must be a name, a path or a Motion, not {motion!r}.")
-    for given, option in ((crop is not None, "crop"), (arms_away is not None, "arms_away")):
-        if given:
-            raise InputError(
-                f"{motion.name} is a motion already loaded, so {option} cannot be applied; give it to load_motion."
-            )
+    _refuse_changes(run, f"{motion.name} is a motion already loaded", "give it to load_motion")
     return motion, motion.name
 
 
 def _play(body: VertexSequence, run: Run) -> _Performance:
     """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed."""
-    motion, frames, fps = run.motion, run.frames, run.fps
-    for given, flag in ((run.crop is not None, "crop"), (run.arms_away is not None, "arms-away")):
-        if given:
-            raise InputError(
-                f"{body.name} is a sequence of vertices that moves by itself, so --{flag} cannot be applied; change "
-                "the sequence where it comes from."
-            )
+    motion, by_itself = run.motion, f"{body.name} is a sequence of vertices that moves by itself"
+    _refuse_changes(run, by_itself, "change the sequence where it comes from")
     if motion is not None:
         ignored = motion if isinstance(motion, str | Path) else motion.name
-        _say(f"{body.name} is a sequence of vertices that moves by itself; the motion {ignored} is not used.")
+        _say(f"{by_itself}; the motion {ignored} is not used.")
     if body.from_video and not run.raw_motion:
         _say(
             f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."
         )
         body = body.smoothed(CUTOFF)
     # A body that never moves has no end: it stands for as long as wanted.
-    standing = (frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
-    held = body.resampled(fps).with_held_start(run.lead_in + standing)
-    available = held.frame_count - run.lead_in
-    if frames is not None and frames > available:
-        _say_shorter(body.name, available, frames, fps)
-    return _Performance(held, min(frames or available, available), body.name)
+    standing = (run.frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
+    held = body.resampled(run.fps).with_held_start(run.lead_in + standing)
+    return _Performance(held, _frames(run, body.name, held.frame_count - run.lead_in), body.name)
+
+
+def _refuse_changes(run: Run, why: str, mend: str) -> None:
+    """Refuse options that change a motion where none is loaded from a file."""
+    for option in ("crop", "arms_away"):
+        if getattr(run, option) is not None:
+            raise InputError(f"{why}, so --{option.replace('_', '-')} cannot be applied; {mend}.")
+
+
+def _frames(run: Run, name: str, available: int | None) -> int:
+    """Frames to write; warns where there are fewer than wanted."""
+    if run.frames is None:
+        return available or DEFAULT_FRAMES
+    if available is not None and run.frames > available:
+        there = f"{run.frames} are wanted, {available} are there"
+        _say(f"{name} ends after {available} frames at {run.fps:g} fps; {there}.")
+        return available
+    return run.frames
 
 
 def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garment:
@@ -442,10 +427,6 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
         return remeshed
     author = garment.source.source
     return replace(remeshed, source=SourceMap(author, *nearest_places(author.vertices, vertices, faces)))
-
-
-def _say_shorter(name: str, available: int, wanted: int, fps: float) -> None:
-    _say(f"{name} ends after {available} frames at {fps:g} fps; {wanted} are wanted, {available} are there.")
 
 
 def _say(sentence: str) -> None:

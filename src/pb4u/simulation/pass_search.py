@@ -20,10 +20,12 @@ class PassSearch:
     Attributes:
         freed: (worlds,) energy [J] that the last pass freed; None where it is not looked at.
         last: (vertices, 3) move of the last pass [m per step^2], where it serves the next.
+        worth: () bool whether the last pass was worth its time; None where one that is not is never made.
     """
 
     freed: Tensor | None = None
     last: Tensor | None = None
+    worth: Tensor | None = None
 
     def decrease_height(self, garments: PackedGarments) -> Tensor:
         """Height () [m] to which that energy would lift the garments, the most of any world; 0 where not looked at.

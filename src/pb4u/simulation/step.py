@@ -114,6 +114,7 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
         if rooms is None and not bool(torch.isfinite(reached).all()):
             return
         move = method.search.move(step, reached, network.correction(step, reached))
+        method.search.worth = worth[-1] if worth and rooms is not None else None
         if rooms is not None and worth and last is not None and method.search.last is not None:
             move = torch.where(worth[-1], move, 0.0)
             method.search.last = torch.where(worth[-1], method.search.last, last)
@@ -121,6 +122,16 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
         yield integrate(step, accelerations)
     if rooms is not None and most > passes:
         rooms.note("passes", passes + torch.stack(worth).sum())
+
+
+def prediction(step: TimeStep, method: StepMethod, rooms: Rooms | None) -> State:
+    """The last of `predictions`, which are made again where a search had too little room."""
+    while True:
+        last = method.search.last
+        *_, after = predictions(step, method, rooms)
+        if rooms is None or not rooms.grow(*rooms.taken()):
+            return after
+        method.search.last = last
 
 
 def _is_worth_another(step: TimeStep, method: StepMethod, before: list[Tensor]) -> Tensor:

@@ -65,7 +65,13 @@ class Workers:
 
     def agreed(self, flag: bool) -> bool:
         """Whether `flag` is set in any process; all processes get the same answer."""
-        return bool(self.sum(torch.tensor(float(flag), device=self.device)) > 0)
+        return self.total(float(flag)) > 0.0
+
+    def total(self, value: float) -> float:
+        """Sum of `value` over processes, in its unit; nothing is copied where there is one."""
+        if self.count == 1:
+            return value
+        return float(self.sum(torch.tensor(value, dtype=torch.float64, device=self.device)))
 
     def reduce_statistics(self, model: AccelerationModel) -> None:
         """Give every process the statistics that all have gathered."""

@@ -74,19 +74,22 @@ class Learner:
         self.model.load_state_dict(weights)
         self.average = MovingAverage(self.model, self.average.decay)
 
-    def gradient(self, loss: Tensor) -> float:
-        """Compute the gradient of `loss`, a scalar [J], and clip its norm; returns the norm before clipping."""
+    def gradient(self, loss: Tensor) -> Tensor:
+        """Compute the gradient of `loss`, a scalar [J], and clip its norm; returns the norm () before clipping."""
         self.optimiser.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        return float(torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.longest))
+        return torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.longest)
 
-    def step(self, rate: float, number: int) -> None:
+    def step(self, rate: float, number: int, unless: Tensor | None = None) -> None:
         """Take an optimiser step.
 
         Args:
             rate: learning rate.
             number: number of the step, from 1.
+            unless: () float32; where it is 1 and not 0, weights and moments stay as they are.
         """
+        # As a gradient scaler names it: the step is skipped by the kernel, and no processor waits to decide.
+        self.optimiser.found_inf = unless  # type: ignore[attr-defined]
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         self.optimiser.step()

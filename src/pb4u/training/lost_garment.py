@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from pb4u.measures.divergence import DIVERGED_DISTANCE, DIVERGED_STRAIN
@@ -19,27 +20,33 @@ class GarmentWatch:
     """Sees step by step whether garments are lost.
 
     Attributes:
-        sunk: steps on end at whose end they had sunk in.
+        sunk: () steps on end at whose end they had sunk in.
+        lost: () bool whether they were found lost.
+        seen_lost: whether the processor knows of it.
     """
 
     def __init__(self) -> None:
-        self.sunk = 0
+        self.sunk: Tensor | int = 0
+        self.lost: Tensor | None = None
+        self.seen_lost = False
 
-    def is_lost(self, strain: float, drift: float, collision: float) -> bool:
-        """Whether they diverged in a step as evaluation counts it, or have sunk into the body for `MOST_SUNK` steps.
+    def is_lost(self, strain: Tensor, drift: Tensor, collision: Tensor) -> Tensor:
+        """Whether () bool they ever diverged in a step as evaluation counts it, or had sunk in for `MOST_SUNK` steps.
 
         Args:
-            strain: as `strain_percentile`, after the step.
-            drift: as `drift_from` skinning [m].
-            collision: collision term over its weight [m^5].
+            strain: () as `strain_percentile`, after the step.
+            drift: () as `drift_from` skinning [m].
+            collision: () collision term over its weight [m^5].
         """
         # So that what is not a number has sunk, or is lost.
-        self.sunk = 0 if collision <= SUNK else self.sunk + 1
-        return not (strain <= DIVERGED_STRAIN and drift <= DIVERGED_DISTANCE and self.sunk < MOST_SUNK)
+        self.sunk = torch.where(collision.double() <= SUNK, 0, self.sunk + 1)
+        fine = (strain.double() <= DIVERGED_STRAIN) & (drift.double() <= DIVERGED_DISTANCE) & (self.sunk < MOST_SUNK)
+        self.lost = ~fine if self.lost is None else self.lost | ~fine
+        return self.lost
 
 
-def drift_from(skinned: Tensor, garments: PackedGarments, positions: Tensor) -> float:
-    """Distance [m] of the centre of mass of packed garments from where skinning alone would put it.
+def drift_from(skinned: Tensor, garments: PackedGarments, positions: Tensor) -> Tensor:
+    """Distance () [m] of the centre of mass of packed garments from where skinning alone would put it.
 
     Args:
         skinned: (vertices, 3) skinned positions [m].
@@ -47,4 +54,4 @@ def drift_from(skinned: Tensor, garments: PackedGarments, positions: Tensor) -> 
         positions: (vertices, 3) simulated positions [m].
     """
     share = garments.vertex_masses / garments.vertex_masses.sum()
-    return float((share[:, None] * (positions - skinned)).sum(0).norm())
+    return (share[:, None] * (positions - skinned)).sum(0).norm()

@@ -130,7 +130,7 @@ class RunFolder:
         try:
             record = read_json(path)
             version = int(record["format_version"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
             raise InputError(f"{path} is not the configuration of a training: {told_error(error)}.") from error
         if version > FORMAT_VERSION:
             raise InputError(f"{path} is of a newer format; upgrade pb4u.")

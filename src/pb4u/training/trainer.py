@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict, astuple, fields
+from dataclasses import asdict, astuple, dataclass, fields
 from enum import Enum, auto
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,7 +23,7 @@ from pb4u.progress import format_duration
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
-from pb4u.simulation.pass_search import search_of
+from pb4u.simulation.pass_search import PassSearch, search_of
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_start import begun, start_of
 from pb4u.simulation.timeline import SETTLING_DT
@@ -63,6 +63,38 @@ class RoundEnd(Enum):
     STOPPED = auto()
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of an optimiser step, which on an accelerator the processor hears of later.
+
+    Args:
+        names: of the losses [J].
+        values: (names + 3,) the losses, then 1 or 0: the pass was not worth its time, its garments are lost or a search
+            was short of room, the positions are not finite.
+        settings: learning rate and weight of collisions.
+        watch: of the garments, or None.
+    """
+
+    names: tuple[str, ...]
+    values: Tensor
+    settings: dict[str, float]
+    watch: GarmentWatch | None
+
+    def changes_nothing(self) -> Tensor:
+        """1 () float32 where the weights are to stay as they are, else 0."""
+        return ((self.values[-3:] > 0.0).any() | ~torch.isfinite(self.values).all()).to(torch.float32)
+
+    def finite(self, row: list[float]) -> bool:
+        """Whether the step with the values `row` is finite."""
+        return row[-1] == 0.0 and all(math.isfinite(value) for value in row)
+
+    def skipped(self, row: list[float]) -> bool:
+        """Whether the step with the values `row` was left out; notes for its window where garments are lost."""
+        if self.watch is not None and row[-2] > 0.0:
+            self.watch.seen_lost = True
+        return row[-3] > 0.0 or row[-2] > 0.0
+
+
 class Trainer:
     """Trains the network of a configuration on some data.
 
@@ -98,7 +130,9 @@ class Trainer:
         self.counters = Counters()
         self.journal = Journal(reporter, folder, workers.leads)
         self.recovery = Recovery(self.learner, workers, folder, self.journal)
-        self.latest_collision = 0.0
+        self.rooms = self.loader.wardrobe.rooms
+        self.outcomes: list[Outcome] = []
+        self.latest_collision = torch.zeros(())
         self.origin: TrainingRecord | None = None
         # Of what is made from free assets alone; weights that go on from others keep theirs.
         self.licence = "Apache-2.0"
@@ -148,8 +182,7 @@ class Trainer:
 
     def _ending(self) -> str | None:
         """Why to end now, the same in every process; None to go on."""
-        elapsed = torch.tensor(time.monotonic() - self.began, dtype=torch.float64, device=self.workers.device)
-        self.counters.seconds = float(self.workers.mean(elapsed))
+        self.counters.seconds = self.workers.total(time.monotonic() - self.began) / self.workers.count
         if self.workers.agreed(self.stopping()):
             return "stopped"
         if self.progress >= 1.0:
@@ -164,7 +197,7 @@ class Trainer:
 
     def _keep_time_to_validate(self) -> None:
         """Take the validation at the end off the minutes, so that they hold it too."""
-        seconds = torch.zeros((), dtype=torch.float64, device=self.workers.device)
+        seconds = 0.0
         if self.workers.leads:
             self.journal.say("Making what validations compare with; the minutes begin after it.")
             _ = self.validation.references
@@ -174,7 +207,7 @@ class Trainer:
             self.model.train()
             # What is lost early is rolled out no further; later weights keep it to the end.
             seconds += (time.monotonic() - began) / max(score.survived, 0.25)
-        self.budget = self.budget.without(float(self.workers.sum(seconds)))
+        self.budget = self.budget.without(self.workers.total(seconds))
 
     def _due(self, every: int, before: int) -> bool:
         """Whether a step since `before` was one of every so many."""
@@ -197,6 +230,8 @@ class Trainer:
             course = self.begin(number, length=1, settle=bool(number % 2))
             step, network = course.next_step(), NetworkPass(self.network, course.prepared, features=course.features)
             graph = network.graph(step, begun(self.start, step))
+            while self.rooms is not None and self.rooms.grow(*self.rooms.taken()):
+                graph = network.graph(step, begun(self.start, step))
             self.model.gather_statistics(graph, course.window.timeline.skinned_acceleration(1))
             self.counters.window += 1
         self.workers.reduce_statistics(self.model)
@@ -240,13 +275,13 @@ class Trainer:
             for course in courses:
                 if not self.advance(course):
                     return RoundEnd.CAME_APART
-            courses = [course for course in courses if course.left]
+            courses = [course for course in courses if course.left and not course.watch.seen_lost]
             ending = self._ending() if courses else None
             if ending == "stopped":
                 return RoundEnd.STOPPED
             if ending == "finished":
                 break
-        return RoundEnd.LEARNT
+        return RoundEnd.LEARNT if self.look_at_outcomes() else RoundEnd.CAME_APART
 
     def advance(self, course: Rollout) -> bool:
         """Learn from the next step of a window, and take it; whether all went well."""
@@ -259,11 +294,11 @@ class Trainer:
         passes, further = self.model.network.passes, self.model.network.further_passes
         network = NetworkPass(self.network, prepared, passes, course.features, nullcontext, further)
         method = StepMethod(self.start, network, search=course.search)
-        states = predictions(step, method)
+        states = predictions(step, method, self.rooms)
         # The network has no part in the first, which the start alone leads to.
         after = next(states)
         for after in states:
-            if not self.learn(prepared, step, after, course.search.freed):
+            if not self.learn(prepared, step, after, course.search, course.watch):
                 return False
         state = State(after.positions.detach(), after.velocities.detach(), after.frame)
         course.state = self.with_initial_velocity(course, state) if course.settles else state
@@ -271,7 +306,9 @@ class Trainer:
         timeline, positions = course.window.timeline, course.state.positions
         strain = strain_percentile(timeline.garments, positions)
         drift = drift_from(timeline.skinned(course.state.frame), timeline.garments, positions)
-        if self.workers.agreed(course.watch.is_lost(strain, drift, self.latest_collision)):
+        lost = course.watch.is_lost(strain, drift, self.latest_collision)
+        # On an accelerator nothing more is learnt from them; the processor hears of it with the next line of the log.
+        if self.rooms is None and self.workers.agreed(bool(lost)):
             course.left = 0
         return True
 
@@ -293,14 +330,25 @@ class Trainer:
         }
         return State(settled.positions, velocities[self.configuration.after_settling], frame)
 
-    def learn(self, prepared: PreparedGarments, step: TimeStep, after: State, freed: Tensor | None) -> bool:
+    def learn(
+        self,
+        prepared: PreparedGarments,
+        step: TimeStep,
+        after: State,
+        search: PassSearch | None = None,
+        watch: GarmentWatch | None = None,
+    ) -> bool:
         """One optimiser step on the energies of `step`; False where they or their gradient are not finite.
+
+        On an accelerator what a step gave is looked at with each line of the log; the weights stay as they are in a
+        step that is not finite, of a garment that is lost, of a pass not worth its time or of a search short of room.
 
         Args:
             prepared: what the network derived once from the garments.
             step: that was taken.
             after: where it led, differentiable.
-            freed: (worlds,) energy [J] that the pass freed, where its search tells.
+            search: that the pass went along, where the loss is weighed by what it freed.
+            watch: sees whether the garments are lost.
         """
         weight = self.configuration.curriculum.collision(self.progress)
         rate = self.configuration.curriculum.rate(self.progress) * self.counters.rate_factor
@@ -310,21 +358,52 @@ class Trainer:
         further = further_losses(prepared, step, positions, self.progress)
         each = torch.stack([energies.per_garment, *further.values()]).sum(0)
         if self.configuration.loss_weight == PROGRESS:
-            each = progress_weights(step.garments, freed).to(each) * each
+            each = progress_weights(step.garments, None if search is None else search.freed).to(each) * each
         gradient = self.learner.gradient(each.mean())
         terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
-        watched = torch.stack([*(value.detach() for value in terms.values()), finite.all().to(positions)])
-        *values, all_finite = self.workers.mean(watched).tolist()
-        if all_finite < 1.0 or not all(math.isfinite(value) for value in (*values, gradient)):
+        self.latest_collision = terms["collision"].detach().double() / weight
+        none = finite.new_zeros(())
+        idle = none if search is None or search.worth is None else ~search.worth
+        lost = none if self.rooms is None else self.rooms.too_little()
+        if self.rooms is not None and watch is not None:
+            # What a search short of room gave is not worth going on from.
+            watch.lost = lost = lost if watch.lost is None else lost | watch.lost
+        flags = torch.stack([idle, lost, ~finite.all()]).to(positions)
+        values = self.workers.mean(torch.cat([torch.stack([*(v.detach() for v in terms.values()), gradient]), flags]))
+        outcome = Outcome((*terms, "gradient"), values, {"rate": rate, "collision_weight": weight}, watch)
+        if self.rooms is None and not outcome.finite(values.tolist()):
             return False
+        self.outcomes.append(outcome)
         self.counters.step += 1
-        self.learner.step(rate, self.counters.step)
-        named = dict(zip(terms, values, strict=True))
-        self.latest_collision = float(terms["collision"].detach()) / weight
-        self.counters.guard = self.counters.guard.after(strain_energy(named, weight))
-        extra = {"gradient": gradient, "rate": rate, "collision_weight": weight}
-        self.journal.add({**named, **extra}, comparable_total(named, weight))
-        if self.counters.step % self.configuration.log_every == 0:
+        self.learner.step(rate, self.counters.step, None if self.rooms is None else outcome.changes_nothing())
+        if self.rooms is not None and len(self.outcomes) < self.configuration.log_every:
+            return True
+        return self.look_at_outcomes()
+
+    def look_at_outcomes(self) -> bool:
+        """Note the outcomes of the steps since this was last called; False where one came apart."""
+        outcomes, self.outcomes, before = self.outcomes, [], self.counters.step - len(self.outcomes)
+        if not outcomes:
+            return True
+        seen = torch.stack([outcome.values for outcome in outcomes])
+        if self.rooms is not None:
+            # All that the processor reads comes in one copy.
+            searches, wanted = self.rooms.taken()
+            read = torch.cat([seen.flatten().double(), wanted.double()]).cpu()
+            seen = read[: seen.numel()].reshape(seen.shape)
+            self.rooms.grow(searches, read[seen.numel() :].to(torch.int64))
+        rows = seen.tolist()
+        self.counters.step = before
+        for outcome, row in zip(outcomes, rows, strict=True):
+            if outcome.skipped(row):
+                continue
+            if not outcome.finite(row):
+                return False
+            named, weight = dict(zip(outcome.names, row, strict=False)), outcome.settings["collision_weight"]
+            self.counters.step += 1
+            self.counters.guard = self.counters.guard.after(strain_energy(named, weight))
+            self.journal.add({**named, **outcome.settings}, comparable_total(named, weight))
+        if self._due(self.configuration.log_every, before):
             self._log()
         return not self.counters.guard.exploded
 

@@ -20,7 +20,7 @@ from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
-from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step import StepMethod, prediction
 from pb4u.simulation.step_start import start_of
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.lost_garment import GarmentWatch, drift_from
@@ -143,18 +143,18 @@ class Validation:
         state, energy, strain, watch = window.start(0.0, self.clearance), 0.0, 0.0, GarmentWatch()
         for frame in range(self.frames):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
-            *_, after = predictions(step, method)
+            after = prediction(step, method, self.loader.wardrobe.rooms)
             if not bool(torch.isfinite(after.positions).all()):
                 return frame, energy, strain
             energies = step_energies(step, after.positions, REFERENCE_WEIGHT)
-            collision = float(energies.terms["collision"].sum()) / REFERENCE_WEIGHT
+            collision = energies.terms["collision"].sum().double() / REFERENCE_WEIGHT
             stretched = strain_percentile(garments, after.positions)
             state = after if frame else State(after.positions, timeline.skinned_velocity(state.frame), state.frame)
             drift = drift_from(timeline.skinned(state.frame), garments, after.positions)
-            if watch.is_lost(stretched, drift, collision):
+            if bool(watch.is_lost(stretched, drift, collision)):
                 return frame, energy, strain
             energy += sum(float(term.sum()) for name, term in energies.terms.items() if name != "gravity")
-            strain += stretched
+            strain += float(stretched)
         return self.frames, energy, strain
 
 

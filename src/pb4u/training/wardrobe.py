@@ -13,11 +13,14 @@ from torch import Tensor
 from pb4u.body.skeleton import PoseSequence
 from pb4u.body.skinning import SkinningWeights, bone_transforms, skin
 from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.collision.rooms import Rooms
 from pb4u.garment.material import Material
 from pb4u.scene.packed import PackedColliders, PackedGarments, pack, pack_colliders
 from pb4u.training.packed_data import TrainingData
 
 _INDICES = ("faces", "edges", "hinges")
+_PACKS = 64
+"""Packs of bodies that are kept."""
 _OWNERS = ("vertex_garment", "face_garment", "hinge_garment", "edge_garment")
 
 
@@ -28,10 +31,15 @@ class Wardrobe:
         data: bodies, outfits and clips.
         device: device of all arrays.
         dtype: data type of floating arrays.
+
+    Attributes:
+        rooms: fixed numbers of what searches of the bodies find on an accelerator; None on a processor.
     """
 
     def __init__(self, data: TrainingData, device: torch.device | str, dtype: torch.dtype = torch.float32) -> None:
         self.data, self.device, self.dtype = data, torch.device(device), dtype
+        self.rooms = None if self.device.type == "cpu" else Rooms()
+        self._colliders = lru_cache(maxsize=_PACKS)(self._make_colliders)
         self._outfit = lru_cache(maxsize=None)(self._make_outfit)
         self._skin = lru_cache(maxsize=None)(self._make_skin)
         self._surface = lru_cache(maxsize=None)(self._make_surface)
@@ -78,8 +86,17 @@ class Wardrobe:
         Args:
             bodies: index of each body.
         """
+        return self._colliders(tuple(bodies))
+
+    def _make_colliders(self, bodies: tuple[int, ...]) -> PackedColliders:
         faces, contact, surfaces = zip(*(self._surface(body) for body in bodies), strict=True)
-        return pack_colliders(faces, contact, range(len(bodies)), 0.0, surfaces)
+        packed = pack_colliders(faces, contact, range(len(bodies)), 0.0, surfaces)
+        if self.rooms is None:
+            return packed
+        at_rest = torch.cat([torch.from_numpy(self.data.bodies[body].vertices) for body in bodies])
+        packed.surface_groups(len(bodies), at_rest)
+        packed.vertex_groups(at_rest)
+        return packed.to(self.device, self.rooms)
 
     def _make_outfit(self, outfit: int) -> PackedGarments:
         return pack([self.data.outfits[outfit].garment], self.dtype, self.device)
@@ -99,8 +116,7 @@ class Wardrobe:
 
     def _make_surface(self, body: int) -> tuple[Tensor, Tensor, TriangleSurface | None]:
         figure = self.data.bodies[body]
-        faces = torch.as_tensor(figure.faces, device=self.device)
-        contact = torch.as_tensor(figure.contact, device=self.device)
+        faces, contact = torch.as_tensor(figure.faces), torch.as_tensor(figure.contact)
         return faces, contact, pack_colliders([faces], [contact], [0]).surfaces[0]
 
 

@@ -1,17 +1,21 @@
-"""Bakes the built-in bodies from Anny into the small files that ship with the package."""
+"""Bakes the built-in bodies from Anny into the small files that ship with the package.
+
+Needs the extra "anny": python tools/bake_bodies.py [FOLDER]
+"""
 
 from __future__ import annotations
 
 import io
 import itertools
-from importlib.util import find_spec
+import sys
 from pathlib import Path
 
 import numpy as np
 
+import pb4u.body
 from pb4u.body.anny_body import AnnyBody
 from pb4u.body.baked_body import BUILT_IN, FORMAT_VERSION, shape_basis
-from pb4u.errors import MissingExtraError
+from pb4u.body.contact_region import reachable
 from pb4u.io.atomic_file import replace_file
 
 GENDER = {"woman": 1.0, "man": 0.0}
@@ -21,9 +25,6 @@ _FACTORS = {"height": (0, 1), "weight": (0, 1, 2), "muscle": (0, 1, 2)}
 # Positions are stored in whole steps of this [m] or more, which bounds the size of the files and their rounding.
 _VERTEX_STEP = 5e-6
 _HAND_BONES = ("wrist", "finger", "metacarpal")
-# For cloth to reach a vertex it must be free so far along its normal [m], and less than this share of its sky hidden.
-_CLEARANCE = 1e-3
-_HIDDEN = 0.95
 
 
 def bake(out_folder: str | Path | None = None) -> list[Path]:
@@ -38,9 +39,7 @@ def bake(out_folder: str | Path | None = None) -> list[Path]:
     Raises:
         MissingExtraError: the "anny" extra is not installed.
     """
-    if find_spec("anny") is None:
-        raise MissingExtraError("anny", "Baking a body")
-    folder = Path(__file__).parent / "data" if out_folder is None else Path(out_folder)
+    folder = Path(str(pb4u.body.__file__)).parent / "data" if out_folder is None else Path(out_folder)
     folder.mkdir(parents=True, exist_ok=True)
     anny = AnnyBody()
     return [_bake_one(anny, name, folder / f"{name}.npz") for name in BUILT_IN]
@@ -93,35 +92,5 @@ def _shape_terms(anny: AnnyBody, gender: float, term_basis: np.ndarray) -> tuple
     return vertices, joints
 
 
-def reachable(
-    vertices: np.ndarray, faces: np.ndarray, candidates: np.ndarray | None = None, rays: int = 200
-) -> np.ndarray:
-    """Mask of the vertices that cloth can reach: not inside other skin and not in a cavity such as the mouth.
-
-    A vertex is inside where the winding number just outside of it is 1 or more, and in a cavity where other skin
-    hides nearly all of its sky.
-
-    Args:
-        vertices: (vertices, 3) [m].
-        faces: (faces, 3) int64, counter-clockwise seen from outside.
-        candidates: (vertices,) bool, those that are looked at; all where left out.
-        rays: with which the sky of a vertex is looked at; 200 take half a millisecond a vertex.
-
-    Returns:
-        (vertices,) bool, False of what is no candidate.
-    """
-    import igl
-
-    rows = np.arange(len(vertices)) if candidates is None else np.flatnonzero(candidates)
-    normals = igl.per_vertex_normals(vertices, faces)[rows]
-    places = vertices[rows]
-    free = igl.fast_winding_number(vertices, faces, places + _CLEARANCE * normals) <= 0.5
-    rows, places, normals = rows[free], places[free], normals[free]
-    occlusion = igl.ambient_occlusion(vertices, faces, places + 1e-4 * normals, normals, rays)
-    result = np.zeros(len(vertices), dtype=bool)
-    result[rows] = np.asarray(occlusion).reshape(-1) < _HIDDEN
-    return result
-
-
 if __name__ == "__main__":
-    bake()
+    bake(Path(sys.argv[1]) if len(sys.argv) > 1 else None)

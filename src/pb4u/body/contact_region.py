@@ -1,0 +1,39 @@
+"""Which vertices of a body cloth can reach."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# For cloth to reach a vertex it must be free so far along its normal [m], and less than this share of its sky hidden.
+_CLEARANCE = 1e-3
+_HIDDEN = 0.95
+
+
+def reachable(
+    vertices: np.ndarray, faces: np.ndarray, candidates: np.ndarray | None = None, rays: int = 200
+) -> np.ndarray:
+    """Mask of the vertices that cloth can reach: not inside other skin and not in a cavity such as the mouth.
+
+    A vertex is inside where the winding number just outside of it is 1 or more, and in a cavity where other skin
+    hides nearly all of its sky.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        faces: (faces, 3) int64, counter-clockwise seen from outside.
+        candidates: (vertices,) bool, those that are looked at; all where left out.
+        rays: with which the sky of a vertex is looked at; 200 take half a millisecond a vertex.
+
+    Returns:
+        (vertices,) bool, False of what is no candidate.
+    """
+    import igl
+
+    rows = np.arange(len(vertices)) if candidates is None else np.flatnonzero(candidates)
+    normals = igl.per_vertex_normals(vertices, faces)[rows]
+    places = vertices[rows]
+    free = igl.fast_winding_number(vertices, faces, places + _CLEARANCE * normals) <= 0.5
+    rows, places, normals = rows[free], places[free], normals[free]
+    occlusion = igl.ambient_occlusion(vertices, faces, places + 1e-4 * normals, normals, rays)
+    result = np.zeros(len(vertices), dtype=bool)
+    result[rows] = np.asarray(occlusion).reshape(-1) < _HIDDEN
+    return result
