@@ -243,6 +243,14 @@ def test_z_up_and_inside_out_are_warned_of(tmp_path: Path, box: tuple[np.ndarray
     assert np.einsum("fc,fc->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) > 0
 
 
+def test_a_body_that_leaps_is_warned_of(tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
+    still = np.repeat(box[0][:1], 6, axis=0)
+    still[4:] += [1.0, 0.0, 0.0]
+    write_vertex_sequence(tmp_path / "leap.npz", still, box[1], 30.0)
+    with pytest.warns(InputWarning, match=r"leaps 1 time\(s\), farthest by 1.0 m from frame 3 to 4; cloth cannot"):
+        load_vertex_sequence(tmp_path / "leap.npz")
+
+
 def test_a_huge_body_is_refused_before_it_is_parsed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, box: tuple[np.ndarray, np.ndarray]
 ) -> None:

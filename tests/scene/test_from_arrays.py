@@ -59,9 +59,10 @@ def test_arrays_that_cannot_be_a_garment_are_refused_in_one_sentence(
     [
         (lambda v: 100.0 * v, "seems to be in centimetres"),
         (lambda v: v + np.array([1000.0, 0.0, 0.0]), r"nearest point is 9\d\d"),
+        (lambda v: 0.1 * (v - v.mean(axis=0)) + np.array([0.0, 1.0, 0.0]), "lies wholly inside the body"),
     ],
 )
-def test_centimetres_and_kilometres_are_noticed(skirt: pb4u.Garment, moved: Any, says: str) -> None:
+def test_what_no_body_wears_is_noticed(skirt: pb4u.Garment, moved: Any, says: str) -> None:
     with pytest.raises(pb4u.InputError, match=says):
         pb4u.make_scene(garment(skirt, vertices=moved(skirt.vertices)), "woman", frames=1, lead_in=0)
 

@@ -8,13 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from ball_scene import ball_scene
+from ball_scene import Ball, ball_scene, sheet
 
+from pb4u.collision.crossings import crossings
 from pb4u.errors import InputError
+from pb4u.garment.dressing import AttachedPlacement
 from pb4u.measures.metrics import measure
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.run import Run
+from pb4u.scene.scene import DressedGarment
+from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.penetration_response import ContactResponse
@@ -81,6 +85,28 @@ def test_quick_solver_drapes_the_sheet_as_the_solver_does_in_fewer_iterations() 
     assert measure(fallen)["metrics"]["strain_p95"]["max"] < 1.05 * measure(exact)["metrics"]["strain_p95"]["max"]
     with pytest.raises(InputError, match="it takes 1 or more a step, not 0"):
         load_simulator("quick-solver", refine=0)
+
+
+def test_a_body_that_leaps_a_metre_leaves_the_sheet_behind_whole() -> None:
+    class Leaping(Ball):
+        def positions(self, start: int, stop: int) -> torch.Tensor:
+            placed = super().positions(start, stop)
+            placed[np.arange(start, stop) >= 5, :, 0] += 1.0
+            return placed
+
+    body, cloth = Leaping(10), sheet(8)
+    scene = replace(
+        ball_scene(8, cells=8), garments=(DressedGarment(cloth, AttachedPlacement(cloth, body)),), colliders=(body,)
+    )
+    record = RunRecord()
+    trajectory = Trajectory.collect(
+        load_simulator("quick-solver").header(scene), load_simulator("quick-solver").written_frames(scene, record)
+    )
+    assert record.failed_at is None
+    strains = measure(trajectory)["metrics"]["strain_max"]["per_frame"]
+    assert strains[-1] < 0.3, "the side of the ball strikes it once"
+    for x, solid in zip(trajectory.positions, trajectory.body_positions, strict=True):
+        assert not len(crossings(x, cloth.faces, solid, body.faces))
 
 
 def test_run_record_says_what_the_solver_did() -> None:

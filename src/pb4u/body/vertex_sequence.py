@@ -42,6 +42,10 @@ _PC2_HEADER = struct.Struct("<12siiffi")
 _MDD_HEADER = struct.Struct(">ii")
 
 
+_FASTEST, _LEAST_LEAP, _LOOKED_AT = 12.0, 0.3, 17
+"""Speed [m/s] of a whole body, and way [m] in a frame, above which it leaps; every how many vertices are looked at."""
+
+
 class VertexSequence(AnimatedBody):
     """An animated surface stored as vertices, played at any frame rate by linear interpolation.
 
@@ -171,7 +175,7 @@ def write_vertex_sequence(
 def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSequence:
     """Read an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd point cache of the same name.
 
-    Warns where the body is not closed or seems to be Z up.
+    Warns where the body is not closed, leaps, or seems to be Z up.
 
     Args:
         path: the file or folder; of an OBJ and its cache, either.
@@ -212,7 +216,7 @@ def body_from_arrays(
 ) -> VertexSequence:
     """A body of your own, moving or standing, from arrays or lists.
 
-    Warns where the body is not closed or seems to be Z up.
+    Warns where the body is not closed, leaps, or seems to be Z up.
 
     Args:
         vertices: (frames, vertices, 3), or (vertices, 3) of a body that stands [m], Y up.
@@ -443,6 +447,15 @@ def _outward(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> np.nd
 def _warn_of_oddities(path: Path | str, sequence: VertexSequence) -> None:
     if not sequence.is_closed:
         message = f"{path}: the body is not closed, so penetration is not reported; fill its holes to have it."
+        warnings.warn(message, InputWarning, stacklevel=3)
+    middles = np.array([np.mean(frame[::_LOOKED_AT], axis=0, dtype=np.float64) for frame in sequence.vertices])
+    steps = np.linalg.norm(np.diff(middles, axis=0), axis=1)
+    if (leaps := steps > max(_FASTEST / sequence.stored_fps, _LEAST_LEAP)).any():
+        worst = int(steps.argmax())
+        message = (
+            f"{path}: the body leaps {leaps.sum()} time(s), farthest by {steps[worst]:.1f} m from frame {worst} to "
+            f"{worst + 1}; cloth cannot follow, so cut the sequence there."
+        )
         warnings.warn(message, InputWarning, stacklevel=3)
     _, height, depth = np.ptp(sequence.rest_vertices, axis=0)
     if depth > 2.0 * height:

@@ -17,14 +17,14 @@ from pb4u.collision.crossings import self_crossings
 from pb4u.collision.untangling import untangle
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.coarseness import Coarseness
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit
+from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_inside_out
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import Fault, SourceSurface, first_of, surface_faults
 from pb4u.garment.support import find_holder, held_by, is_held_up, loose_straps, slide
 from pb4u.garment.tangles import tangles
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
+from pb4u.geometry.triangle_mesh import edge_lengths
 
 # Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn.
 _WORST_MISFIT = 0.08
@@ -152,6 +152,8 @@ def diagnose(
         if not pinned and not any(f.code in _NOT_WORN for f in findings):
             findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
             held = held_by(fit.apply(garment.vertices), surface.faces, rest)
+        if isinstance(body, ShapedBody) and not any(f.code in _NOT_WORN for f in findings):
+            findings += _limb_findings(fit.apply(garment.vertices), surface.faces, body)
         if not any(f.code in _NOT_WORN for f in findings):
             findings += _coarse_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
@@ -195,7 +197,7 @@ def require_worn(
 
 
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
-    """Refuse a garment from arrays in other units, or far from the body.
+    """Refuse a garment from arrays in other units, far from the body, or wholly inside it.
 
     Args:
         garment: as it was given.
@@ -206,8 +208,11 @@ def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
     """
     if unit := likely_unit(garment.vertices):
         raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
-    for finding in _far_finding(garment.vertices, RestBody.of(body)):
-        raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
+    rest = RestBody.of(body)
+    inside = _penetration_findings(rest.signed_distances(garment.vertices), rest, "")
+    for finding in (*_far_finding(garment.vertices, rest), *inside):
+        if finding.severity is Severity.REFUSED:
+            raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
 
 
 def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted: bool = False) -> None:
@@ -299,6 +304,18 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
     return findings + _far_finding(fit.apply(vertices), body)
 
 
+def _limb_findings(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> list[Finding]:
+    """Limbs of the resting body that are not inside a garment's sleeves and legs."""
+    from pb4u.garment.limbs_inside import limbs_outside
+
+    limbs = limbs_outside(vertices, faces, body)
+    if not limbs:
+        return []
+    sentence = f"{', '.join(limbs[:4])} of the body at rest go through it, not inside it."
+    fix = "pose it around them where it was made; simulation pushes it out where a push is enough, and refuses it else"
+    return [Finding("limb-outside", Severity.WARNING, sentence, fix)]
+
+
 def _coarse_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> list[Finding]:
     """A garment whose triangles are too few for the body, its (vertices, 3) where it is worn."""
     coarse = Coarseness.of(vertices, faces, body)
@@ -331,7 +348,7 @@ def _support_findings(
         return []
     if holder is not None:
         sentence = f"Nothing but its {holder.name}, {int(holder.vertices.sum())} vertices, can hold the garment up."
-        fix = "nothing: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
+        fix = "none is needed: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
         return [Finding("unsupported", Severity.NOTE, sentence, fix)]
     why, fix = "none of it lies on the shoulders", "simulate it with `--pins waist`"
     straps = loose_straps(vertices, faces, body)
@@ -390,18 +407,6 @@ def _crossing_findings(
     farthest = float(np.linalg.norm(start.vertices - vertices, axis=1).max())
     fix = f"mend it where it was made; simulation untangles its start, by at most {1000 * farthest:.1f} mm"
     return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where, vertices=concerned)]
-
-
-def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
-    """Whether most of the cloth's area has its normal towards the body.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    near = body.surface.nearest(vertices[faces].mean(axis=1))
-    return float(np.einsum("ij,ij->i", face_cross_products(vertices, faces), near.normals.numpy()).sum()) < 0.0
 
 
 def _penetration_findings(

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from pb4u.body.body_model import PosedBody
+from pb4u.body.limb_bones import limb_bones
 from pb4u.collision.crossings import crossings, segments_through_faces
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.collision.overlaps import overlapping_faces
@@ -27,7 +28,6 @@ from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
-_TOES = re.compile(r"^toe[\d-]+")
 _ARM = re.compile("arm|elbow|wrist")
 """In the names of an arm's bones, as Anny and the SMPL family have them; a shoulder's bone is held off by nothing."""
 
@@ -71,7 +71,7 @@ class Bones:
             if not isinstance(body, PosedBody):
                 skin.append(np.full(len(body.contact), -1))
                 continue
-            bones, segments, nearest = _touchable_bones(body)
+            bones, segments, nearest = limb_bones(body.body)
             joints = body.joints
             now = np.minimum(at.astype(int), len(joints) - 1)
             share = (at - now)[:, None, None]
@@ -195,25 +195,6 @@ def watched(bones: Bones, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch
     watch = LimbWatch(bones, trajectory.header)
     frames = zip(trajectory.positions, trajectory.body_positions, strict=True)
     return np.array([watch.through(t, *frame) for t, frame in enumerate(frames)], dtype=bool), watch
-
-
-def _touchable_bones(body: PosedBody) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Names of a body's bones whose skin is mostly touchable, the two joints (bones, 2) int64 of each, and whose each
-    vertex of the skin is; the toes of a foot have one name."""
-    skeleton, weights = body.body.skeleton, body.body.weights
-    nearest = weights.bones[np.arange(len(weights.bones)), weights.weights.argmax(axis=1)]
-    skin = np.bincount(nearest, minlength=skeleton.bone_count)
-    touched = np.bincount(nearest, body.contact, skeleton.bone_count)
-    segments = [
-        (parent, bone)
-        for bone, parent in enumerate(skeleton.parents.tolist())
-        if parent >= 0 and skin[parent] and 2 * touched[parent] > skin[parent]
-    ]
-    parents = [parent for parent, _ in segments]
-    # A joint with several children is the head of several bones: its skin counts as that of the first.
-    first = np.array([parents.index(bone) if bone in parents else -1 for bone in range(skeleton.bone_count)])
-    names = [_TOES.sub("toes", skeleton.names[parent]) for parent in parents]
-    return names, np.array(segments, dtype=np.int64).reshape(-1, 2), first[nearest]
 
 
 def limbs_through_cloth(crossed: np.ndarray, watch: LimbWatch) -> list[dict[str, Any]]:

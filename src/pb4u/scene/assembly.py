@@ -28,6 +28,7 @@ from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import nearest_places, read_garment
 from pb4u.garment.layering import layered, worn_order
 from pb4u.garment.library import SEWN, build_garment, garment_names
+from pb4u.garment.limbs_inside import with_limbs_inside
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
@@ -330,7 +331,8 @@ def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garmen
     if isinstance(garment, Garment):
         require_near(garment, body)
         cloth = garment.material if worn.material is None else _load_material(worn.material)
-        return tacked(_remeshed(garment, triangles), worn.tacks).with_material(cloth)
+        own = tacked(_remeshed(garment, triangles), worn.tacks).with_material(cloth)
+        return own if garment.skinning is not None else with_limbs_inside(own, body)
     if not isinstance(garment, str | Path):
         raise InputError(f"The garment must be a name, a path or a Garment, not {garment!r}.")
     cloth = _load_material(worn.material or DEFAULT_MATERIAL)
@@ -349,7 +351,7 @@ def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garmen
         if worn.pins is None:
             loaded = _held(loaded, body)
         require_worn(loaded, body, garment, pins_given=worn.pins is not None)
-        return loaded
+        return with_limbs_inside(loaded, body)
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())
         raise InputError(
