@@ -8,13 +8,13 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, astuple, dataclass, fields
 from enum import Enum, auto
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from pb4u import __version__
 from pb4u.errors import InputError
 from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import PreparedGarments
@@ -461,7 +461,7 @@ class Trainer:
             "hours": round(self.counters.seconds / 3600.0, 3),
             "device": str(self.workers.device),
             "validation": {name: value if math.isfinite(value) else None for name, value in score.items()},
-            "versions": {"pb4u": _version("pb4u"), "torch": torch.__version__},
+            "versions": {"pb4u": __version__, "torch": torch.__version__},
         }
         seen = TrainingRecord(1.0 / clip.poses.fps, self.data.edge_lengths, steps, self.counters.step, details)
         return seen if self.origin is None else seen.after(self.origin)
@@ -477,10 +477,3 @@ class Trainer:
             InputError: it is not of this configuration.
         """
         self.counters = self.recovery.resume(tensors, counters)
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"

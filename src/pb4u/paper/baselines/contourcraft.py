@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import Derived, NetworkConfiguration
 from pb4u.network.encode_process_decode import LEVEL, EncodeProcessDecode
-from pb4u.network.graph.builder import NoFoundEdges
 from pb4u.network.graph.features import FeatureLayout
 from pb4u.network.graph.graph import Graph
 from pb4u.network.interaction_block import InteractionBlock
@@ -126,7 +125,7 @@ class ContourCraft(EncodeProcessDecode):
         edges, labels = packed_levels(garments, levels, (COARSE,))
         return Derived(
             edges=edges,
-            finder=c.self_edges.finder(garments, proximity, c.radius) if c.radius > 0 else NoFoundEdges(),
+            finder=c.self_edges.finder(garments, proximity, c.radius) if c.radius > 0 else None,
             rest={LEVEL: labels},
             losses=tuple(SelfContactLoss(loss, garments, proximity) for loss in c.losses),
         )
