@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 import torch
 from tests.network_scenes import accelerations, moment, sheet
 from tests.simulation.ball_scene import ball_scene
+from torch.fx.experimental.proxy_tensor import make_fx
 
 from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError
@@ -25,6 +27,7 @@ from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step_graph import Outputs
 from pb4u.simulation.step_start import start_of
 from pb4u.simulation.timeline import Timeline
 
@@ -59,12 +62,12 @@ def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def on_device(
-    model: AccelerationModel, steps: int, monkeypatch: pytest.MonkeyPatch, rooms: Rooms
+    model: AccelerationModel, steps: int, monkeypatch: pytest.MonkeyPatch, rooms: Rooms, replays: bool = False
 ) -> list[torch.Tensor]:
     monkeypatch.setattr("pb4u.network.recorded_passes.COMPILES", False)
     monkeypatch.setattr("pb4u.physics.incremental_potential.COMPILES", False)
     timeline = Timeline.of(ball_scene(frames=steps + 2, cells=7)).to(torch.device("cpu"), rooms)
-    states = states_after(timeline, method_of(model, timeline), timeline.skinned_state(1), steps + 2)
+    states = states_after(timeline, method_of(model, timeline), timeline.skinned_state(1), steps + 2, replays)
     return [state.positions for state in states]
 
 
@@ -91,7 +94,45 @@ def test_a_step_with_too_little_room_is_taken_again(in_tensors: None, monkeypatc
         torch.testing.assert_close(one, other, rtol=0, atol=1e-8)
 
 
+def traced(compute: Callable[..., Outputs], inputs: list[torch.Tensor], pool: object) -> Callable[[], Outputs]:
+    """As a card captures it: the operations as they are launched, whatever the host decided between them."""
+    graph = make_fx(compute)(*inputs)
+    return torch.no_grad()(lambda: graph(*inputs))
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_steps_are_replayed_where_their_shapes_stay(
+    spoilt: bool, in_tensors: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A replay has no Python: all that changes between steps must be among its inputs."""
+    graphs = []
+
+    def noted(compute: Callable[..., Outputs], inputs: list[torch.Tensor], pool: object) -> Callable[[], Outputs]:
+        replay = traced(compute, inputs, pool)
+        graphs.append(0)
+
+        def counted() -> Outputs:
+            graphs[-1] += 1
+            positions, *others = replay()
+            return (positions + 1e-3 * spoilt, *others)
+
+        return counted
+
+    torch.manual_seed(0)
+    searched = replace(NETWORKS["pb4u_small_conjugate"], passes=1, further_passes=0, warm_start_shares=())
+    small = replace(NETWORKS["literal"] if spoilt else searched, width=8, blocks=1)
+    model = AccelerationModel(small.network()).double()
+    monkeypatch.setattr("pb4u.simulation.step_graph.captured", noted)
+    plain, replayed = (on_device(model, 7, monkeypatch, Rooms(), replays) for replays in (False, True))
+    for one, other in zip(plain, replayed, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=1e-12)
+    # Of seven steps the first begins without a move, two more are plain, one is compared, three are replayed.
+    assert graphs == ([1] if spoilt else [4])
+
+
 def test_what_a_card_cannot_do_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="There is no device 'cuda:1'; did you mean cuda"):
+        load_simulator("pb4u-small", device="cuda:1")
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     monkeypatch.setattr("torch.version.cuda", None)
     with pytest.raises(InputError, match="no CUDA device here; use --device cpu"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from pb4u.body.bone_names import smpl_names
 from pb4u.body.character import Character, Morph, Rig
 from pb4u.body.contact_region import reachable
 from pb4u.body.node_animation import Channel, Clip, NodePoses, NodeTree, parted
-from pb4u.body.skeleton import Skeleton
+from pb4u.body.skeleton import Skeleton, branch
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology, connected_labels
@@ -104,37 +104,8 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     nodes, inverses = _skins(file, {part.skin for part in chosen})
     places = _bind_spaces(tree, still, nodes, inverses)
 
-    bones: list[int] = []
-    matrices: list[np.ndarray] = []
-    bone_of: dict[tuple[int, int], int] = {}
-    for skin, joints in nodes.items():
-        for k, node in enumerate(joints):
-            bind = places[skin] @ np.linalg.inv(inverses[skin][k])
-            same = [b for b, (n, m) in enumerate(zip(bones, matrices, strict=True)) if n == node]
-            near = [b for b in same if np.abs(matrices[b] - bind).max() < 1e-4 * max(1.0, np.abs(bind).max())]
-            if not near:
-                bones.append(node)
-                matrices.append(bind)
-            bone_of[skin, k] = near[0] if near else len(bones) - 1
-    if len(bones) > _MOST_BONES:
-        raise InputError(f"{path} has {len(bones):,} bones, and {_MOST_BONES:,} are the most.")
-
-    width = max(part.joints.shape[1] for part in chosen)
-    vertices, faces, indices, weights, count = [], [], [], [], 0
-    for part in chosen:
-        at = places[part.skin]
-        shape = part.vertices + np.einsum("k,kvc->vc", part.morphed, part.targets)
-        vertices.append(shape @ at[:3, :3].T + at[:3, 3])
-        faces.append(part.faces + count)
-        table = np.array([bone_of[part.skin, k] for k in range(len(nodes[part.skin]))])
-        rest = ((0, 0), (0, width - part.joints.shape[1]))
-        indices.append(np.pad(table[part.joints], rest))
-        weights.append(np.pad(part.weights, rest))
-        count += len(part.vertices)
-    surface = _Surface(
-        np.concatenate(vertices), np.concatenate(faces), np.concatenate(indices), np.concatenate(weights)
-    )
-
+    bones, matrices, bone_of = _merged_bones(path, nodes, inverses, places)
+    surface = _joined(chosen, places, nodes, bone_of)
     order, names, parents = _ordered(file, tree, bones)
     rank = np.argsort(order)
     binds = np.stack(matrices)[order]
@@ -156,17 +127,9 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     heads = binds[:, :3, 3]
     names, parents, heads, bone_nodes, binds = _completed(names, parents, heads, ranked, binds, surface.vertices)
     skinning = SkinningWeights(surface.bones, surface.weights.astype(np.float32))
-    hands = _below(names, parents, _HANDS)
+    hands = branch(parents, [k for k, name in enumerate(names) if name in _HANDS])
     contact = reachable(surface.vertices, surface.faces, skinning.share_of(hands) <= 0.5, _RAYS)
-    morphs, row = [], 0
-    for part in chosen:
-        at = (world @ places[part.skin])[:3, :3]
-        if np.any(part.targets):
-            rows = welded[row : row + len(part.vertices)]
-            # A vertex that several of the file's have become is moved once, by the first of them.
-            kept = np.unique(rows, return_index=True)[1]
-            morphs.append(Morph(part.node, rows[kept], part.targets[:, kept] @ at.T, part.morphed))
-        row += len(part.vertices)
+    morphs = _morphs(chosen, places, world, welded)
     if "pelvis" not in names:
         notes.append(
             f"{path.name}: its bones are no human's by their names, so it moves by its own clips and takes garments "
@@ -186,6 +149,62 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
         clip_names=tuple(_clip_names(file)),
         notes=tuple(notes),
     )
+
+
+def _merged_bones(
+    path: Path, nodes: Mapping[int, list[int]], inverses: Mapping[int, np.ndarray], places: Mapping[int, np.ndarray]
+) -> tuple[list[int], list[np.ndarray], dict[tuple[int, int], int]]:
+    """Node and bind transform (4, 4) of each bone, and the bone of each (skin, joint): skins share alike ones."""
+    bones: list[int] = []
+    matrices: list[np.ndarray] = []
+    bone_of: dict[tuple[int, int], int] = {}
+    for skin, joints in nodes.items():
+        for k, node in enumerate(joints):
+            bind = places[skin] @ np.linalg.inv(inverses[skin][k])
+            same = [b for b, (n, m) in enumerate(zip(bones, matrices, strict=True)) if n == node]
+            near = [b for b in same if np.abs(matrices[b] - bind).max() < 1e-4 * max(1.0, np.abs(bind).max())]
+            if not near:
+                bones.append(node)
+                matrices.append(bind)
+            bone_of[skin, k] = near[0] if near else len(bones) - 1
+    if len(bones) > _MOST_BONES:
+        raise InputError(f"{path} has {len(bones):,} bones, and {_MOST_BONES:,} are the most.")
+    return bones, matrices, bone_of
+
+
+def _joined(
+    parts: list[_Part],
+    places: Mapping[int, np.ndarray],
+    nodes: Mapping[int, list[int]],
+    bone_of: Mapping[tuple[int, int], int],
+) -> _Surface:
+    """All parts in the bind pose as one surface."""
+    width = max(part.joints.shape[1] for part in parts)
+    vertices, faces, indices, weights, count = [], [], [], [], 0
+    for part in parts:
+        at = places[part.skin]
+        shape = part.vertices + np.einsum("k,kvc->vc", part.morphed, part.targets)
+        vertices.append(shape @ at[:3, :3].T + at[:3, 3])
+        faces.append(part.faces + count)
+        table = np.array([bone_of[part.skin, k] for k in range(len(nodes[part.skin]))])
+        rest = ((0, 0), (0, width - part.joints.shape[1]))
+        indices.append(np.pad(table[part.joints], rest))
+        weights.append(np.pad(part.weights, rest))
+        count += len(part.vertices)
+    return _Surface(*(np.concatenate(each) for each in (vertices, faces, indices, weights)))
+
+
+def _morphs(parts: list[_Part], places: Mapping[int, np.ndarray], world: np.ndarray, welded: np.ndarray) -> list[Morph]:
+    morphs, row = [], 0
+    for part in parts:
+        at = (world @ places[part.skin])[:3, :3]
+        if np.any(part.targets):
+            rows = welded[row : row + len(part.vertices)]
+            # A vertex that several of the file's have become is moved once, by the first of them.
+            kept = np.unique(rows, return_index=True)[1]
+            morphs.append(Morph(part.node, rows[kept], part.targets[:, kept] @ at.T, part.morphed))
+        row += len(part.vertices)
+    return morphs
 
 
 def _tree(file: GltfFile) -> NodeTree:
@@ -462,17 +481,6 @@ def _completed(
         joints = np.vstack([joints, place])
         nodes, binds = np.append(nodes, nodes[start]), np.concatenate([binds, binds[start : start + 1]])
     return names, parents, joints, nodes, binds
-
-
-def _below(names: list[str], parents: list[int], tops: Collection[str]) -> np.ndarray:
-    """Whether each bone (bones,) is one of some or hangs on one."""
-    below = np.array([name in tops for name in names])
-    for _ in range(len(names)):
-        more = below | np.array([parent >= 0 and below[parent] for parent in parents])
-        if (more == below).all():
-            break
-        below = more
-    return below
 
 
 def _clip_names(file: GltfFile) -> list[str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pb4u.geometry.rotation import multiply, rotate
+from pb4u.geometry.rotation import conjugate, multiply, rotate
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,19 @@ class PoseSequence:
         return len(self.rotations)
 
 
+def branch(parents: Sequence[int] | np.ndarray, tops: Collection[int]) -> np.ndarray:
+    """Mask (bones,) bool of some bones and all that hang on them.
+
+    Args:
+        parents: (bones,) index of each parent, before the bone itself; -1 for a root.
+        tops: indices of those bones.
+    """
+    below = np.zeros(len(parents), dtype=bool)
+    for bone, parent in enumerate(parents):
+        below[bone] = bone in tops or (parent >= 0 and below[parent])
+    return below
+
+
 def world_rotations(local: np.ndarray, parents: np.ndarray) -> np.ndarray:
     """World rotations of bones that are given from their parents.
 
@@ -71,6 +85,23 @@ def world_rotations(local: np.ndarray, parents: np.ndarray) -> np.ndarray:
     for bone, parent in enumerate(parents.tolist()):
         world[:, bone] = local[:, bone] if parent < 0 else multiply(world[:, parent], local[:, bone])
     return world
+
+
+def local_rotations(world: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """Rotations of bones from their parents, the inverse of `world_rotations`.
+
+    Args:
+        world: (frames, bones, 4) unit quaternions wxyz.
+        parents: (bones,) index of each parent; -1 for the root.
+
+    Returns:
+        (frames, bones, 4) unit quaternions wxyz.
+    """
+    local = world.copy()
+    for bone, parent in enumerate(parents.tolist()):
+        if parent >= 0:
+            local[:, bone] = multiply(conjugate(world[:, parent]), world[:, bone])
+    return local
 
 
 def joint_positions(skeleton: Skeleton, poses: PoseSequence) -> np.ndarray:

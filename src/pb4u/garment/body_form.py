@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.skeleton import branch
 from pb4u.errors import InputError
 
 #: Bones at whose heads the measures start, in the names of each skeleton family.
@@ -304,9 +305,4 @@ def _bone_names(body: ShapedBody) -> tuple[dict[str, str], tuple[str, str]]:
 
 def _share_of_bone(body: ShapedBody, name: str) -> np.ndarray:
     """(vertices,) share of each vertex's skinning that the bone `name` and the bones below it hold."""
-    skeleton = body.skeleton
-    below = np.zeros(skeleton.bone_count, dtype=bool)
-    below[skeleton.index(name)] = True
-    for bone, parent in enumerate(skeleton.parents.tolist()):
-        below[bone] |= parent >= 0 and below[parent]
-    return body.weights.share_of(below)
+    return body.weights.share_of(branch(body.skeleton.parents, (body.skeleton.index(name),)))

@@ -17,14 +17,14 @@ from pb4u.collision.crossings import self_crossings
 from pb4u.collision.untangling import untangle
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.coarseness import Coarseness
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit
+from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_inside_out
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import Fault, SourceSurface, first_of, surface_faults
 from pb4u.garment.support import find_holder, held_by, is_held_up, loose_straps, slide
 from pb4u.garment.tangles import tangles
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.triangle_mesh import edge_lengths, face_cross_products
+from pb4u.geometry.triangle_mesh import edge_lengths
 
 # Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn.
 _WORST_MISFIT = 0.08
@@ -348,7 +348,7 @@ def _support_findings(
         return []
     if holder is not None:
         sentence = f"Nothing but its {holder.name}, {int(holder.vertices.sum())} vertices, can hold the garment up."
-        fix = "nothing: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
+        fix = "none is needed: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
         return [Finding("unsupported", Severity.NOTE, sentence, fix)]
     why, fix = "none of it lies on the shoulders", "simulate it with `--pins waist`"
     straps = loose_straps(vertices, faces, body)
@@ -407,18 +407,6 @@ def _crossing_findings(
     farthest = float(np.linalg.norm(start.vertices - vertices, axis=1).max())
     fix = f"mend it where it was made; simulation untangles its start, by at most {1000 * farthest:.1f} mm"
     return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where, vertices=concerned)]
-
-
-def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
-    """Whether most of the cloth's area has its normal towards the body.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    near = body.surface.nearest(vertices[faces].mean(axis=1))
-    return float(np.einsum("ij,ij->i", face_cross_products(vertices, faces), near.normals.numpy()).sum()) < 0.0
 
 
 def _penetration_findings(

@@ -12,7 +12,7 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
 from pb4u.geometry.topology import Topology
-from pb4u.geometry.triangle_mesh import area_weighted_normals
+from pb4u.geometry.triangle_mesh import area_weighted_normals, face_cross_products
 
 # Vertices of a garment that are looked at to place it, and every how many of them for a first look: thousands of
 # placements are compared, and the time grows with both.
@@ -311,3 +311,15 @@ def _change(fit: Fit) -> tuple[int, int, bool, bool, float]:
     """Order of preference among fits that are about as good."""
     unmoved = fit.axes == UPRIGHT and not fit.shift.any()
     return list(UNITS).index(fit.unit), list(AXES).index(fit.axes), not unmoved, fit.searched, fit.misfit
+
+
+def is_inside_out(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
+    """Whether most of the cloth's area has its normal towards the body.
+
+    Args:
+        vertices: (vertices, 3) of the garment where it is worn [m].
+        faces: (faces, 3) int64.
+        body: the resting body.
+    """
+    near = body.surface.nearest(vertices[faces].mean(axis=1))
+    return float(np.einsum("ij,ij->i", face_cross_products(vertices, faces), near.normals.numpy()).sum()) < 0.0

@@ -11,8 +11,7 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import self_crossings
 from pb4u.collision.untangling import untangle
-from pb4u.garment.diagnosis import is_inside_out
-from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit
+from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit, is_inside_out
 from pb4u.garment.source_surface import SourceSurface
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, neighbour_mean
@@ -78,7 +77,7 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str], left: list[str]
     if fit.shift.any():
         said.append(f"Moved by {fit.move} on to the body, {1000 * fit.misfit:.0f} mm off on average.")
     if fit.front_alike:
-        said.append(f"Taken as {fit.axes}: front and back fit alike, and so does {fit.front_alike[0]}.")
+        left.append(f"Front and back fit alike: {fit.axes} was taken, {fit.front_alike[0]} is as likely.")
     return replace(source, vertices=fit.apply(source.vertices))
 
 

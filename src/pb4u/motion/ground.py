@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pb4u.body.skeleton import joint_positions
-from pb4u.geometry.rotation import between, multiply, rotate
+from pb4u.body.skeleton import branch, joint_positions
 from pb4u.motion.recording import Recording
 
 # Lengths are for the leg of an average adult [m], since files have units of their own.
-_LEG = 0.85
 # A foot stands where its ball moves slower than this [m/s] for so long [s], and nothing of the body is lower. At the
 # top of a jump it is as slow for a few hundredths of a second.
 _STANDS, _HOLDS = 0.25, 0.1
@@ -49,10 +47,9 @@ def stances(recording: Recording) -> list[Stance]:
         recording: Y up.
     """
     poses = recording.poses
-    metres = _LEG / max(recording.leg_length, 1e-9)
     if len(poses) < 3:
         return []
-    joints = metres * joint_positions(recording.skeleton, poses)
+    joints = recording.metres * joint_positions(recording.skeleton, poses)
     lowest = joints[..., 1].argmin(axis=1)
     # Over a twentieth of a second, so that a tremble is no movement.
     reach = max(1, round(0.025 * poses.fps))
@@ -63,20 +60,12 @@ def stances(recording: Recording) -> list[Stance]:
         path = joints[:, ball]
         speed = np.linalg.norm(path[after] - path[before], axis=1) * poses.fps / (after - before)
         # Joints beyond the ball, where a skeleton has them, are of the same foot.
-        rests = (speed < _STANDS) & _of_branch(recording, ball)[lowest]
+        rests = (speed < _STANDS) & branch(recording.skeleton.parents, (ball,))[lowest]
         edges = np.flatnonzero(np.diff(np.concatenate([[False], rests, [False]])))
         for first, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             if stop - first >= _HOLDS * poses.fps:
                 found.append(Stance(first, stop, np.median(path[first:stop], axis=0)))
     return sorted(found, key=lambda stance: stance.first)
-
-
-def _of_branch(recording: Recording, bone: int) -> np.ndarray:
-    """Whether each bone (bones,) is this one or hangs on it."""
-    below = np.zeros(recording.skeleton.bone_count, dtype=bool)
-    for i, parent in enumerate(recording.skeleton.parents.tolist()):
-        below[i] = i == bone or (parent >= 0 and below[parent])
-    return below
 
 
 def on_level_ground(recording: Recording) -> Recording:
@@ -107,17 +96,11 @@ def _with_upright_floor(recording: Recording) -> Recording:
     ):
         return recording
     up = np.array([-slope[0], 1.0, -slope[1]]) / np.hypot(1.0, steepness)
-    turn = between(up, np.array([0.0, 1.0, 0.0]))
-    poses = replace(
-        recording.poses,
-        rotations=multiply(turn, recording.poses.rotations),
-        root_positions=rotate(turn, recording.poses.root_positions),
-    )
     note = (
         f"{recording.name}: the feet stand on a floor that slopes by {np.rad2deg(np.arctan(steepness)):.1f} degrees "
         f"and rises by {100 * risen:.0f} cm; the recording is turned upright."
     )
-    return replace(recording, poses=poses, notes=(*recording.notes, note))
+    return replace(recording.stood_up(up), notes=(*recording.notes, note))
 
 
 def _plane(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -144,8 +127,7 @@ def _without_drift(recording: Recording) -> Recording:
     drift = _drift(found, np.arange(len(recording.poses)) / fps, fps)
     if drift is None:
         return recording
-    metres = _LEG / max(recording.leg_length, 1e-9)
-    roots = recording.poses.root_positions - drift[:, None] / metres * np.array([0.0, 1.0, 0.0])
+    roots = recording.poses.root_positions - drift[:, None] / recording.metres * np.array([0.0, 1.0, 0.0])
     note = (
         f"{recording.name}: the floor drifts by {100 * np.ptp(drift):.0f} cm over the recording, as the feet tell that "
         "stand on it; the body is kept on it."

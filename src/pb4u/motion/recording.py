@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pb4u.body.skeleton import PoseSequence, Skeleton, joint_positions
+from pb4u.body.skeleton import PoseSequence, Skeleton, branch, joint_positions
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import about_axis, conjugate, multiply, rotate, slerp
+from pb4u.geometry.rotation import about_axis, between, conjugate, multiply, rotate, slerp
 from pb4u.motion.correspondences import ROLES, Blend, SkeletonRoles
 from pb4u.motion.reference_pose import leg_length
 
@@ -93,6 +93,17 @@ class Recording:
             poses=PoseSequence(rotations, self.poses.root_positions @ axes.T, self.poses.fps),
         )
 
+    def stood_up(self, up: np.ndarray) -> Recording:
+        """The same performance turned so that `up` (3,), of length 1, is up along Y."""
+        turn, poses = between(up, np.array([0.0, 1.0, 0.0])), self.poses
+        roots = rotate(turn, poses.root_positions)
+        return replace(self, poses=replace(poses, rotations=multiply(turn, poses.rotations), root_positions=roots))
+
+    @property
+    def metres(self) -> float:
+        """Length [m] of the recording's unit, for the leg of an average adult."""
+        return _LEG / max(self.leg_length, 1e-9)
+
     def with_vertical_legs(self) -> Recording:
         """The same performance, relative to a reference pose whose legs hang straight down in the frontal plane.
 
@@ -100,16 +111,11 @@ class Recording:
         """
         joints = self.skeleton.joints.copy()
         rotations = self.poses.rotations.copy()
-        parents = self.skeleton.parents.tolist()
         for side in "LR":
             hip, ankle = (self.joint_index(f"{role}.{side}") for role in ("thigh", "foot"))
             leg = joints[ankle] - joints[hip]
             turn = about_axis("z", -np.arctan2(leg[0], -leg[1]))
-            branch = {hip}
-            for bone, parent in enumerate(parents):
-                if parent in branch:
-                    branch.add(bone)
-            below = sorted(branch)
+            below = np.flatnonzero(branch(self.skeleton.parents, (hip,)))
             joints[below] = joints[hip] + rotate(turn, joints[below] - joints[hip])
             rotations[:, below] = multiply(rotations[:, below], conjugate(turn))
         return replace(
@@ -150,6 +156,8 @@ class Recording:
         return leg_length(self.joint)
 
 
+_LEG = 0.85
+"""Length of hip to knee to ankle of an average adult [m]; files have units of their own."""
 _LARGEST = 1e7
 """Numbers of a recording beyond which they are damaged: ten kilometres in millimetres."""
 _RATES = (0.1, 1e5)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pb4u.body.skeleton import world_rotations
+from pb4u.body.skeleton import local_rotations, world_rotations
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import angle_between, conjugate, multiply, rotate, slerp
+from pb4u.geometry.rotation import angle_between, rotate, slerp
 from pb4u.motion.recording import Recording
 
 # A joint that turns by more than this between two frames has not moved: its Euler angles have jumped.
@@ -23,7 +23,7 @@ _FLIPPING = ("upper_arm", "forearm", "forearm_end", "hand", "thigh", "shin", "fo
 _LIMB_ENDS = {"upper_arm": "forearm", "thigh": "shin", "forearm": "hand", "shin": "foot"}
 # Nobody travels faster than this [m/s]; less than that distance [m] in a frame is a tremble of slow recordings. Lengths
 # are for the leg of an average adult [m], since files have units of their own.
-_FASTEST, _LEAST_LEAP, _LEG = 15.0, 0.3, 0.85
+_FASTEST, _LEAST_LEAP = 15.0, 0.3
 # Of so many frames one at least must be there.
 _MOST_MISSING = 20
 # A recording may begin with a calibration pose, from which everything leaps into the performance.
@@ -36,7 +36,7 @@ def without_flips(recording: Recording) -> Recording:
     Repairs are counted in `Recording.notes`.
     """
     fps = recording.poses.fps
-    local = _local(recording)
+    local = local_rotations(recording.poses.rotations, recording.skeleton.parents)
     counts: dict[str, int] = {}
     for role in (f"{r}.{side}" for r in _FLIPPING for side in "LR"):
         bone = recording.joint_index(role)
@@ -59,7 +59,7 @@ def without_false_start(recording: Recording) -> Recording:
     head = min(_START_FRAMES, len(recording.poses) - 2)
     if head < 1:
         return recording
-    local = _local(recording)[: head + 1]
+    local = local_rotations(recording.poses.rotations[: head + 1], recording.skeleton.parents)
     bones = sorted({recording.joint_index(f"{role}.{side}") for role in _FLIPPING[:-1] for side in "LR"})
     limit = _START_SPEED / recording.poses.fps
     leaps = angle_between(local[:-1], local[1:]) > limit
@@ -74,8 +74,7 @@ def without_false_start(recording: Recording) -> Recording:
 def told_of_leaps(recording: Recording) -> Recording:
     """The recording with a note where the whole body leaps farther in a frame than a person can; nothing is mended."""
     roots = recording.poses.root_positions
-    metres = _LEG / max(recording.leg_length, 1e-9)
-    far = metres * np.linalg.norm(np.diff(roots, axis=0), axis=1)
+    far = recording.metres * np.linalg.norm(np.diff(roots, axis=0), axis=1)
     leaps = np.flatnonzero(far > max(_FASTEST / recording.poses.fps, _LEAST_LEAP))
     if not len(leaps):
         return recording
@@ -123,16 +122,6 @@ def without_gaps(recording: Recording, numbers: np.ndarray) -> Recording:
         f"({spans}{' and others' if len(gaps) > 5 else ''}); cut long ones out with --crop."
     )
     return replace(recording, poses=poses, notes=(*recording.notes, note))
-
-
-def _local(recording: Recording) -> np.ndarray:
-    """Rotations (frames, bones, 4) of the bones from their parents."""
-    world = recording.poses.rotations
-    local = world.copy()
-    for i, parent in enumerate(recording.skeleton.parents.tolist()):
-        if parent >= 0:
-            local[:, i] = multiply(conjugate(world[:, parent]), world[:, i])
-    return local
 
 
 def _limb_direction(recording: Recording, role: str) -> np.ndarray | None:

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 
-from pb4u.body.skeleton import joint_positions, world_rotations
-from pb4u.geometry.rotation import between, conjugate, multiply
+from pb4u.body.skeleton import joint_positions, local_rotations, world_rotations
+from pb4u.geometry.rotation import between, multiply
 from pb4u.motion.recording import Recording
 
 CUTOFF = 6.0
@@ -24,7 +24,6 @@ _STANDS, _LIFTED, _AROUND = (0.2, 0.6), (0.03, 0.10), 0.5
 _ROUNDS = 4
 # A foot is held in no place that is farther [m] from where it is; a knee is never bent straighter than this share.
 _FARTHEST, _STRAIGHT = 0.12, 0.9995
-_LEG = 0.85
 
 
 def steadied(recording: Recording) -> Recording:
@@ -39,17 +38,16 @@ def steadied(recording: Recording) -> Recording:
     if frames < 2:
         return recording
     smooth = _low_passed(recording) if fps > 2.5 * CUTOFF and frames > 9 else recording
-    metres = _LEG / max(recording.leg_length, 1e-9)
     kept = smooth
     for _ in range(_ROUNDS):  # a foot that slides is seen to stand once the body slides no more
         stands, velocity = _standing(kept)
         slide = (stands[..., None] * velocity).sum(axis=1) / np.maximum(stands.sum(axis=1), 1.0)[:, None]
         travel = np.zeros((frames, 3))
         travel[1:, [0, 2]] = -np.cumsum(0.5 * (slide[1:] + slide[:-1]), axis=0) / fps
-        roots = kept.poses.root_positions + travel / metres
+        roots = kept.poses.root_positions + travel / recording.metres
         kept = replace(kept, poses=replace(kept.poses, root_positions=roots))
     stands, _ = _standing(kept)
-    kept = _held(kept, stands, metres)
+    kept = _held(kept, stands)
     before, after = (_sliding(each, stands) for each in (recording, kept))
     note = (
         f"{recording.name}: taken from a video, so it is smoothed (what is faster than {CUTOFF:g} Hz) and feet that "
@@ -63,10 +61,7 @@ def _low_passed(recording: Recording) -> Recording:
     from scipy.signal import butter, sosfiltfilt
 
     poses, parents = recording.poses, recording.skeleton.parents
-    local = poses.rotations.copy()
-    for bone, parent in enumerate(parents.tolist()):
-        if parent >= 0:
-            local[:, bone] = multiply(conjugate(poses.rotations[:, parent]), poses.rotations[:, bone])
+    local = local_rotations(poses.rotations, parents)
     # A quaternion and its negative are one rotation: neighbours in time take the nearer sign.
     signs = np.where(np.sum(local[1:] * local[:-1], axis=-1) < 0.0, -1.0, 1.0)
     local[1:] *= np.cumprod(signs, axis=0)[..., None]
@@ -78,13 +73,12 @@ def _low_passed(recording: Recording) -> Recording:
     return replace(recording, poses=replace(poses, rotations=world_rotations(local, parents), root_positions=roots))
 
 
-def _held(recording: Recording, stands: np.ndarray, metres: float) -> Recording:
+def _held(recording: Recording, stands: np.ndarray) -> Recording:
     """The recording with each ball of a foot in one place for as long as it stands, by bending hips and knees.
 
     Args:
         recording: Y up.
         stands: (frames, 2) how far each ball stands, in [0, 1].
-        metres: length of one unit of the recording [m].
     """
     poses = recording.poses
     joints = joint_positions(recording.skeleton, poses)
@@ -100,7 +94,8 @@ def _held(recording: Recording, stands: np.ndarray, metres: float) -> Recording:
         inside = np.searchsorted(edges, np.arange(len(poses)), side="right")
         nearest = np.where(inside % 2 == 1, inside // 2, nearest)
         offset = places[nearest] - joints[:, ball]
-        share = stands[:, k] * np.minimum(1.0, _FARTHEST / np.maximum(metres * np.linalg.norm(offset, axis=1), 1e-9))
+        moved = recording.metres * np.linalg.norm(offset, axis=1)
+        share = stands[:, k] * np.minimum(1.0, _FARTHEST / np.maximum(moved, 1e-9))
         target = joints[:, ankle] + share[:, None] * offset
         thigh, shin = _leg_turns(joints[:, hip], joints[:, knee], joints[:, ankle], target)
         rotations[:, hip] = multiply(thigh, rotations[:, hip])
@@ -130,8 +125,7 @@ def _unit(v: np.ndarray) -> np.ndarray:
 def _balls(recording: Recording) -> np.ndarray:
     """Places (frames, 2, 3) [m] of the balls of both feet, of an average adult."""
     joints = joint_positions(recording.skeleton, recording.poses)
-    metres = _LEG / max(recording.leg_length, 1e-9)
-    return metres * joints[:, [recording.joint_index(f"toes.{side}") for side in "LR"]]
+    return recording.metres * joints[:, [recording.joint_index(f"toes.{side}") for side in "LR"]]
 
 
 def _standing(recording: Recording) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
-from pb4u.geometry.rotation import between, multiply, rotate
 from pb4u.io.reading_limits import told_names
 from pb4u.io.restricted_pickle import load_object_array
 from pb4u.io.stored_numbers import stored_numbers
@@ -87,9 +86,4 @@ def _stood_up(recording: Recording) -> Recording:
     joints = joint_positions(recording.skeleton, recording.poses)
     feet = 0.5 * (joints[:, recording.joint_index("foot.L")] + joints[:, recording.joint_index("foot.R")])
     up = (joints[:, recording.joint_index("neck_lower")] - feet).mean(axis=0)
-    turn = between(up / max(float(np.linalg.norm(up)), 1e-9), np.array([0.0, 1.0, 0.0]))
-    poses = recording.poses
-    turned = replace(
-        poses, rotations=multiply(turn, poses.rotations), root_positions=rotate(turn, poses.root_positions)
-    )
-    return replace(recording, poses=turned)
+    return recording.stood_up(up / max(float(np.linalg.norm(up)), 1e-9))

@@ -20,8 +20,7 @@ from torch import Tensor
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.errors import InputError
-from pb4u.garment.diagnosis import is_inside_out
-from pb4u.garment.fit import RestBody
+from pb4u.garment.fit import RestBody, is_inside_out
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import nearest_places
 from pb4u.garment.material import MATERIALS, Material

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.body.skeleton import PoseSequence
+from pb4u.body.skeleton import PoseSequence, branch
 from pb4u.garment.body_form import BodyForm, Limb
 from pb4u.geometry.rotation import between
 
@@ -56,7 +56,7 @@ def _straight_arms(body: ShapedBody, sleeves: np.ndarray) -> PoseSequence:
         # From the shoulder on; what comes later in the chain overrides.
         for joint, way in _parts(body, arm):
             first = int(np.linalg.norm(skeleton.joints - joint, axis=1).argmin())
-            rotations[_below(skeleton.parents, first)] = between(way / np.linalg.norm(way), wanted)
+            rotations[branch(skeleton.parents, (first,))] = between(way / np.linalg.norm(way), wanted)
     return PoseSequence(rotations[None], skeleton.joints[None, 0], 30.0)
 
 
@@ -65,14 +65,6 @@ def _parts(body: ShapedBody, arm: Limb) -> list[tuple[np.ndarray, np.ndarray]]:
     shoulder, elbow, wrist = arm.joints
     hand = body.vertices[arm.tip].mean(axis=0)
     return [(shoulder, elbow - shoulder), (elbow, wrist - elbow), (wrist, hand - wrist)]
-
-
-def _below(parents: np.ndarray, first: int) -> np.ndarray:
-    """(bones,) bool: a bone and those that hang on it."""
-    below = np.zeros(len(parents), dtype=bool)
-    for bone, parent in enumerate(parents.tolist()):
-        below[bone] = bone == first or (parent >= 0 and below[parent])
-    return below
 
 
 def bone_lines(body: ShapedBody) -> np.ndarray:
