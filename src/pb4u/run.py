@@ -166,7 +166,8 @@ class Run:
         propagation_steps: Propagation steps of a network. Default: as many as the mesh calls for.
         passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
             it, or 1 with --refine.
-        device: Where a network computes; the solver always runs on the CPU.
+        device: Where a network computes; the solver always runs on the CPU. Of several cards the first that
+            CUDA_VISIBLE_DEVICES lists.
         precision: Precision of a network's matrix products; auto is bfloat16 where the device multiplies faster in it
             and --refine is above 0.
         first_frame: How frame 0 is made: settled by the solver; in one long_step of the method itself, as in the

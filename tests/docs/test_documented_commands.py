@@ -21,6 +21,7 @@ import pb4u
 from pb4u.cli.application import app
 from pb4u.cli.main import main
 from pb4u.dataset.jobs_file import read_jobs
+from pb4u.pattern.files import read_pattern
 from pb4u.run import Run, tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -212,10 +213,15 @@ def prepared(folder: Path, page: str) -> None:
 
 @pytest.mark.parametrize("block", blocks("toml"), ids=str)
 def test_every_file_that_is_shown_can_be_read(block: Block, tmp_path: Path) -> None:
-    is_jobs = set(tomllib.loads(block.text)) & {"fixed", "product", "clips"}
+    record = tomllib.loads(block.text)
     file = tmp_path / f"shown.{block.language}"
     file.write_text(block.text)
-    if not is_jobs:
+    if "svg" in record:
+        loops = [f'<path id="{name}" d="M0 0 H500 V600 H0 Z"/>' for name in record["panels"]]
+        (tmp_path / record["svg"]).write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{"".join(loops)}</svg>')
+        assert len(read_pattern(file).seams) == len(record["seams"])
+        return
+    if not set(record) & {"fixed", "product", "clips"}:
         assert Run.open(file).garments
         return
     (tmp_path / "outfits").mkdir()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 import torch
 from tests.network_scenes import accelerations, moment, sheet
 from tests.simulation.ball_scene import ball_scene
+from torch.fx.experimental.proxy_tensor import make_fx
 
 from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError
@@ -25,6 +27,7 @@ from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step_graph import Outputs
 from pb4u.simulation.step_start import start_of
 from pb4u.simulation.timeline import Timeline
 
@@ -58,40 +61,72 @@ def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ContactPlanes, "transported_normals", lambda self, pose: self.normals)
 
 
-def on_device(
-    model: AccelerationModel, steps: int, monkeypatch: pytest.MonkeyPatch, rooms: Rooms
-) -> list[torch.Tensor]:
-    monkeypatch.setattr("pb4u.network.recorded_passes.COMPILES", False)
-    monkeypatch.setattr("pb4u.physics.incremental_potential.COMPILES", False)
+def on_device(model: AccelerationModel, steps: int, rooms: Rooms, replays: bool = False) -> list[torch.Tensor]:
     timeline = Timeline.of(ball_scene(frames=steps + 2, cells=7)).to(torch.device("cpu"), rooms)
-    states = states_after(timeline, method_of(model, timeline), timeline.skinned_state(1), steps + 2)
+    states = states_after(timeline, method_of(model, timeline), timeline.skinned_state(1), steps + 2, replays)
     return [state.positions for state in states]
 
 
 @pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 5)])
-def test_both_ways_lead_to_the_same_states(
-    dtype: torch.dtype, near: float, steps: int, in_tensors: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_both_ways_lead_to_the_same_states(dtype: torch.dtype, near: float, steps: int, in_tensors: None) -> None:
     model = from_pretrained("pb4u-wide").model.to(dtype)
     expected = on_host(model, steps)
-    found = on_device(model, steps, monkeypatch, Rooms())
+    found = on_device(model, steps, Rooms())
     assert len(found) == steps
     assert float((expected[-1] - expected[0]).abs().max()) > 5e-3
     for one, other in zip(found, expected, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=near)
 
 
-def test_a_step_with_too_little_room_is_taken_again(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_with_too_little_room_is_taken_again(in_tensors: None) -> None:
     model = from_pretrained("pb4u-wide").model.double()
     rooms = Rooms()
     rooms.sizes = {"faces": 10, "world edges": 3, "body nodes": 2, "passes": 2}
-    found = on_device(model, 4, monkeypatch, rooms)
+    found = on_device(model, 4, rooms)
     assert rooms.sizes["faces"] > 100
     for one, other in zip(found, on_host(model, 4), strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-8)
 
 
+def traced(compute: Callable[..., Outputs], inputs: list[torch.Tensor], pool: object) -> Callable[[], Outputs]:
+    """As a card captures it: the operations as they are launched, whatever the host decided between them."""
+    graph = make_fx(compute)(*inputs)
+    return torch.no_grad()(lambda: graph(*inputs))
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_steps_are_replayed_where_their_shapes_stay(
+    spoilt: bool, in_tensors: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A replay has no Python: all that changes between steps must be among its inputs."""
+    graphs = []
+
+    def noted(compute: Callable[..., Outputs], inputs: list[torch.Tensor], pool: object) -> Callable[[], Outputs]:
+        replay = traced(compute, inputs, pool)
+        graphs.append(0)
+
+        def counted() -> Outputs:
+            graphs[-1] += 1
+            positions, *others = replay()
+            return (positions + 1e-3 * spoilt, *others)
+
+        return counted
+
+    torch.manual_seed(0)
+    searched = replace(NETWORKS["pb4u_small_conjugate"], passes=1, further_passes=0, warm_start_shares=())
+    small = replace(NETWORKS["literal"] if spoilt else searched, width=8, blocks=1)
+    model = AccelerationModel(small.network()).double()
+    monkeypatch.setattr("pb4u.simulation.step_graph.captured", noted)
+    plain, replayed = (on_device(model, 7, Rooms(), replays) for replays in (False, True))
+    for one, other in zip(plain, replayed, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=1e-12)
+    # Of seven steps the first begins without a move, two more are plain, one is compared, three are replayed.
+    assert graphs == ([1] if spoilt else [4])
+
+
 def test_what_a_card_cannot_do_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="There is no device 'cuda:1'; did you mean cuda"):
+        load_simulator("pb4u-small", device="cuda:1")
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     monkeypatch.setattr("torch.version.cuda", None)
     with pytest.raises(InputError, match="no CUDA device here; use --device cpu"):
@@ -138,8 +173,6 @@ def test_a_step_on_a_card_copies_nothing() -> None:
 def test_a_step_with_start_search_and_features_copies_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same on tensors without values, "meta"."""
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    monkeypatch.setattr("pb4u.network.recorded_passes.COMPILES", False)
-    monkeypatch.setattr("pb4u.physics.incremental_potential.COMPILES", False)
     accelerator = import_module("accelerator")
     small = replace(NETWORKS["pb4u_small_conjugate"], passes=1, further_passes=1, width=8, blocks=1)
     monkeypatch.setitem(NETWORKS, "whole", small)
@@ -159,7 +192,8 @@ def test_garments_of_different_k_step_side_by_side() -> None:
     poses = (at.collider.previous, at.collider.now, at.collider.following)
     padded = replace(at, collider=type(at.collider)(*(bodies.pose(pose.positions) for pose in poses)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pb4u.network.recorded_passes.COMPILES", False)
+        for user in ("interaction_block", "mlp", "propagation"):
+            patch.setattr(f"pb4u.network.{user}.records", lambda *given: False)
         found = accelerations(model, padded, (4, 2))
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-10)
         parts = [torch.autograd.grad(made.square().sum(), list(model.parameters())) for made in (found, expected)]

@@ -13,7 +13,8 @@ from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
-from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step import StepMethod
+from pb4u.simulation.step_graph import StepGraph
 from pb4u.simulation.timeline import Timeline
 
 
@@ -36,8 +37,7 @@ class _Taken:
     done: torch.cuda.Event | None
 
     @staticmethod
-    def of(begun: State, last: Tensor | None, state: State, rooms: Rooms) -> _Taken:
-        names, wanted = rooms.taken()
+    def of(begun: State, last: Tensor | None, state: State, names: tuple[str, ...], wanted: Tensor) -> _Taken:
         parts = (state.positions, state.velocities, wanted)
         copies = tuple(part.to("cpu", non_blocking=True) for part in parts)
         on_card = state.positions.device.type == "cuda"
@@ -79,7 +79,9 @@ def require_memory(garments: PackedGarments, body_faces: int, width: int, free: 
         )
 
 
-def states_after(timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
+def states_after(
+    timeline: Timeline, method: StepMethod, state: State, frames: int, replays: bool | None = None
+) -> Iterator[State]:
     """States after `state`, on the processor; nothing waits for a step but the copy of it.
 
     What a step decides by what it finds is known with its copy, when the next has begun already: both are taken again
@@ -90,16 +92,17 @@ def states_after(timeline: Timeline, method: StepMethod, state: State, frames: i
         method: whose start, network and search take the steps; the search changes.
         state: on the accelerator.
         frames: total number, of which `state` is one.
+        replays: whether steps are replayed as CUDA graphs where their shapes stay; on a card by default.
     """
     rooms, waiting = timeline.colliders.rooms, None
     assert rooms is not None
+    steps = StepGraph(timeline, method, timeline.garments.device.type == "cuda" if replays is None else replays)
     while True:
         taken = None
         if state.frame < frames - 1:
             begun, last = state, method.search.last
-            with torch.no_grad():
-                *_, state = predictions(timeline.step_from(begun), method, rooms)
-            taken = _Taken.of(begun, last, state, rooms)
+            state, names, wanted = steps.take(begun)
+            taken = _Taken.of(begun, last, state, names, wanted)
         if waiting is not None and not waiting.had_room(rooms):
             state, method.search.last, waiting = waiting.begun, waiting.last, None
             continue

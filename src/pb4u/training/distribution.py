@@ -91,7 +91,10 @@ def workers(device: str = "auto") -> Iterator[Workers]:
         InputError: an accelerator is asked for and absent.
     """
     if device not in ("auto", "cpu", "cuda"):
-        raise InputError(f"The device is auto, cpu or cuda, not {device!r}.")
+        raise InputError(
+            f"The device is auto, cpu or cuda, not {device!r}; of several cards the first that CUDA_VISIBLE_DEVICES "
+            "lists is taken, and torchrun gives each process one."
+        )
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("There is no CUDA device here; use --device cpu.")
     accelerated = device != "cpu" and torch.cuda.is_available()

@@ -21,7 +21,7 @@ from pb4u.network.interaction_block import InteractionBlock
 from pb4u.network.mlp import MLP
 from pb4u.paper.baselines.coarsening import REMEMBERED, coarse_levels
 from pb4u.paper.baselines.directed_self_contact import DirectedSelfEdges
-from pb4u.paper.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require
+from pb4u.paper.baselines.rest_meshes import MeshMemory, levels_of, packed_levels
 from pb4u.paper.baselines.self_contact_edges import (
     ATTRACTION,
     REPULSION,
@@ -102,7 +102,6 @@ class ContourCraft(EncodeProcessDecode):
     """
 
     def __init__(self, configuration: ContourCraftConfiguration) -> None:
-        require("ContourCraft", "scipy", "libigl", "numba")
         found = (REPULSION, ATTRACTION) if configuration.radius > 0 else ()
         super().__init__(configuration, ("mesh", COARSE), found, levels=configuration.level + 2)
         self.configuration = configuration

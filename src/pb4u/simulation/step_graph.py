@@ -1,0 +1,127 @@
+"""Steps of a network alone, replayed as one CUDA graph where their shapes stay: thousands of launches become one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import ColliderFrame
+from pb4u.scene.state import State
+from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.timeline import Timeline
+
+Outputs = tuple[Tensor, ...]
+"""Positions (vertices, 3) [m], velocities (vertices, 3) [m/s], the room wanted, and the last move if there is one."""
+
+_SAME = 1e-6
+"""Difference [m, m/s] of a replay from the plain way up to which it counts as the same: sums change their order."""
+
+
+def captured(compute: Callable[..., Outputs], inputs: list[Tensor], pool: Any) -> Callable[[], Outputs]:
+    """Function that computes again what `compute` did, from what `inputs` then contain.
+
+    Args:
+        compute: launches the same kernels for any `inputs`.
+        inputs: tensors that the graph reads, of any unit.
+        pool: memory of the graphs, from `torch.cuda.graph_pool_handle`.
+    """
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph, pool=pool):
+        outputs = compute(*inputs)
+
+    def replay() -> Outputs:
+        graph.replay()
+        return outputs
+
+    return replay
+
+
+@dataclass
+class _Graph:
+    """Steps of one set of shapes: how many were seen, what the graph reads, and what replays it."""
+
+    seen: int = 0
+    inputs: list[Tensor] | None = None
+    replay: Callable[[], Outputs] | None = None
+
+
+class StepGraph:
+    """Takes steps: the first with some shapes in the plain way, from the fourth on as a graph.
+
+    The second is captured as well, and the third compared: where its replay differs, all steps stay plain.
+
+    Args:
+        timeline: garments and bodies on the accelerator.
+        method: whose start, network and search take the steps; the search changes.
+        replays: whether steps may be replayed at all.
+    """
+
+    def __init__(self, timeline: Timeline, method: StepMethod, replays: bool) -> None:
+        self.timeline, self.method, self.replays = timeline, method, replays
+        self._graphs: dict[tuple[Any, ...], _Graph] = {}
+        self._pool = torch.cuda.graph_pool_handle() if replays and torch.cuda.is_available() else None
+
+    def take(self, begun: State) -> tuple[State, tuple[str, ...], Tensor]:
+        """State after `begun`, and the searches and the room that each wanted, as `Rooms.taken` gives them."""
+        rooms, search = self.timeline.colliders.rooms, self.method.search
+        assert rooms is not None
+        self._step, last = self.timeline.step_from(begun), search.last
+        known = self._graphs.setdefault((last is None, *sorted(rooms.sizes.items())), _Graph())
+        known.seen += 1
+        replayed = self._replayed(known, last) if self.replays and known.seen > 1 else None
+        if replayed is None or known.seen == 3:
+            search.last = last
+            plain = self._outputs(self._step)
+            if replayed is not None and not all(
+                torch.allclose(one, other, rtol=0.0, atol=_SAME)
+                for one, other in zip(replayed[:2], plain, strict=False)
+            ):
+                self.replays = False
+            replayed = plain
+        positions, velocities, wanted, *moves = replayed
+        search.last = moves[0] if moves else None
+        return State(positions, velocities, begun.frame + 1), self._names, wanted
+
+    def _replayed(self, known: _Graph, last: Tensor | None) -> Outputs | None:
+        """Outputs of a replay; None where the graph is captured only now, or cannot be."""
+        step = self._step
+        assert step.collider is not None
+        assert step.pin_positions is not None
+        assert step.skinned_motion is not None
+        poses = (step.collider.previous, step.collider.now, step.collider.following)
+        given = [step.state.positions, step.state.velocities, step.pin_positions, step.skinned_motion]
+        given += [*(pose.positions for pose in poses), *([] if last is None else [last])]
+        if known.inputs is None:
+            known.inputs = [values.clone() for values in given]
+            try:
+                known.replay = captured(self._computed, known.inputs, self._pool)
+            except RuntimeError:
+                # An operation that cannot be captured.
+                self.replays = False
+            return None
+        for mine, values in zip(known.inputs, given, strict=True):
+            mine.copy_(values)
+        assert known.replay is not None
+        return tuple(values.clone() for values in known.replay())
+
+    def _computed(self, x: Tensor, v: Tensor, pins: Tensor, motion: Tensor, *more: Tensor) -> Outputs:
+        """Outputs as a function of tensors alone."""
+        bodies = ColliderFrame(*(self.timeline.colliders.pose(positions) for positions in more[:3]))
+        self.method.search.last = more[3] if len(more) > 3 else None
+        state = replace(self._step.state, positions=x, velocities=v)
+        return self._outputs(
+            replace(self._step, state=state, collider=bodies, pin_positions=pins, skinned_motion=motion)
+        )
+
+    def _outputs(self, step: TimeStep) -> Outputs:
+        rooms, search = self.timeline.colliders.rooms, self.method.search
+        assert rooms is not None
+        with torch.no_grad():
+            *_, after = predictions(step, self.method, rooms)
+        self._names, wanted = rooms.taken()
+        return (after.positions, after.velocities, wanted, *([] if search.last is None else [search.last]))
