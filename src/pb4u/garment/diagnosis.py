@@ -234,7 +234,6 @@ def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted:
 
 
 def _surface_findings(surface: SourceSurface) -> list[Finding]:
-    """Faults of the mesh alone."""
     findings = [_finding(surface, fault) for fault in surface_faults(surface)]
     if len(surface.faces) > MOST_SIMULATED:
         sentence = f"The garment has {len(surface.faces):,} triangles, {MOST_SIMULATED:,} can be simulated."
