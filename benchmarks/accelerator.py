@@ -28,8 +28,6 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import flop_registry
 
-import pb4u.network.recorded_passes
-import pb4u.physics.incremental_potential
 from pb4u.collision.rooms import Rooms
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.paper.network_presets import NETWORKS
@@ -201,7 +199,6 @@ def count(name: str, scene: Scene, card: torch.device = CARD) -> tuple[Counted, 
         scene: of at least four frames.
         card: fake CUDA device, or "meta", which is quicker and needs no process of its own.
     """
-    pb4u.network.recorded_passes.COMPILES = pb4u.physics.incremental_potential.COMPILES = False
     timeline, model = Timeline.of(scene).to(torch.device("cpu"), Rooms()), model_of(name)
     method, rooms = method_of(model, timeline), timeline.colliders.rooms
     assert rooms is not None

@@ -9,12 +9,12 @@ import argparse
 import time
 
 import numpy as np
+from trimesh.triangles import angles
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.garment.clearance import rest_distances
 from pb4u.garment.library import LEVELS, build_garment, garment_names
-from pb4u.geometry.triangle_mesh import smallest_angles
 
 HEADER = (
     "| garment | asked | triangles | vertices | mean edge [mm] | edge variation | smallest angle [deg] "
@@ -29,7 +29,7 @@ def row(name: str, body: ShapedBody, triangles: int) -> str:
     distance = rest_distances(garment.vertices, body)
     centres = rest_distances(garment.vertices[garment.faces].mean(axis=1), body)
     lengths = garment.edge_lengths
-    angle = np.degrees(smallest_angles(garment.vertices, garment.faces).min())
+    angle = np.degrees(angles(garment.vertices[garment.faces]).min())
     return (
         f"| {name} | {triangles} | {garment.triangle_count} | {len(garment.vertices)} "
         f"| {1e3 * lengths.mean():.1f} | {lengths.std() / lengths.mean():.3f} | {angle:.1f} "

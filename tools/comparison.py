@@ -30,19 +30,6 @@ COMPARED = {
 }
 """The comparison and its ablations, by the name each gets."""
 
-EXPERIMENTS = {
-    "mgn-relative": ("network=mgn_relative_small",),
-    "hood-metric": ("network=hood_metric_small",),
-    "pb4u-mean-scaling": ("network=small_mean_scaling",),
-    "pb4u-one-level": ("network=pb4u_small_carried", "data.triangles=1200"),
-    "pb4u-ruled-steps": ("network=pb4u_small_carried", *FIXED_DEPTH),
-    "pb4u-interleaved": ("network=pb4u_small_carried", "interleaved=8"),
-    "pb4u-two-passes": ("network=pb4u_small_two_passes",),
-    "pb4u-free-flight": ("network=pb4u_small_descent",),
-    "pb4u-paper-features": ("network=pb4u_small",),
-}
-"""What --only can name besides: other parts in one place, never shipped by default."""
-
 WEIGHTS = Path(__file__).parents[1] / "src" / "pb4u" / "simulation" / "weights"
 
 
@@ -50,16 +37,14 @@ def train(name: str, folder: Path, pack: Path, steps: int, seed: int) -> None:
     """Train one network, or go on with it."""
     if (folder / "ended.json").exists():
         return
-    chosen = (COMPARED | EXPERIMENTS)[name]
+    chosen = COMPARED[name]
     if (folder / "last.safetensors").exists():
         wanted = ["--resume", str(folder)]
     else:
         shutil.rmtree(folder, ignore_errors=True)
         settings = [part for setting in (*chosen, f"seed={seed}") for part in ("--set", setting)]
         wanted = ["--preset", "comparison", "--steps", str(steps), "--out", str(folder), *settings]
-        # Another choice of data is made by the training itself.
-        if not any(setting.startswith("data.") for setting in chosen):
-            wanted += ["--pack", str(pack)]
+        wanted += ["--pack", str(pack)]
     print(f"{name}: pb4u train {' '.join(wanted)}", flush=True)
     subprocess.run(["pb4u", "train", *wanted, "--json", str(folder.with_suffix(".json"))], check=True)
     ended = json.loads(folder.with_suffix(".json").read_text())
@@ -77,8 +62,8 @@ def main() -> None:
     parser.add_argument("--ship", action="store_true")
     options = parser.parse_args()
     names = options.only.split(",")
-    if unknown := [name for name in names if name not in COMPARED | EXPERIMENTS]:
-        parser.error(f"there is no {unknown[0]}; there are {', '.join(COMPARED | EXPERIMENTS)}")
+    if unknown := [name for name in names if name not in COMPARED]:
+        parser.error(f"there is no {unknown[0]}; there are {', '.join(COMPARED)}")
     options.out.mkdir(parents=True, exist_ok=True)
     pack = options.out / "pack.npz"
     if not pack.exists():

@@ -15,12 +15,14 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from picture_table import captioned, colour_of, last_frame, table
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from pb4u import Pb4uError, load_simulator, make_scene
+from pb4u.export.picture import render
+from pb4u.export.selection import select_frames
 from pb4u.export.view import View
 from pb4u.garment.library import garment_names
+from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.checkpoint import weights_file
 
 SHOWN = {
@@ -36,7 +38,30 @@ SHOWN = {
 """Garment -> body, motion, the frame of it that is drawn, azimuth of the view [degrees]."""
 
 LEAD_IN = 12
+COLOURS = (
+    (0.16, 0.36, 0.62), (0.62, 0.22, 0.20), (0.20, 0.45, 0.33), (0.45, 0.27, 0.50),
+    (0.70, 0.50, 0.16), (0.25, 0.42, 0.50), (0.24, 0.27, 0.36), (0.60, 0.36, 0.42),
+)  # fmt: skip
+INK = (60, 60, 60)
 FAILED_INK = (190, 30, 30)
+
+
+def colour_of(garment: str) -> tuple[float, float, float]:
+    """The colour in which a built-in garment is drawn everywhere."""
+    return COLOURS[garment_names().index(garment) % len(COLOURS)]
+
+
+def last_frame(trajectory: Trajectory, view: View) -> np.ndarray:
+    """(height, width, 3) uint8 picture of the last frame, framed by that frame alone."""
+    last = select_frames(trajectory, (trajectory.frame_count - 1, trajectory.frame_count), 1)
+    return next(iter(render(last, [0], view)))
+
+
+def captioned(picture: np.ndarray, caption: str, ink: tuple[int, int, int] = INK, size: int = 14) -> np.ndarray:
+    """The picture with a caption over its upper left corner."""
+    image = Image.fromarray(picture)
+    ImageDraw.Draw(image).text((6, 4), caption, fill=ink, font_size=size)
+    return np.asarray(image)
 
 
 def cell(garment: str, triangles: int, model: str, size: int, folder: Path) -> np.ndarray:
@@ -103,7 +128,8 @@ def main() -> None:
     blank = [np.full_like(strips[0][0], 255)] * len(strips[0])
     strips += [blank] * (-len(strips) % options.across)
     rows = [list(chain(*strips[k : k + options.across])) for k in range(0, len(strips), options.across)]
-    table(rows).save(options.out, optimize=True)
+    sheet = np.concatenate([np.concatenate(row, axis=1) for row in rows])
+    Image.fromarray(sheet).save(options.out, optimize=True)
     print(options.out)
 
 

@@ -89,7 +89,7 @@ CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     ),
     "a glTF flattened by a scale": (
         lambda at: ["--body", doll(at / "d.glb", flat)],
-        "d.glb is damaged; export it again (a bone is flattened",
+        "a bone is flattened by the scale of a node",
     ),
     "a glTF compressed by Draco": (
         lambda at: [

@@ -14,16 +14,16 @@ from torch import Tensor
 from pb4u.compat.first_frames import CLEARANCE, MovingStart, SkinnedStart, StandingStart, pushed_out
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import pack_colliders
-from pb4u.simulation.network_pass import Network
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import SETTLING_DT, Timeline
 
 
 @dataclass
-class Raised(Network):
+class Raised:
     """A network that raises every vertex by a centimetre a step, and keeps what it was asked."""
 
     passes: int = 1
+    further: int = 0
     asked: list[TimeStep] = field(default_factory=list)
 
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:

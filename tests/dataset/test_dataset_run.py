@@ -221,13 +221,13 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_made_twice(
         return LocalPool(2, dies_once) if workers == "processes" else RayPool("local", dies_once, 2)
 
     out = tmp_path / "set"
-    made = make_dataset(runs(5), out, pool)
-    assert (made["done"], made["failures"]) == (5, [])
+    made = make_dataset(runs(3, triangles=400, frames=1), out, pool)
+    assert (made["done"], made["failures"]) == (3, [])
     begun = Counter((tmp_path / "begun").read_text().split())
-    assert begun == {"0": 1, "1": 2, "2": 1, "3": 1, "4": 1}
-    assert len(list((out / "clips").iterdir())) == 5
+    assert begun == {"0": 1, "1": 2, "2": 1}
+    assert len(list((out / "clips").iterdir())) == 3
     motions = [Trajectory.open(out / row["file"]).metadata["seed"] for row in rows(out)]
-    assert motions == [0, 1, 2, 3, 4]
+    assert motions == [0, 1, 2]
 
 
 def dies_once(job: RunJob) -> Made | Failure:

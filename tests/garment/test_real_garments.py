@@ -51,7 +51,7 @@ def test_a_real_garment_is_diagnosed_mended_and_worn(name, test_data, bodies, tm
     if name.endswith(("lod1", "lod2")) and not name.startswith("croptop"):
         return  # the same clothes, finer: mending them again would show nothing new
     mended, said, left = repair(source, body)
-    assert left == ()
+    assert not any("inside" in sentence for sentence in left)
     assert said[0].startswith("Turned")
     assert len(mended.vertices) == len(source.vertices)
     np.testing.assert_array_equal(np.concatenate(mended.polygons), np.concatenate(source.polygons))
@@ -74,7 +74,8 @@ def test_shorts_pushed_out_of_another_s_body_do_not_cross_themselves(test_data, 
     mended, changes, left = repair(read_source(path), bodies["m"])
     assert diagnose(mended, bodies["m"]).measures["self_intersections"] == 0
     assert changes[-1] == "Untangled 3 pairs of triangles that the push had made cross."
-    assert left == ()
+    # What is only doubted is not said to be mended.
+    assert left == ("Front and back fit alike: Z up, facing -Y was taken, Z up, facing +Y is as likely.",)
 
 
 MOVED = ("croptop_f_lod1", "longsleeve_m_lod0", "pants_f_lod0", "shorts_f_lod0", "tights_f_lod0", "tshirt_f_lod0",

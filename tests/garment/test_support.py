@@ -15,6 +15,7 @@ from pb4u.garment.material import MATERIALS
 from pb4u.garment.support import LEAST_AREA, find_holder, held_by, is_held_up, loose_straps, resting_area, slide
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.topology import Topology
 from pb4u.run import WornGarment
 from pb4u.scene.assembly import load_garment
 
@@ -163,3 +164,18 @@ def test_how_far_it_slides_is_told_by_where_the_body_is_wider(woman):
     assert 0.02 <= down < 0.2, "from the waist to the hips"
     wide = skirt.vertices * [1.6, 1.0, 1.6]
     assert slide(wide, skirt.faces, rest) is None
+
+
+def test_a_strap_that_ends_upon_a_panel_is_sewn_to_it(woman):
+    """The straps let down over the back, 1 cm outside of it, so that they end within the panel."""
+    source, rest = strapped(woman, 0.02), RestBody.of(woman)
+    faces, vertices = np.stack(source.polygons), source.vertices.copy()
+    ends = np.concatenate([strap.end for strap in loose_straps(vertices, faces, rest)])
+    panel = vertices[(vertices[:, 2] < 0.0) & (vertices[:, 1] < 0.72 * woman.height)]
+    for vertex in ends:
+        below = panel[np.linalg.norm(panel[:, :2] - vertices[vertex, :2] * [1.0, 0.0] - [0.0, 1.18], axis=1).argmin()]
+        vertices[vertex] = below - [0.0, 0.0, 0.01]
+    straps = loose_straps(vertices, faces, rest)
+    assert [len(strap.tacks) > 0 for strap in straps] == [True, True]
+    border = Topology(faces, len(vertices)).border_vertices
+    assert not border[[inner for strap in straps for _, inner in strap.tacks]].any()

@@ -19,13 +19,26 @@ from torch import Tensor
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.network.graph.features import FeatureLayout
+from pb4u.network.graph.world_edges import WorldEdgeRule
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
-from pb4u.paper.network_presets import NETWORKS
+from pb4u.network.propagation import RELEASED_PROPAGATION
+from pb4u.network.update_scaling import MeanScaling
+from pb4u.paper.network_presets import pb4u_paper
 from pb4u.scene.packed import ColliderFrame, pack, pack_colliders
 from pb4u.scene.state import State
 
 GOLDEN = Path(__file__).with_name("golden_network.json")
-FORMS = ("pb4u_paper", "pb4u_release", "pb4u_all_pairs")
+FORMS: dict[str, Pb4uConfiguration] = {
+    "pb4u_paper": pb4u_paper,
+    "pb4u_release": replace(
+        pb4u_paper,
+        propagation=RELEASED_PROPAGATION,
+        scaling=MeanScaling(0.01),
+        layout=FeatureLayout(node=("velocity", "normal", "dt", "vertex_mass", "material")),
+    ),
+    "pb4u_all_pairs": replace(pb4u_paper, world_edges=WorldEdgeRule(radius=0.03, neighbours=16)),
+}
 
 
 def wave(*shape: int, pitch: float = 1.0) -> Tensor:
@@ -65,13 +78,13 @@ def results(configuration: Pb4uConfiguration) -> dict[str, Any]:
 
 
 def all_results() -> dict[str, Any]:
-    return {name: results(replace(NETWORKS[name], width=6, blocks=2)) for name in FORMS}
+    return {name: results(replace(FORMS[name], width=6, blocks=2)) for name in FORMS}
 
 
 @pytest.mark.parametrize("name", FORMS)
 def test_the_network_computes_what_was_written_down(name):
     expected = json.loads(GOLDEN.read_text())[name]
-    found = results(replace(NETWORKS[name], width=6, blocks=2))
+    found = results(replace(FORMS[name], width=6, blocks=2))
     assert found["steps"] == expected["steps"]
     largest = np.abs(expected["accelerations"]).max()
     np.testing.assert_allclose(found["accelerations"], expected["accelerations"], rtol=0, atol=1e-9 * largest)

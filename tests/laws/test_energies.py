@@ -24,7 +24,7 @@ from tests.readable_stiffness import readable_stiffness
 
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.terms.collision import REFERENCE_AREA
-from pb4u.physics.terms.energy_term import EnergyTerm, NullTerm
+from pb4u.physics.terms.energy_term import EnergyTerm
 from pb4u.physics.terms.friction import Friction
 from pb4u.physics.terms.gravity import Gravity
 from pb4u.physics.terms.inertia import Inertia
@@ -42,7 +42,7 @@ def vector(x: float, y: float, z: float) -> torch.Tensor:
 
 
 def alone(term: EnergyTerm) -> IncrementalPotential:
-    return IncrementalPotential(tuple(term if name == term.name else NullTerm(name) for name in NAMES))
+    return IncrementalPotential((term,))
 
 
 def value(step: StepPotential, x: torch.Tensor, name: str) -> float:
@@ -331,10 +331,3 @@ def test_two_garments_packed_are_two_garments_apart() -> None:
         for name, term in energies.terms.items():
             assert float(term[g]) == pytest.approx(float(alone_energies.terms[name][0]), rel=1e-10, abs=1e-15)
         torch.testing.assert_close(gradient[rows], alone_gradient, rtol=1e-9, atol=1e-12)
-
-
-def test_a_null_term_is_zero() -> None:
-    step, x = crumpled()
-    energies, gradient = NullTerm("stretch").energies_and_gradient(step.step, step.contacts, x)
-    assert float(energies.sum()) == 0.0
-    assert float(gradient.abs().max()) == 0.0

@@ -242,7 +242,6 @@ def test_an_ablation_differs_from_the_paper_in_the_replaced_part_only():
         "without_propagation_control": {"control"},
         "without_update_scaling": {"scaling"},
         "without_both": {"control", "scaling"},
-        "pb4u_release": {"propagation", "scaling", "layout"},
         "pb4u_small": {"width", "blocks"},
     }
     for name, parts in changed.items():

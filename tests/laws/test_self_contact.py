@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,12 +28,11 @@ from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.scene.state import State
 from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
-from pb4u.simulation.network_pass import Network, NoNetwork
-from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
-from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement, SolverRefinement
+from pb4u.simulation.penetration_response import ContactResponse
+from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement, SolverRefinement
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
-from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight, StepStart
+from pb4u.simulation.step_start import BodyMotionWarmStart
 from pb4u.simulation.stepwise_simulator import StepwiseSimulator
 from pb4u.simulation.timeline import Timeline
 
@@ -286,10 +286,10 @@ def test_a_sheet_without_friction_slides_as_on_ice() -> None:
     assert unsolved == 0
 
 
-class Careless(Network):
+class Careless:
     """A network that sends cloth anywhere: corrections of the size of a limb, others every frame."""
 
-    passes = 1
+    passes, further = 1, 0
 
     def __init__(self, size: float = 0.05) -> None:
         self._size = size
@@ -336,18 +336,18 @@ SCENES = {
 }
 
 
-Parts = tuple[StepStart, Network, Refinement, Contact, FirstFrame]
+Parts = tuple[BodyMotionWarmStart | None, Any, SolverRefinement | None, ContactResponse | None, FirstFrame]
 
 
 def methods(potential: IncrementalPotential) -> dict[str, Parts]:
     """Methods of every kind with the contact of `potential`."""
     return {
-        "solver": (FreeFlight(), NoNetwork(), ImplicitSteps(potential=potential), ContactResponse(), AsPlaced()),
+        "solver": (None, None, ImplicitSteps(potential=potential), ContactResponse(), AsPlaced()),
         "solver, two iterations": (
-            FreeFlight(), NoNetwork(), ImplicitSteps(2, potential=potential), NoContact(), AsPlaced(),
+            None, None, ImplicitSteps(2, potential=potential), None, AsPlaced(),
         ),
         "network alone": (
-            BodyMotionWarmStart((0.5, 1.0)), Careless(), NoRefinement(potential.self_contact), ContactResponse(),
+            BodyMotionWarmStart((0.5, 1.0)), Careless(), None, ContactResponse(),
             OneLongStep(),
         ),
         "network and one": (
@@ -359,7 +359,7 @@ def methods(potential: IncrementalPotential) -> dict[str, Parts]:
             SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
         ),
         "quick solver": (
-            BodyMotionWarmStart((0.5, 1.0)), NoNetwork(),
+            BodyMotionWarmStart((0.5, 1.0)), None,
             SafeguardedRefinement(5, potential), ContactResponse(), AsPlaced(),
         ),
     }  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 from tests.network_scenes import sheet
@@ -10,7 +9,7 @@ from tests.network_scenes import sheet
 from pb4u.errors import InputError
 from pb4u.network.graph.features import MaterialRange
 from pb4u.network.graph.garment_graph import garment_graph
-from pb4u.network.propagation_control import ConstantDistance, FixedSteps, RandomSteps
+from pb4u.network.propagation_control import ConstantDistance, FixedSteps
 from pb4u.network.update_scaling import MeanScaling, NoScaling, PerVertexScaling
 from pb4u.scene.packed import pack
 
@@ -24,19 +23,11 @@ def test_fixed_steps_ignore_the_resolution():
     assert {FixedSteps(7).steps(length) for length in (0.001, 0.1)} == {7}
 
 
-def test_random_steps_cover_their_range_never_0_and_repeat_with_the_seed():
-    drawn = [RandomSteps(5, np.random.default_rng(3)) for _ in range(2)]
-    first, second = ([control.steps(0.01) for _ in range(200)] for control in drawn)
-    assert first == second
-    assert set(first) == {1, 2, 3, 4, 5}
-
-
 def test_senseless_controls_are_refused():
     for make in (
         lambda: ConstantDistance(0.0),
         lambda: ConstantDistance(float("nan")),
         lambda: FixedSteps(0),
-        lambda: RandomSteps(3, np.random.default_rng(0), least=0),
     ):
         with pytest.raises(InputError):
             make()

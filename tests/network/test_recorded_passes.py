@@ -15,7 +15,6 @@ from pb4u.network.graph.world_edges import WorldEdgeRule
 USERS = (interaction_block, mlp, propagation)
 
 
-@pytest.mark.skipif(not recorded_passes.COMPILES, reason="needs the compiler")
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-12), (torch.float32, 1e-5)])
 def test_gradients_are_those_of_the_plain_layers(monkeypatch, dtype, tolerance):
     configuration = replace(TINY, world_edges=WorldEdgeRule(radius=0.03, neighbours=12))

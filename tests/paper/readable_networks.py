@@ -113,6 +113,5 @@ READABLE = {
     "mgn": blocks_in_a_row,
     "contourcraft": blocks_in_a_row,
     "hood": hood,
-    "hood_metric": hood,
     "eslr": eslr,
 }

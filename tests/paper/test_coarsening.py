@@ -13,7 +13,7 @@ from tests.paper.scenes import two_sheets
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.paper.baselines.coarsening import coarse_levels, graph_centres, hops_from, level_labels
-from pb4u.paper.baselines.hood import LevelsByHops, LevelsByLength
+from pb4u.paper.baselines.hood import LevelsByHops
 
 
 def holed() -> Garment:
@@ -97,12 +97,7 @@ def test_the_levels_of_38_000_triangles_take_seconds():
     assert [len(level) > 1000 for level in levels] == [True] * 4
 
 
-def test_levels_by_length_are_hoods_at_15_mm_and_as_long_on_finer_meshes():
-    by_length, by_hops = LevelsByLength(0.03, 0.06), LevelsByHops()
-    assert by_length.levels(0.015) == by_hops.levels(0.015) == (0, 1)
-    assert by_length.levels(0.0076) == (1, 2)
-    assert by_length.levels(0.06) == (0, 1)
-    assert by_hops.levels(0.0076) == (0, 1)
-    for choice in (lambda: LevelsByLength(0.06, 0.03), lambda: LevelsByHops(1, 1), lambda: LevelsByHops(-1, 1)):
+def test_levels_that_do_not_rise_are_refused():
+    for near, far in ((1, 1), (-1, 1)):
         with pytest.raises(InputError):
-            choice()
+            LevelsByHops(near, far)

@@ -52,6 +52,25 @@ def vest(height: float) -> Pattern:
     return Pattern("vest", [front, back], [Seam(("front", k), ("back", 7 - k)) for k in (0, 2, 5, 7)])
 
 
+def trousers(height: float) -> Pattern:
+    """Wide trousers of four panels whose crotch is placed at a `height` [m]."""
+    corners = np.array([(0.0, -0.6), (0.27, -0.6), (0.27, 0.3), (0.0, 0.3), (0.0, 0.0)])
+    panels, edges = [], {}
+    for half, z in (("front", 0.2), ("back", -0.2)):
+        for side in (1, -1):
+            as_is, name = (side > 0) == (half == "front"), f"{half} {side}"
+            outline = corners * (side, 1)
+            panels.append(Panel(name, outline if as_is else outline[::-1], position=(0, height, z)))
+            edges[half, side] = dict(zip(("side", "centre", "inseam"), (1, 3, 4) if as_is else (2, 0, 4), strict=True))
+
+    def end(half: str, side: int, edge: str) -> tuple[str, int]:
+        return f"{half} {side}", edges[half, side][edge]
+
+    seams = [Seam(end("front", k, edge), end("back", k, edge)) for k in (1, -1) for edge in ("side", "inseam")]
+    seams += [Seam(end(half, 1, "centre"), end(half, -1, "centre")) for half in ("front", "back")]
+    return Pattern("trousers", panels, seams)
+
+
 def gathered() -> Pattern:
     """A strip sewn along its bottom to the longer top of another, which has a dart and a curved hem."""
     lower = Panel(

@@ -2,16 +2,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.pattern.patterns import skirt, vest
+from tests.pattern.patterns import skirt, trousers, vest
 
 import pb4u
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputWarning
+from pb4u.garment.body_form import BodyForm
 from pb4u.garment.fit import RestBody
 from pb4u.garment.material import MATERIALS
 from pb4u.pattern import files
 from pb4u.pattern.body_measurements import shoulder_height
-from pb4u.pattern.dressing import Dressed, carried, dress
+from pb4u.pattern.dressing import Dressed, _Sewing, carried, crotch_height, dress
 from pb4u.pattern.files import load_worn, read_dressed, write_worn
 from pb4u.pattern.mesh import mesh_pattern
 from pb4u.pattern.pattern import Panel, Pattern
@@ -137,10 +138,28 @@ def test_a_pattern_too_small_for_the_body_is_refused(body):
         dress(Pattern("small", small, skirt().seams), body, 200)
 
 
+@pytest.mark.parametrize("pattern", [skirt(), vest(0.9)])
+def test_a_pattern_three_times_too_small_is_refused(body, pattern: Pattern):
+    small = [Panel(p.name, p.corners / 3.0, p.position + (0, 0.35, 0)) for p in pattern.panels]
+    with pytest.raises(
+        InputError, match=r"tiny is too small for woman: its panels are \d+ cm wide together, and the wa"
+    ):
+        dress(Pattern("tiny", small, pattern.seams), body, 200)
+
+
 def test_a_top_is_brought_to_the_shoulders_of_its_body(body):
     worn = dress(vest(0.6), body, 400)
     assert worn.garment.vertices[:, 1].max() == pytest.approx(shoulder_height(body, 0.09), abs=0.02)
     assert worn.strain < 0.05
+
+
+@pytest.mark.parametrize("height", [0.5, 1.0])
+def test_trousers_are_lowered_to_the_crotch_of_their_body(body, height: float):
+    mesh = mesh_pattern(trousers(height), 100)
+    sewing = _Sewing(mesh, body, MATERIALS["default"], None)
+    crotch = body.kept("form", BodyForm).crotch
+    assert crotch_height(mesh, mesh.placed) == pytest.approx(height)
+    assert crotch_height(mesh, sewing.placed) == pytest.approx(min(height, crotch - 0.01), abs=1e-6)
 
 
 def test_the_body_fills_out_from_straight_arms_to_its_rest(body):

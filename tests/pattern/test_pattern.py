@@ -23,6 +23,11 @@ def test_a_specification_is_read_to_scale_and_in_place():
     assert panel.area == pytest.approx(0.16 + 2 / 3 * 0.5 * 0.4 * 0.1, rel=1e-5)
 
 
+def test_inches_are_read_to_scale():
+    pattern = pattern_of(record() | {"properties": {"units_in_meter": 39.37}}, "two")
+    assert pattern.panels[1].area == pytest.approx((40 * 0.0254) ** 2, rel=1e-5)
+
+
 @pytest.mark.parametrize("large", [False, True])
 @pytest.mark.parametrize("counter_clockwise", [False, True])
 def test_arcs_have_their_length_and_side(large: bool, counter_clockwise: bool):

@@ -13,7 +13,6 @@ from test_pierced_edges import pierced
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import area_weighted_normals
 from pb4u.physics.contact.penetration_cleanup import FaceClearance, _cut_back
-from pb4u.physics.contact.self_contact import NoSelfContact
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.state import State
 from pb4u.simulation.timeline import Timeline
@@ -43,7 +42,7 @@ def deepest_middle(timeline: Timeline, state: State) -> float:
 def test_faces_that_cut_into_the_body_are_lifted_out_of_it() -> None:
     timeline, state = sheet_wrapped_round_the_ball()
     assert deepest_middle(timeline, state) < -1e-3
-    lifted = FaceClearance(passes=4).lift(timeline.garments, state, timeline.pose(0), NoSelfContact())
+    lifted = FaceClearance(passes=4).lift(timeline.garments, state, timeline.pose(0), None)
     assert deepest_middle(timeline, lifted) > -1e-4
     moved = (lifted.positions - state.positions).norm(dim=1)
     assert float(moved.max()) < 4 * 5e-3
@@ -57,7 +56,7 @@ def skin_that_shows(timeline: Timeline, state: State, body: np.ndarray) -> int:
 
 def test_skin_between_the_middles_of_faces_is_covered() -> None:
     timeline, state = sheet_wrapped_round_the_ball()
-    clear = FaceClearance(passes=4).lift(timeline.garments, state, timeline.pose(0), NoSelfContact())
+    clear = FaceClearance(passes=4).lift(timeline.garments, state, timeline.pose(0), None)
     centre = np.array([0.0, 0.5, 0.0])
     body = timeline.body(0).numpy().copy()
     # Pimples of 8 mm, which the middles of the cloth's elements know nothing of.
@@ -65,7 +64,7 @@ def test_skin_between_the_middles_of_faces_is_covered() -> None:
     body[near] += 0.008 * (body[near] - centre) / 0.2
     pose = timeline.colliders.pose(torch.from_numpy(body))
     assert skin_that_shows(timeline, clear, body) > 3
-    lifted = FaceClearance().lift(timeline.garments, clear, pose, NoSelfContact())
+    lifted = FaceClearance().lift(timeline.garments, clear, pose, None)
     assert skin_that_shows(timeline, lifted, body) == 0
     assert float((lifted.positions - clear.positions).norm(dim=1).max()) < 0.02
 
@@ -78,7 +77,7 @@ def test_a_vertex_inside_is_lifted_out_though_the_middles_around_it_are_clear() 
     x[inside] = centre + 0.199 * (state.positions[inside] - centre) / 0.2005
     within = replace(state, positions=x)
     assert deepest_middle(timeline, within) > 5e-3
-    lifted = FaceClearance().lift(timeline.garments, within, timeline.pose(0), NoSelfContact())
+    lifted = FaceClearance().lift(timeline.garments, within, timeline.pose(0), None)
     assert float((lifted.positions[inside] - centre).norm()) > 0.1999
 
 
@@ -86,7 +85,7 @@ def test_cloth_that_is_clear_stays_where_it_is() -> None:
     timeline, state = sheet_wrapped_round_the_ball()
     away = replace(state, positions=state.positions + 1.0)
     torch.testing.assert_close(
-        FaceClearance().lift(timeline.garments, away, timeline.pose(0), NoSelfContact()).positions, away.positions
+        FaceClearance().lift(timeline.garments, away, timeline.pose(0), None).positions, away.positions
     )
 
 
@@ -94,14 +93,14 @@ def test_pins_do_not_move() -> None:
     timeline, state = sheet_wrapped_round_the_ball()
     pinned = torch.from_numpy(np.arange(timeline.garments.vertex_count) % 2 == 0)
     garments = replace(timeline.garments, pinned=pinned)
-    lifted = FaceClearance().lift(garments, state, timeline.pose(0), NoSelfContact())
+    lifted = FaceClearance().lift(garments, state, timeline.pose(0), None)
     assert torch.equal(lifted.positions[pinned], state.positions[pinned])
     assert not torch.equal(lifted.positions, state.positions)
 
 
 def test_skin_that_only_torn_cloth_would_cover_stays_bare() -> None:
     timeline, state = sheet_wrapped_round_the_ball()
-    clear = FaceClearance(passes=4).lift(timeline.garments, state, timeline.pose(0), NoSelfContact())
+    clear = FaceClearance(passes=4).lift(timeline.garments, state, timeline.pose(0), None)
     body = timeline.body(0).numpy().copy()
     # A thorn higher than an edge is long, the foot of which the cloth lies around.
     body[body[:, 1].argmax()] += [0.0, 0.019, 0.0]
@@ -112,11 +111,9 @@ def test_skin_that_only_torn_cloth_would_cover_stays_bare() -> None:
         return float(((a - b).norm(dim=1) / timeline.garments.edge_lengths).max())
 
     assert longest(clear) < 1.2
-    most = 1.0 + 0.9 * (
-        longest(FaceClearance(most_stretch=9.0).lift(timeline.garments, clear, pose, NoSelfContact())) - 1.0
-    )
+    most = 1.0 + 0.9 * (longest(FaceClearance(most_stretch=9.0).lift(timeline.garments, clear, pose, None)) - 1.0)
     assert most > longest(clear)
-    assert longest(FaceClearance(most_stretch=most).lift(timeline.garments, clear, pose, NoSelfContact())) <= most
+    assert longest(FaceClearance(most_stretch=most).lift(timeline.garments, clear, pose, None)) <= most
 
 
 def test_what_a_cut_lift_would_tear_in_turn_is_cut_as_well() -> None:
@@ -134,11 +131,7 @@ def test_the_lift_takes_no_vertex_deeper_into_a_limb_that_is_through_the_cloth()
     x[:, 0] += 0.01
     assert step.bodies is not None
     pose = step.bodies.following
-    lifted = (
-        FaceClearance(most_stretch=9.0)
-        .lift(step.garments, replace(step.state, positions=x), pose, NoSelfContact())
-        .positions
-    )
+    lifted = FaceClearance(most_stretch=9.0).lift(step.garments, replace(step.state, positions=x), pose, None).positions
     surface = pose.surfaces[0]
     assert surface is not None
     before, after = (surface.nearest(positions).signed_distance for positions in (x, lifted))
@@ -146,8 +139,10 @@ def test_the_lift_takes_no_vertex_deeper_into_a_limb_that_is_through_the_cloth()
     assert not torch.equal(lifted, x)
 
 
-class HalfTheWay(NoSelfContact):
+class HalfTheWay:
     """Stops one vertex inside the ball, as cloth in a fold may."""
+
+    feels_bodies = False
 
     def __init__(self, stopped: int, inside: torch.Tensor) -> None:
         self.stopped, self.inside = stopped, inside
@@ -173,7 +168,7 @@ class PushedAside(HalfTheWay):
 def test_a_lift_that_cloth_ends_inside_the_body_is_not_made(kind: type[HalfTheWay]) -> None:
     timeline, state = sheet_wrapped_round_the_ball()
     pose, centre = timeline.pose(0), torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64)
-    free = FaceClearance(passes=4).lift(timeline.garments, state, pose, NoSelfContact()).positions
+    free = FaceClearance(passes=4).lift(timeline.garments, state, pose, None).positions
     stopped = int((free - state.positions).norm(dim=1).argmax())
     held = kind(stopped, centre + 0.9 * (state.positions[stopped] - centre))
     lifted = FaceClearance(passes=4).lift(timeline.garments, state, pose, held).positions

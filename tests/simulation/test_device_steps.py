@@ -61,34 +61,28 @@ def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ContactPlanes, "transported_normals", lambda self, pose: self.normals)
 
 
-def on_device(
-    model: AccelerationModel, steps: int, monkeypatch: pytest.MonkeyPatch, rooms: Rooms, replays: bool = False
-) -> list[torch.Tensor]:
-    monkeypatch.setattr("pb4u.network.recorded_passes.COMPILES", False)
-    monkeypatch.setattr("pb4u.physics.incremental_potential.COMPILES", False)
+def on_device(model: AccelerationModel, steps: int, rooms: Rooms, replays: bool = False) -> list[torch.Tensor]:
     timeline = Timeline.of(ball_scene(frames=steps + 2, cells=7)).to(torch.device("cpu"), rooms)
     states = states_after(timeline, method_of(model, timeline), timeline.skinned_state(1), steps + 2, replays)
     return [state.positions for state in states]
 
 
 @pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 5)])
-def test_both_ways_lead_to_the_same_states(
-    dtype: torch.dtype, near: float, steps: int, in_tensors: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_both_ways_lead_to_the_same_states(dtype: torch.dtype, near: float, steps: int, in_tensors: None) -> None:
     model = from_pretrained("pb4u-wide").model.to(dtype)
     expected = on_host(model, steps)
-    found = on_device(model, steps, monkeypatch, Rooms())
+    found = on_device(model, steps, Rooms())
     assert len(found) == steps
     assert float((expected[-1] - expected[0]).abs().max()) > 5e-3
     for one, other in zip(found, expected, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=near)
 
 
-def test_a_step_with_too_little_room_is_taken_again(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_with_too_little_room_is_taken_again(in_tensors: None) -> None:
     model = from_pretrained("pb4u-wide").model.double()
     rooms = Rooms()
     rooms.sizes = {"faces": 10, "world edges": 3, "body nodes": 2, "passes": 2}
-    found = on_device(model, 4, monkeypatch, rooms)
+    found = on_device(model, 4, rooms)
     assert rooms.sizes["faces"] > 100
     for one, other in zip(found, on_host(model, 4), strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-8)
@@ -123,7 +117,7 @@ def test_steps_are_replayed_where_their_shapes_stay(
     small = replace(NETWORKS["literal"] if spoilt else searched, width=8, blocks=1)
     model = AccelerationModel(small.network()).double()
     monkeypatch.setattr("pb4u.simulation.step_graph.captured", noted)
-    plain, replayed = (on_device(model, 7, monkeypatch, Rooms(), replays) for replays in (False, True))
+    plain, replayed = (on_device(model, 7, Rooms(), replays) for replays in (False, True))
     for one, other in zip(plain, replayed, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-12)
     # Of seven steps the first begins without a move, two more are plain, one is compared, three are replayed.
@@ -188,8 +182,6 @@ def test_a_step_on_a_card_copies_nothing() -> None:
 def test_a_step_with_start_search_and_features_copies_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same on tensors without values, "meta"."""
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
-    monkeypatch.setattr("pb4u.network.recorded_passes.COMPILES", False)
-    monkeypatch.setattr("pb4u.physics.incremental_potential.COMPILES", False)
     accelerator = import_module("accelerator")
     small = replace(NETWORKS["pb4u_small_conjugate"], passes=1, further_passes=1, width=8, blocks=1)
     monkeypatch.setitem(NETWORKS, "whole", small)
@@ -209,7 +201,8 @@ def test_garments_of_different_k_step_side_by_side() -> None:
     poses = (at.collider.previous, at.collider.now, at.collider.following)
     padded = replace(at, collider=type(at.collider)(*(bodies.pose(pose.positions) for pose in poses)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pb4u.network.recorded_passes.COMPILES", False)
+        for user in ("interaction_block", "mlp", "propagation"):
+            patch.setattr(f"pb4u.network.{user}.records", lambda *given: False)
         found = accelerations(model, padded, (4, 2))
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-10)
         parts = [torch.autograd.grad(made.square().sum(), list(model.parameters())) for made in (found, expected)]

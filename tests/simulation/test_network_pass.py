@@ -22,7 +22,7 @@ from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_che
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures, local_origin
 from pb4u.simulation.step import StepMethod, predictions, take
-from pb4u.simulation.step_start import FreeFlight, StepStart
+from pb4u.simulation.step_start import BodyMotionWarmStart
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 from pb4u.simulation.timeline import Timeline
 
@@ -121,7 +121,7 @@ def test_every_pass_starts_where_the_last_left_off() -> None:
     assert torch.allclose(taken.positions, integrate(at, found).positions, atol=1e-7)
 
 
-class Reached(StepStart):
+class Reached(BodyMotionWarmStart):
     """Starts from accelerations already reached."""
 
     def __init__(self, accelerations: Tensor) -> None:
@@ -135,14 +135,14 @@ def test_training_takes_a_pass_at_a_time() -> None:
     at = a_step()
     network = model()
     prepared = prepared_for(network, at)
-    start: StepStart = FreeFlight()
+    start: BodyMotionWarmStart | None = None
     free = integrate(at, torch.zeros_like(at.state.positions)).positions
     for _ in range(3):
         before, reached = predictions(at, StepMethod(start, NetworkPass(network, prepared, mode=nullcontext)))
         assert not before.positions.requires_grad
         start = Reached((reached.positions - free).detach())
     assert reached.positions.requires_grad
-    all_passes = StepMethod(FreeFlight(), NetworkPass(network, prepared, 3, mode=nullcontext))
+    all_passes = StepMethod(None, NetworkPass(network, prepared, 3, mode=nullcontext))
     *earlier, last = predictions(at, all_passes)
     assert len(earlier) == 3
     assert torch.allclose(last.positions, reached.positions, atol=1e-9)

@@ -20,7 +20,7 @@ from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_che
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import local_origin
-from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
+from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 from pb4u.simulation.timeline import Timeline
@@ -115,10 +115,10 @@ def test_velocity_after_refinement_is_the_displacement(weights: Path) -> None:
     np.testing.assert_allclose(trajectory.velocities[3], displacement, atol=1e-3)
 
 
-@pytest.mark.parametrize("contact", [NoContact(), ContactResponse()])
+@pytest.mark.parametrize("contact", [None, ContactResponse()])
 @pytest.mark.parametrize("refine", [0, 2])
 def test_frames_before_a_network_ran_away_are_kept(
-    weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, contact: Contact, refine: int
+    weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, contact: ContactResponse | None, refine: int
 ) -> None:
     checkpoint = load_checkpoint(weights)
     original, calls = checkpoint.model.forward, [0]

@@ -19,7 +19,7 @@ from pb4u.simulation import refinement
 from pb4u.simulation.first_frame import Settled
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.pierced_edges import newly_pierced
-from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, SafeguardedRefinement, SolverRefinement
+from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement, SolverRefinement
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
 
@@ -96,4 +96,3 @@ def test_what_a_push_leaves_inside_the_body_is_pressed_out_and_gains_no_speed() 
     pressed = refinement.respond_with_cloth(step, inside, contact)
     assert contact.depth(step, pressed.positions) < 0.2 * depth
     assert pressed.velocities is inside.velocities
-    assert NoRefinement().respond_with_cloth(step, inside, contact) is inside

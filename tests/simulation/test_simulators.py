@@ -21,8 +21,7 @@ from pb4u.scene.scene import DressedGarment
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.first_frame import AsPlaced, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.network_pass import Network
-from pb4u.simulation.penetration_response import ContactResponse, NoContact
+from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.run_simulation import roll_out
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 from pb4u.simulation.step import StepMethod, take
@@ -34,7 +33,7 @@ class FreeFall(StepwiseSimulator):
     """Flight without any physics, turning to NaN at a frame."""
 
     name = "free fall"
-    first_frame, contact, potential = AsPlaced(), NoContact(), IncrementalPotential()
+    first_frame, contact, potential = AsPlaced(), None, IncrementalPotential()
 
     def __init__(self, fails_at: int | None = None) -> None:
         self.fails_at = fails_at
@@ -42,8 +41,8 @@ class FreeFall(StepwiseSimulator):
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         fails_at = self.fails_at
 
-        class Failing(Network):
-            passes = 1
+        class Failing:
+            passes, further = 1, 0
 
             def correction(self, step: TimeStep, accelerations: torch.Tensor) -> torch.Tensor:
                 return torch.full_like(accelerations, torch.nan if step.state.frame + 1 == fails_at else 0.0)

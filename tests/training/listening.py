@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 
 import torch
-from tests.training.ball_data import ball_data
+from tests.training.ball_data import TINY, ball_data
 
+from pb4u.measures.excess import Reference
 from pb4u.training.budget import Budget
 from pb4u.training.configuration import TrainingConfiguration, training_to_json
 from pb4u.training.distribution import Workers
@@ -42,4 +44,13 @@ def made(
 ) -> Trainer:
     """A trainer of `steps` on this one process, kept in `folder` where one is given."""
     kept = None if folder is None else RunFolder.create(folder, training_to_json(configuration))
-    return Trainer(configuration, Budget(steps), ball_data(), ALONE, kept, listener or Listener())
+    trainer = Trainer(configuration, Budget(steps), ball_data(), ALONE, kept, listener or Listener())
+    if all(getattr(configuration, name) == getattr(TINY, name) for name in ("seed", "validation_clips", "clearance")):
+        vars(trainer.validation)["references"] = references()
+    return trainer
+
+
+@lru_cache
+def references() -> tuple[Reference, ...]:
+    """What the validations of all these trainers compare with: the solver's, which takes longer than a training."""
+    return Trainer(TINY, Budget(1), ball_data(), ALONE, None, Listener()).validation.references

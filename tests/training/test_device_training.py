@@ -43,8 +43,8 @@ def weights(trainer: Trainer) -> torch.Tensor:
 @pytest.fixture
 def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
     """No compiled kernels, as on an accelerator."""
-    monkeypatch.setattr("pb4u.network.recorded_passes.COMPILES", False)
-    monkeypatch.setattr("pb4u.physics.incremental_potential.COMPILES", False)
+    for user in ("interaction_block", "mlp", "propagation"):
+        monkeypatch.setattr(f"pb4u.network.{user}.records", lambda *given: False)
 
 
 def test_a_step_of_training_neither_reads_back_nor_copies(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:

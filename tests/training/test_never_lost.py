@@ -1,4 +1,4 @@
-"""A training killed at any instant goes on to the same numbers; on a machine with nothing but torch."""
+"""A training killed at any instant goes on to the same numbers."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ SETTINGS = (
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:
-    bare = Path(__file__).with_name("bare_machine.py")
-    command = [sys.executable, str(bare), *map(str, arguments), "--device", "cpu"]
+    main = "import sys; from pb4u.cli.main import main; sys.exit(main())"
+    command = [sys.executable, "-c", main, "train", *map(str, arguments), "--device", "cpu"]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(command, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate(timeout=400)
     assert process.returncode == 0, err
     return out, err
 
 
 def wait_for(path: Path) -> None:
-    until = time.monotonic() + 60
+    until = time.monotonic() + 300
     while not path.exists():
         assert time.monotonic() < until, f"{path} did not appear"
         time.sleep(0.01)
@@ -68,12 +68,3 @@ def test_a_killed_training_resumes_to_the_same_numbers(pack: Path, tmp_path: Pat
         return {line["step"]: line["total"] for line in map(json.loads, lines) if "total" in line}
 
     assert losses("killed") == losses("whole")
-
-
-def test_a_bare_machine_refuses_in_one_sentence(tmp_path: Path) -> None:
-    process = started("--pack", tmp_path / "absent.npz", "--out", tmp_path / "run")
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 1
-    assert err.strip().count("\n") == 0
-    assert "There is no training pack" in err
-    assert not (tmp_path / "run").exists()

@@ -15,12 +15,9 @@ from pb4u.physics.terms.collision import REFERENCE_AREA
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 from pb4u.training.objective import (
-    JouleWeight,
-    ProgressWeight,
-    RelativeWeight,
     comparable_total,
-    loss_weight,
     mean_energies,
+    progress_weights,
     step_energies,
 )
 from pb4u.training.wardrobe import Wardrobe
@@ -34,42 +31,15 @@ def two_garments() -> PackedGarments:
     return wardrobe.packed([0, 0], [material, replace(material, density=2 * material.density)])
 
 
-def energies(stretch: tuple[float, float], gravity: tuple[float, float] = (-3.0, 5.0)) -> Energies:
-    return Energies({"stretch": torch.tensor(stretch), "gravity": torch.tensor(gravity)})
-
-
-def test_joules_count_alike() -> None:
-    assert torch.equal(JouleWeight().of(energies((0.1, 9.0)), two_garments(), None), torch.ones(2))
-
-
-def test_relative_weights_are_of_the_logarithm_of_the_energy_without_gravity() -> None:
-    garments = two_garments()
-    weigh = RelativeWeight(lift=0.0)
-    assert weigh.of(energies((0.1, 50.0)), garments, None).tolist() == pytest.approx([10.0, 0.02])
-    stretch = torch.tensor([0.3, 2.0], requires_grad=True)
-    of = Energies({"stretch": stretch, "gravity": torch.tensor([1.0, -4.0])})
-    (weighed,) = torch.autograd.grad((weigh.of(of, garments, None) * of.per_garment).sum(), stretch)
-    (logarithms,) = torch.autograd.grad(stretch.log().sum(), stretch)
-    torch.testing.assert_close(weighed, logarithms)
-
-
-def test_cloth_at_rest_counts_no_more_than_cloth_that_hangs() -> None:
-    garments = two_garments()
-    at_rest = RelativeWeight(lift=2e-3).of(energies((0.0, 0.0)), garments, None)
-    mass = float(garments.vertex_masses[garments.vertex_garment == 0].sum())
-    assert float(at_rest[0]) == pytest.approx(1.0 / (9.81 * mass * 2e-3), rel=1e-3)
-    assert float(at_rest[1]) == pytest.approx(0.5 * float(at_rest[0]), rel=1e-5)
-
-
 def test_progress_weights_are_of_the_logarithm_of_what_a_pass_freed() -> None:
     garments = two_garments()
     freed = torch.tensor([0.25, 4.0])[garments.garment_world]
-    weights = ProgressWeight(lift=0.0).of(energies((9.0, 9.0)), garments, freed)
+    weights = progress_weights(garments, freed, lift=0.0)
     assert weights.tolist() == pytest.approx((1.0 / freed[garments.garment_world]).tolist())
-    none_freed = ProgressWeight(lift=1e-4).of(energies((9.0, 9.0)), garments, torch.tensor([0.0, -1.0]))
+    none_freed = progress_weights(garments, torch.tensor([0.0, -1.0]))
     assert bool(torch.isfinite(none_freed).all())
     with pytest.raises(InputError, match="conjugate"):
-        ProgressWeight().of(energies((9.0, 9.0)), garments, None)
+        progress_weights(garments, None)
 
 
 def test_what_is_inside_the_skin_costs_more_and_what_rests_on_it_does_not() -> None:
@@ -112,7 +82,11 @@ def test_a_training_adds_what_is_inside_where_its_configuration_says_so(monkeypa
 
 
 def test_a_training_takes_the_weight_of_its_configuration() -> None:
-    trainers = [made(replace(TINY, loss_weight=name, seed=3), 1, None, Listener()) for name in ("joule", "relative")]
+    network = replace(TINY.network, conjugate=True)
+    trainers = [
+        made(replace(TINY, network=network, loss_weight=name, seed=3), 1, None, Listener())
+        for name in ("joule", "progress")
+    ]
     gradients = []
     for trainer in trainers:
         trainer.gather_statistics()
@@ -124,7 +98,5 @@ def test_a_training_takes_the_weight_of_its_configuration() -> None:
 
 
 def test_an_unknown_weight_is_refused_with_those_there_are() -> None:
-    with pytest.raises(InputError, match="joule"):
-        loss_weight("jowl")
-    with pytest.raises(InputError, match="relative"):
+    with pytest.raises(InputError, match="joule, progress"):
         replace(TINY, loss_weight="jowl")

@@ -53,8 +53,6 @@ def shape_basis(offsets: np.ndarray, term_basis: np.ndarray) -> np.ndarray:
 
 
 def _require_consistent(members: Mapping[str, np.ndarray], path: Path) -> None:
-    """Refuse a file whose members are missing, or do not fit together."""
-
     def refuse(what: str) -> InputError:
         return InputError(f"{path}: not a baked body, {what}; bake it again.")
 

@@ -256,7 +256,6 @@ def _tree(file: GltfFile) -> NodeTree:
 
 
 def _parts(file: GltfFile) -> list[_Part]:
-    """The skinned triangles of a file, by primitive."""
     found = []
     for node, entry in enumerate(file.entries("nodes")):
         if "mesh" not in entry or "skin" not in entry:
@@ -488,7 +487,6 @@ def _clip_names(file: GltfFile) -> list[str]:
 
 
 def _clip(file: GltfFile, tree: NodeTree, wanted: str | None) -> Clip | None:
-    """The clip of a name, or the first."""
     entries, names = file.entries("animations"), _clip_names(file)
     if wanted is not None and wanted not in names:
         held = f"it has {told_names(names)}" if names else "it has none"

@@ -312,7 +312,6 @@ def _read_frame(path: Path) -> tuple[np.ndarray, bytes]:
 
 
 def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndarray | None]:
-    """Members of a sequence, or the body of a trajectory of this package."""
     keys = set(member_names(path))
     prefix = "body_" if {"body_positions", "body_faces"} <= keys else ""
     positions = next((key for key in (f"{prefix}positions", "vertices") if key in keys), "vertices")

@@ -214,6 +214,6 @@ def pack(
     if json != "-":
         print(
             f"{out}: {len(data.bodies)} bodies, {len(data.outfits)} garments, {len(data.clips)} clips, "
-            f"{out.stat().st_size / 1e6:.1f} MB; train with `python -m pb4u.training --pack {out.name} --preset "
-            f"{preset} --out RUN`, and the same --set."
+            f"{out.stat().st_size / 1e6:.1f} MB; train with `pb4u train --pack {out.name} --preset {preset} "
+            "--out RUN`, and the same --set."
         )

@@ -57,27 +57,6 @@ def free_shares(pairs: ElementPairs, gaps: np.ndarray, vertices: np.ndarray, mov
     return _free_shares(vertices, moves, pairs.corners, pairs.vertex_faces, gaps)
 
 
-def collision_free(
-    tree: SurfaceTree,
-    before: np.ndarray,
-    wanted: np.ndarray,
-    masses: np.ndarray,
-    known: tuple[ElementPairs, np.ndarray] | None = None,
-) -> np.ndarray:
-    """Positions (vertices, 3) [m] near `wanted` that `before` reaches without an element passing through another.
-
-    Gives back `wanted` itself where nothing touches.
-
-    Args:
-        tree: of the surface, without obstacles.
-        before: (vertices, 3) float64 [m] that cross nowhere.
-        wanted: (vertices, 3) float64 [m].
-        masses: (vertices,) [kg]; infinite for vertices that give way to no impulse.
-        known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were queried already.
-    """
-    return past_obstacles(tree, before, wanted, masses, known)[0]
-
-
 def past_obstacles(
     tree: SurfaceTree,
     before: np.ndarray,
@@ -86,7 +65,7 @@ def past_obstacles(
     known: tuple[ElementPairs, np.ndarray] | None = None,
     passed: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `collision_free`, of a surface with obstacles, which go where they want; and what they have passed through.
+    """Positions near `wanted` that `before` reaches without an element passing through another; obstacles go first.
 
     Where obstacles leave no room between them, those that meet an element last are let through it.
 
@@ -95,7 +74,7 @@ def past_obstacles(
         before: (vertices, 3) float64 [m] that cross nowhere but where obstacles have `passed`.
         wanted: (vertices, 3) float64 [m].
         masses: (vertices,) [kg]; infinite for vertices that give way to no impulse, as those of obstacles are.
-        known: as in `collision_free`.
+        known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were queried already.
         passed: (vertices,) bool of the surface that obstacles are let through; none by default.
 
     Returns:

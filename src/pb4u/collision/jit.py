@@ -1,31 +1,20 @@
-"""The compiler of kernels: Numba where it is installed, plain Python where it is not."""
+"""The compiler of kernels."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TypeVar, cast
 
+import numba
 import numpy as np
 import torch
 from torch import Tensor
-
-try:
-    import numba
-except ImportError:
-    # A machine that only trains from packed data needs no contact between cloths.
-    numba = None  # type: ignore[assignment]
-
-COMPILES = numba is not None
-"""Whether what is marked as `compiled` is."""
 
 Compiled = TypeVar("Compiled", bound=Callable)
 
 
 def compiled(function: Compiled) -> Compiled:
-    """`function` compiled when first called; the machine code is kept on disk and does not hold up other threads.
-
-    Without Numba it stays as it is: right, and thousands of times slower.
-    """
+    """`function` compiled when first called; the machine code is kept on disk and does not hold up other threads."""
     return _compiled(function, set())
 
 
@@ -40,8 +29,6 @@ def compiled_with_free_sums(function: Compiled) -> Compiled:
 
 
 def _compiled(function: Compiled, freedom: set[str]) -> Compiled:
-    if numba is None:
-        return function
     try:
         return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=freedom)(function))
     except RuntimeError:

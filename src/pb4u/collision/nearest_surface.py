@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.batched_surface import BatchedSurface, NearestPoints, PosedBatch
-from pb4u.collision.jit import COMPILES
 from pb4u.collision.nearest_points import Found, Searched, update_closest
 from pb4u.collision.wide_tree import WideTree
 from pb4u.errors import InputError
@@ -188,7 +187,7 @@ class PosedSurface:
     @property
     def compiled(self) -> bool:
         """Whether `update_closest` answers here."""
-        return COMPILES and self.vertices.device.type == "cpu"
+        return self.vertices.device.type == "cpu"
 
     def update_closest(
         self,

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pb4u.scene.packed import ColliderFrame, ColliderPose
 from pb4u.scene.state import State
-from pb4u.simulation.first_frame import FirstFrame
+from pb4u.simulation.first_frame import FirstFrame, untangled
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.timeline import SETTLING_DT, Timeline
 
@@ -47,7 +47,7 @@ class StandingStart(StartProtocol):
         yield from (timeline.skinned_state(frame) for frame in (0, 1))
         begun = timeline.skinned_state(2)
         pushed = pushed_out(begun.positions, timeline.pose(2), self.push)
-        begun = replace(begun, positions=method.self_contact.free_start(timeline.garments, pushed))
+        begun = untangled(timeline, method, replace(begun, positions=pushed))
         settled = take(timeline.settling_from(begun), method)
         state = State(settled.positions, settled.velocities * (SETTLING_DT / timeline.dt), 2)
         yield state
@@ -71,7 +71,7 @@ class MovingStart(StartProtocol):
         yield timeline.skinned_state(0)
         skinned = timeline.skinned(1)
         pushed = pushed_out(skinned, timeline.pose(1), self.push)
-        begun = State(method.self_contact.free_start(timeline.garments, pushed), torch.zeros_like(skinned), 1)
+        begun = untangled(timeline, method, State(pushed, torch.zeros_like(skinned), 1))
         yield begun
         moved = take(replace(timeline.step_from(begun), dt=SETTLING_DT), method)
         yield replace(moved, velocities=torch.zeros_like(moved.velocities))
@@ -82,8 +82,7 @@ class SkinnedStart(StartProtocol):
 
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
         for frame in (0, 1):
-            skinned = timeline.skinned_state(frame)
-            yield replace(skinned, positions=method.self_contact.free_start(timeline.garments, skinned.positions))
+            yield untangled(timeline, method, timeline.skinned_state(frame))
 
 
 def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:

@@ -155,7 +155,6 @@ def _record(file: ReleasedFile, method: ReleasedMethod) -> TrainingRecord:
 
 
 def _folded(file: ReleasedFile, method: ReleasedMethod, network: EncodeProcessDecode) -> dict[str, Tensor]:
-    """Our network's state."""
     layout = network.layout
     node = _Columns(file, method.columns["node"], "node")
     marks = ("type", *(("level",) if network.level is not None else ()))

@@ -125,7 +125,6 @@ def _loose(key: str) -> str:
 
 
 def _shard_members(folder: Path) -> dict[str, str]:
-    """The shard of every clip that is in one."""
     found: dict[str, str] = {}
     for shard in sorted(folder.glob("shard-*.tar")):
         try:

@@ -80,7 +80,6 @@ def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Pat
 
 
 def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, Any]]]:
-    """How many clips the tables describe, and their entries."""
     for name in tables:
         if name not in _SECTIONS:
             raise unknown_name("section", name, _SECTIONS)

@@ -234,7 +234,6 @@ def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted:
 
 
 def _surface_findings(surface: SourceSurface) -> list[Finding]:
-    """Faults of the mesh alone."""
     findings = [_finding(surface, fault) for fault in surface_faults(surface)]
     if len(surface.faces) > MOST_SIMULATED:
         sentence = f"The garment has {len(surface.faces):,} triangles, {MOST_SIMULATED:,} can be simulated."
@@ -348,7 +347,7 @@ def _support_findings(
         return []
     if holder is not None:
         sentence = f"Nothing but its {holder.name}, {int(holder.vertices.sum())} vertices, can hold the garment up."
-        fix = "nothing: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
+        fix = "none is needed: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
         return [Finding("unsupported", Severity.NOTE, sentence, fix)]
     why, fix = "none of it lies on the shoulders", "simulate it with `--pins waist`"
     straps = loose_straps(vertices, faces, body)

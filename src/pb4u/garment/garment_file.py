@@ -149,7 +149,6 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
 
 
 def _report_faults(path: Path, surface: SourceSurface) -> None:
-    """Refuse what cannot be simulated; warn of the other faults."""
     faults = surface_faults(surface)
     if len(surface.faces) and (unit := likely_unit(surface.source.vertices[np.unique(surface.faces)])):
         raise InputError(f"{path} {unit}; scale it to metres with {fix_command(path)}.")

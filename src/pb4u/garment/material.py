@@ -86,13 +86,11 @@ def _read_material(path: Path) -> Material:
     with refusing(path, "is not JSON"):
         record = read_json(path)
     known = [entry.name for entry in fields(Material)]
-    if not isinstance(record, dict):
-        raise InputError(f"The material file {path} must hold one object with the numbers {', '.join(known)}.")
-    unknown, missing = set(record) - set(known), set(known) - {"thickness"} - set(record)
-    if unknown:
-        raise InputError(f"The material file {path} has unknown entries {sorted(unknown)}: use {', '.join(known)}.")
-    if missing:
-        raise InputError(f"The material file {path} lacks {', '.join(sorted(missing))}.")
+    entries = set(record) if isinstance(record, dict) else set()
+    if unknown := sorted(entries - set(known)):
+        raise InputError(f"The material file {path} has unknown entries {unknown}: use {', '.join(known)}.")
+    if missing := sorted(set(known) - {"thickness"} - entries):
+        raise InputError(f"The material file {path} lacks {', '.join(missing)}; it must hold one object with them.")
     for key, value in record.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise InputError(f'In the material file {path}, "{key}" must be a number, not {value!r}.')

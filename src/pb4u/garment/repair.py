@@ -77,7 +77,7 @@ def _moved(source: PolygonMesh, body: RestBody, said: list[str], left: list[str]
     if fit.shift.any():
         said.append(f"Moved by {fit.move} on to the body, {1000 * fit.misfit:.0f} mm off on average.")
     if fit.front_alike:
-        said.append(f"Taken as {fit.axes}: front and back fit alike, and so does {fit.front_alike[0]}.")
+        left.append(f"Front and back fit alike: {fit.axes} was taken, {fit.front_alike[0]} is as likely.")
     return replace(source, vertices=fit.apply(source.vertices))
 
 

@@ -127,10 +127,13 @@ def _strap(
     border = topology.border_vertices
     away = np.where(np.isfinite(away) & border & cloth, away, -np.inf)
     end = np.flatnonzero(away > away.max() - 1.5 * float(np.median(lengths)))
-    targets = np.flatnonzero(main & border)
-    if not len(end) or not len(targets):
+    if not len(end) or not (main & border).any():
         return None
-    gaps, nearest = cKDTree(vertices[targets]).query(vertices[end])
+    # On a border first; an end that lies farther within a panel is sewn there.
+    for targets in (np.flatnonzero(main & border), np.flatnonzero(main)):
+        gaps, nearest = cKDTree(vertices[targets]).query(vertices[end])
+        if gaps.min() < _SEWABLE:
+            break
     tacks: list[tuple[int, int]] = []
     for k in np.argsort(gaps).tolist():
         pair = int(end[k]), int(targets[nearest[k]])

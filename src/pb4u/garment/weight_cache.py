@@ -62,7 +62,6 @@ def _key(garment: Garment, body: ShapedBody) -> str:
 
 
 def _read(path: Path, vertices: int, bones: int) -> SkinningWeights | None:
-    """Weights in `path`, or None when there are none that fit."""
     try:
         stored = read_arrays(path, ("bones", "weights"))
         kept = SkinningWeights(stored["bones"].astype(np.int64), stored["weights"].astype(np.float32))

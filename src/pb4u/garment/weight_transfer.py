@@ -87,7 +87,6 @@ def diffuse(garment: Garment, values: np.ndarray, reach: np.ndarray) -> np.ndarr
 
 
 def _dense(weights: SkinningWeights, bones: int) -> np.ndarray:
-    """(vertices, bones) float64."""
     dense = np.zeros((len(weights.bones), bones))
     np.add.at(dense, (np.arange(len(dense))[:, None], weights.bones), weights.weights)
     return dense

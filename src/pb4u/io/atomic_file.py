@@ -121,11 +121,8 @@ def replace_file(path: Path, content: bytes) -> None:
     """
     beside = path.with_name(f".{path.name[:_NAME_KEPT]}.{os.getpid()}{MARK}")
     try:
-        with open(beside, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(beside, path)
+        beside.write_bytes(content)
+        move_into_place(beside, path)
     except BaseException:
         with contextlib.suppress(OSError):
             beside.unlink()

@@ -22,7 +22,7 @@ from pb4u.physics.contact.contact_set import nearest_planes
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import free_flight, implicit_steps, substep_count
 from pb4u.physics.solver.newton_solver import Solver
-from pb4u.physics.time_step import DivergedError, TimeStep, integrate
+from pb4u.physics.time_step import DivergedError, TimeStep
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
@@ -107,7 +107,7 @@ def usual_starts(step: TimeStep, pinned: Tensor | None = None) -> list[Tensor]:
     """
     if step.skinned_motion is None:
         step = replace(step, skinned_motion=_motion_of_the_body(step))
-    starts = [free_flight(step), integrate(step, BodyMotionWarmStart().accelerations(step)).positions]
+    starts = [free_flight(step), BodyMotionWarmStart().positions(step)]
     if pinned is None:
         return starts
     return [torch.where(step.garments.pinned[:, None], pinned, start) for start in starts]
@@ -252,7 +252,7 @@ class Reference:
                 found = minima.lowest(step, starts)
                 after = step.reached(found.positions)
             else:
-                after, _ = implicit_steps(minima.potential, minima.solver, step, start=_carried)
+                after, _ = implicit_steps(minima.potential, minima.solver, step, start=BodyMotionWarmStart().positions)
                 if at_shared:
                     found = minima.lowest(step, [after.positions, *starts])
             if found is not None and at_shared:
@@ -281,10 +281,6 @@ class Reference:
             finite = bool(torch.isfinite(x).all())
             heights.append(minima.excess(step, x, each.least) if finite else math.nan)
         return heights
-
-
-def _carried(step: TimeStep) -> Tensor:
-    return integrate(step, BodyMotionWarmStart().accelerations(step)).positions
 
 
 def _is_shared(number: int, lead_in: int, every: int) -> bool:

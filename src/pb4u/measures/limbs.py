@@ -40,6 +40,9 @@ _SPANNED = math.radians(22.0)
 """Angle round a limb that an edge spans where cloth holds it, bent or stretched: sixteen edges. At seven to twelve,
 elbows and knees come through sleeves and tights that are worn without fault at rest."""
 
+_MOST_FINER = 8.0
+"""Times as many triangles that are named at most: a loose skirt needs fewer than go round it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Bones:
@@ -130,7 +133,7 @@ class LimbWatch:
             pairs = np.concatenate([pairs, np.column_stack([limb, crossing[:, 0]])[bare[limb] & (limb >= 0)]])
         for bone in np.flatnonzero(found).tolist():
             if self.bones.names[bone] not in self.enough:
-                enough = self._enough(bone, ends[bone], body, cloth, pairs[pairs[:, 0] == bone, 1])
+                enough = self._enough(bone, ends[bone], body, pairs[pairs[:, 0] == bone, 1])
                 self.enough[self.bones.names[bone]] = enough
         return found
 
@@ -151,20 +154,19 @@ class LimbWatch:
         bare: np.ndarray = np.bincount(self.bones.skin[shown], areas[shown], bones) > _BARE
         return bare
 
-    def _enough(
-        self, bone: int, ends: np.ndarray, body: np.ndarray, cloth: np.ndarray, faces: np.ndarray
-    ) -> int | None:
+    def _enough(self, bone: int, ends: np.ndarray, body: np.ndarray, faces: np.ndarray) -> int | None:
         """Triangles at which the edges that a limb came through would be short enough to go round it."""
         way = ends[1] - ends[0]
         offsets = body[self.bones.skin == bone] - ends[0]
         along = np.clip(offsets @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
         radius = float(np.quantile(np.linalg.norm(offsets - along[:, None] * way, axis=1), 0.25))
         # An equilateral triangle of the same area has edges of this length.
-        area = float(face_areas(cloth, self.header.faces[faces]).mean())
+        rest = np.asarray(self.header.rest_positions, dtype=np.float64)
+        area = float(face_areas(rest, self.header.faces[faces]).mean())
         edge, holds = math.sqrt(4.0 * area / math.sqrt(3.0)), 2.0 * radius * math.sin(0.5 * _SPANNED)
         worn = next(g["triangles"] for g in self.header.garments if g["triangles"][0] <= faces[0] < g["triangles"][1])
         count = worn[1] - worn[0]
-        enough = 100 * math.ceil(count * (edge / holds) ** 2 / 100)
+        enough = 100 * math.ceil(count * min((edge / holds) ** 2, _MOST_FINER) / 100)
         return enough if enough > count else None
 
     def sentence(self, bone: str, frame: int, model: str) -> str:

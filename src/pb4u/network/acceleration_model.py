@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
-from pb4u.network.graph.builder import EdgeFinder, GraphBuilder, NoFoundEdges
+from pb4u.network.graph.builder import EdgeFinder, GraphBuilder
 from pb4u.network.graph.features import Feature, FeatureLayout
 from pb4u.network.graph.garment_graph import GarmentGraph, garment_graph
 from pb4u.network.graph.graph import EdgeSet, Graph
@@ -61,7 +61,7 @@ class Derived:
     """
 
     edges: Mapping[str, Tensor] = field(default_factory=dict)
-    finder: EdgeFinder = field(default_factory=NoFoundEdges)
+    finder: EdgeFinder | None = None
     rest: Mapping[str, Tensor] = field(default_factory=dict)
     losses: tuple[FurtherLoss, ...] = ()
 

@@ -14,8 +14,8 @@ from pb4u.network.graph.graph import GARMENT, Graph
 from pb4u.network.interaction_block import InteractionBlock
 from pb4u.network.mlp import MLP, SplitMLP
 from pb4u.network.propagation import Propagation, PropagationForm
-from pb4u.network.propagation_control import ConstantDistance, FixedSteps, PropagationControl, TruncatedDistance
-from pb4u.network.update_scaling import MeanScaling, NoScaling, PerVertexScaling, UpdateScaling
+from pb4u.network.propagation_control import ConstantDistance, FixedSteps, TruncatedDistance
+from pb4u.network.update_scaling import MeanScaling, NoScaling, PerVertexScaling
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +52,8 @@ class Pb4uGNet(EncodeProcessDecode):
         super().__init__(configuration)
         self.configuration = configuration
         self.kinds = ("mesh", "world")
-        self.control: PropagationControl = configuration.control
-        self.scaling: UpdateScaling = configuration.scaling
+        self.control = configuration.control
+        self.scaling = configuration.scaling
         width = configuration.width
         self.propagation = Propagation(width, configuration.propagation)
         self.update = SplitMLP((width, width), width, width, norm=True)

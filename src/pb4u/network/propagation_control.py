@@ -4,18 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from pb4u.errors import InputError
-
-
-class PropagationControl(Protocol):
-    """A rule for the number of propagation steps of a garment."""
-
-    def steps(self, mean_edge_length: float) -> int:
-        """Number of steps, at least 1, for a garment of `mean_edge_length` [m] at rest."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +28,7 @@ class ConstantDistance:
             raise InputError(f"The propagation distance must be above 0 m, not {self.distance}.")
 
     def steps(self, mean_edge_length: float) -> int:
+        """Number of steps, at least 1, for a garment of `mean_edge_length` [m] at rest."""
         # The small addition keeps D / L = 15 at 15 although binary fractions put it just below.
         return max(1, math.floor(self.distance / mean_edge_length + 1e-6))
 
@@ -79,24 +72,3 @@ class FixedSteps:
 
     def steps(self, mean_edge_length: float) -> int:
         return self.count
-
-
-class RandomSteps:
-    """Random number of steps for training, drawn again each time up to the K of the finest mesh (reference 7).
-
-    Args:
-        most: largest number drawn.
-        generator: source of random numbers.
-        least: smallest number drawn.
-
-    Raises:
-        InputError: the bounds are not 1 <= least <= most.
-    """
-
-    def __init__(self, most: int, generator: np.random.Generator, least: int = 1) -> None:
-        if not 1 <= least <= most:
-            raise InputError(f"Propagation steps are drawn from 1 upwards, not from {least} to {most}.")
-        self.least, self.most, self.generator = least, most, generator
-
-    def steps(self, mean_edge_length: float) -> int:
-        return int(self.generator.integers(self.least, self.most + 1))

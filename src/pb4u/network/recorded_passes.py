@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from pb4u.collision.jit import COMPILES, compiled_with_free_sums
+from pb4u.collision.jit import compiled_with_free_sums
 from pb4u.network.graph.incidence import Incidence
 
 Gradients: TypeAlias = tuple[Tensor | None, ...]
@@ -55,8 +55,7 @@ def records(values: Tensor, weight: Tensor) -> bool:
         weight: of the layers that they meet, of any shape.
     """
     return (
-        COMPILES
-        and torch.is_grad_enabled()
+        torch.is_grad_enabled()
         and values.device.type == "cpu"
         and values.dtype == weight.dtype
         and values.dtype in (torch.float32, torch.float64)

@@ -3,23 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from pb4u.network.graph.garment_graph import GarmentGraph
-
-
-class UpdateScaling(Protocol):
-    """A rule for the factors on the predicted accelerations."""
-
-    def factors(self, garments: GarmentGraph) -> Tensor | None:
-        """Factors (vertices, 1), dimensionless, on the accelerations, or None for 1.
-
-        Args:
-            garments: static graph of the pack.
-        """
 
 
 @dataclass(frozen=True)
@@ -33,6 +21,11 @@ class PerVertexScaling:
     reference_length: float = 0.015
 
     def factors(self, garments: GarmentGraph) -> Tensor | None:
+        """Factors (vertices, 1), dimensionless, on the accelerations, or None for 1.
+
+        Args:
+            garments: static graph of the pack.
+        """
         return (garments.incident_length / self.reference_length)[:, None]
 
 

@@ -1,4 +1,4 @@
-"""The networks by name. An ablation is the paper's network with one part replaced by its null object."""
+"""The networks by name. An ablation is the paper's network with one part replaced by another."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pb4u.network.update_scaling import MeanScaling, NoScaling, PerVertexScaling
 from pb4u.paper.baselines.contourcraft import ContourCraftConfiguration
 from pb4u.paper.baselines.directed_self_contact import DirectedSelfEdges
 from pb4u.paper.baselines.eslr import EslrConfiguration
-from pb4u.paper.baselines.hood import HoodConfiguration, LevelsByLength
+from pb4u.paper.baselines.hood import HoodConfiguration
 from pb4u.paper.baselines.meshgraphnet import MeshGraphNetConfiguration
 
 Configuration = TypeVar("Configuration", bound=NetworkConfiguration)
@@ -130,29 +130,12 @@ release_contourcraft = ContourCraftConfiguration(
 
 PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
     "pb4u_paper": (pb4u_paper, "the paper's network"),
-    "pb4u_release": (
-        replace(
-            pb4u_paper,
-            propagation=RELEASED_PROPAGATION,
-            scaling=MeanScaling(0.01),
-            layout=FeatureLayout(node=("velocity", "normal", "dt", "vertex_mass", "material")),
-        ),
-        "the same as in the released code",
-    ),
     "release_pb4u": (release_pb4u, "the released network to the last digit, for its checkpoints"),
     "release_mgn": (release_mgn, "the released MeshGraphNet (fine15) to the last digit"),
     "release_mgn_48": (replace(release_mgn, blocks=48), "the released fine48"),
     "release_hood": (release_hood, "the released HOOD (postcvpr) to the last digit"),
     "release_hood_cvpr": (release_hood_cvpr, "the HOOD of the paper (cvpr) to the last digit"),
     "release_contourcraft": (release_contourcraft, "the released ContourCraft"),
-    "pb4u_bare_edges": (
-        replace(pb4u_paper, layout=FeatureLayout(mesh_edge=("direction", "rest_direction", "length_ratio"))),
-        "mesh edges with the three features that the paper names, and nothing else",
-    ),
-    "pb4u_all_pairs": (
-        replace(pb4u_paper, world_edges=WorldEdgeRule(radius=0.03, neighbours=16)),
-        "world edges to the 16 nearest body vertices instead of to one",
-    ),
     "literal": (literal, "the features that the paper names and nothing else, free flight, one pass"),
     "literal_small": (literal_small, "the same, 64 wide with 4 blocks, for a processor"),
     "literal_small_without_propagation_control": (_literal_small_fixed, "the same with 5 steps at every resolution"),
@@ -165,10 +148,6 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
         "the same with 5 steps and updates as predicted",
     ),
     "pb4u_small": (pb4u_small, "64 wide with 4 blocks, for a processor"),
-    "pb4u_small_descent": (
-        replace(pb4u_small, layout=FeatureLayout(extra=(DESCENT,))),
-        "the small one, which sees the descent of the potential",
-    ),
     "pb4u_small_carried": (pb4u_small_carried, "the small one, each step started part of the way with the body"),
     "pb4u_small_two_passes": (pb4u_small_two_passes, "that one, evaluated twice a step"),
     "pb4u_small_conjugate": (
@@ -186,34 +165,13 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
         replace(pb4u_small_carried, scaling=NoScaling()),
         "the small one with updates as predicted",
     ),
-    "small_mean_scaling": (
-        replace(pb4u_small_carried, scaling=MeanScaling(0.015)),
-        "the small one with one scale a garment",
-    ),
     "small_without_both": (replace(_small_without_control, scaling=NoScaling()), "5 steps, updates as predicted"),
     "mgn": (mgn, "MeshGraphNet, 15 blocks"),
-    "mgn_48": (replace(mgn, blocks=48), "MeshGraphNet with HOOD's reach"),
-    "mgn_relative": (
-        replace(mgn, layout=FeatureLayout()),
-        "our edge features in MeshGraphNet, which the paper's tables never show alone (reference 8)",
-    ),
     "hood": (hood, "HOOD, two coarse levels"),
-    "hood_metric": (
-        replace(hood, choice=LevelsByLength(0.03, 0.06)),
-        "HOOD with coarse edges of 3 and 6 cm at every resolution",
-    ),
     "eslr": (eslr, "ESLR, a reconstruction"),
     "contourcraft": (contourcraft, "ContourCraft"),
     "mgn_small": (_mgn_small, "MeshGraphNet for a processor"),
-    "mgn_relative_small": (
-        replace(_mgn_small, layout=pb4u_small_carried.layout),
-        "the same with our edge features",
-    ),
     "hood_small": (_hood_small, "HOOD for a processor, one block a stage"),
-    "hood_metric_small": (
-        replace(_hood_small, choice=LevelsByLength(0.07, 0.14)),
-        "the same with coarse edges of 7 and 14 cm",
-    ),
     "eslr_small": (with_start_shares(replace(eslr, width=64, layers=3, landmarks=64)), "ESLR for a processor"),
     "contourcraft_small": (
         with_start_shares(replace(contourcraft, width=64, blocks=4, level=2)),

@@ -24,8 +24,8 @@ from pb4u.paper.reference_energies import REFERENCE_LEAD_IN, stored_reference
 from pb4u.run import Run, WornGarment
 from pb4u.scene.catalogue import SEEDS
 from pb4u.simulation.checkpoint import weights_name
+from pb4u.simulation.control_simulator import QUICK_SOLVER
 from pb4u.simulation.models import looks_at, model_descriptions
-from pb4u.simulation.stepwise_simulator import QUICK_SOLVER
 
 FPS = 30.0
 """Frames per second of every protocol."""

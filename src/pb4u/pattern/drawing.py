@@ -1,4 +1,4 @@
-"""A picture of a pattern: panels laid out to scale, curves, seams in one colour on both their sides."""
+"""A picture of a pattern: panels laid out to scale, edges by number, seams in one colour on both their sides."""
 
 from __future__ import annotations
 
@@ -11,11 +11,16 @@ from pb4u.io.atomic_file import replace_file
 from pb4u.pattern.layout import laid_out
 from pb4u.pattern.pattern import Pattern
 
+_INWARDS = 0.012
+"""Distance [m] of the number of an edge from it."""
+
 _FINE = np.linspace(0.0, 1.0, 33)
 
 
 def draw_pattern(pattern: Pattern, path: Path) -> None:
     """Draw a pattern; a seam has one number and colour on both its edges, hems and other open edges are black.
+
+    Within a panel stand the numbers of its edges, as refusals and seams name them.
 
     Args:
         pattern: to draw.
@@ -37,6 +42,9 @@ def draw_pattern(pattern: Pattern, path: Path) -> None:
             number = sewn.get((panel.name, k))
             colour = "black" if number is None else colormaps["tab20"](number % 20)
             axes.plot(*(edge + move).T, color=colour, linewidth=1.0 if number is None else 2.0)
+            middle, way = edge[len(edge) // 2], edge[len(edge) // 2 + 1] - edge[len(edge) // 2 - 1]
+            inwards = np.sign(panel.area) * np.array([-way[1], way[0]]) / np.hypot(*way)
+            axes.annotate(str(k), middle + move + _INWARDS * inwards, ha="center", va="center", color="0.5", fontsize=5)
             if number is not None:
                 axes.annotate(str(number), edge[len(edge) // 2] + move, color=colour, fontsize=6)
     axes.set(xlim=(0.0, side), ylim=(0.0, side), aspect="equal", title=pattern.name, xlabel="m", ylabel="m")

@@ -20,6 +20,7 @@ from torch import Tensor
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.errors import InputError
+from pb4u.garment.body_form import BodyForm
 from pb4u.garment.fit import RestBody, is_inside_out
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import nearest_places
@@ -104,6 +105,18 @@ _AHEAD = 0.02
 _TIGHT = 0.1
 """Mean strain of the cloth from which on a pattern is too small for a body: those that fit have 0.02 to 0.05."""
 
+_NARROW = 0.8
+"""Share of the waist from which on cloth goes around a body: narrower cloth is not strained, but ends around the neck.
+"""
+
+_REMEDY = "check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` writes."
+
+_CROTCH_ROOM = 0.01
+"""Least distance [m] of the crotch of trousers below that of the body."""
+
+_MIDDLE = 0.02
+"""Distance [m] from the middle of the body within which four corners of panels that meet are a crotch."""
+
 _SLICE = 0.03
 """Half height [m] of a ring of cloth whose strain tells what girth it was cut for."""
 
@@ -179,6 +192,7 @@ def dress(
     enough = max(round(pattern.area / (0.43 * _COARSE_EDGE**2)), 8 * len(pattern.panels))
     coarse = mesh_pattern(pattern, triangles if triangles < 1.5 * enough else enough)
     sewing = _Sewing(coarse, body, cloth, watch)
+    sewing.refuse_narrow()
     places = sewing.hung(sewing.sewn(), _MOST_HANGING)
     fine = coarse if triangles <= len(coarse.faces) else mesh_pattern(pattern, triangles)
     return sewing.dressed(places) if fine is coarse else sewing.on_mesh(fine, places)
@@ -273,10 +287,17 @@ class _Sewing:
 
     @cached_property
     def placed(self) -> np.ndarray:
-        """Places (points, 3) [m] of the panels, at the height of this body's shoulders where the garment has those."""
+        """Places (points, 3) [m] of the panels, at the height of this body's shoulders where the garment has those.
+
+        Trousers whose crotch would be within the body are lowered to its own.
+        """
         places = joined(self.mesh)
-        top = shoulder_point(self.mesh, places)
-        return places if top is None else places + (shoulder_height(self.body, abs(top[0])) - top[1]) * np.array(UP)
+        top, rise = shoulder_point(self.mesh, places), 0.0
+        if top is not None:
+            rise = shoulder_height(self.body, abs(top[0])) - float(top[1])
+        elif (crotch := crotch_height(self.mesh, places)) is not None:
+            rise = min(0.0, self.body.kept("form", BodyForm).crotch - _CROTCH_ROOM - crotch)
+        return places + rise * np.array(UP)
 
     def pose(self, share: float, done: float) -> ColliderPose:
         """The whole body, hands included; see `SewingBody.between`."""
@@ -286,6 +307,21 @@ class _Sewing:
     def rest_pose(self) -> ColliderPose:
         """The body in its size, as simulations touch it."""
         return self.colliders.pose(torch.from_numpy(self.body.vertices))
+
+    def refuse_narrow(self) -> None:
+        """Refuse cloth over the trunk that cannot go around it."""
+        form, name = self.body.kept("form", BodyForm), self.mesh.pattern.name
+        own = [self.placed[self.mesh.panel == k] for k, p in enumerate(self.mesh.pattern.panels) if p.label != "arm"]
+        low, high = (np.array([end(points[:, 1]) for points in own]) for end in (np.min, np.max))
+        widths = np.array([np.hypot(*np.ptp(points[:, [0, 2]], axis=0)) for points in own])
+        levels = np.linspace(form.crotch, form.neck[1], 64)[:, None]
+        widest = float((widths * ((low <= levels) & (levels <= high))).sum(axis=1).max())
+        waist = trunk_girths(self.body)["waist"][1]
+        if 0.0 < widest < _NARROW * waist:
+            raise InputError(
+                f"{name} is too small for {self.body.name}: its panels are {100 * widest:.0f} cm wide together, and "
+                f"the waist measures {100 * waist:.0f} cm; {_REMEDY}"
+            )
 
     def sewn(self) -> np.ndarray:
         """Places (vertices, 3) [m] of the garment around the body in its size, without weight."""
@@ -390,7 +426,10 @@ class _Sewing:
         """The garment that hangs at `places` (vertices, 3) [m], checked, and lifted off the skin."""
         garment = self.garment(places)
         if is_inside_out(places, garment.faces, self.rest_body):
-            raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
+            raise InputError(
+                f"{garment.name} comes out inside out: run the corners of its panels the other way round, or check the "
+                "pattern's unit if it lies lower on the body than it should."
+            )
         packed = pack([garment])
         x = torch.from_numpy(places)
         strains = face_strains(x, packed.faces, packed.inverse_rest_shape).numpy()
@@ -425,8 +464,7 @@ class _Sewing:
         raise InputError(
             f"{self.mesh.pattern.name} is too small for {self.body.name}: its cloth would be strained by "
             f"{100 * mean:.0f} % on average, and by {100 * of_panel[worst]:.0f} % in panel {panels[worst].name}"
-            f"{differ}; check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` "
-            "writes."
+            f"{differ}; {_REMEDY}"
         )
 
 
@@ -471,6 +509,18 @@ def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> np.ndarray | None:
             found.append(places[np.concatenate([one, other])])
     points = np.concatenate(found) if found else places[:0]
     return points[points[:, 1].argmax()] if len(points) else None
+
+
+def crotch_height(mesh: PatternMesh, places: np.ndarray) -> float | None:
+    """Height [m] of the lowest point in the middle where four corners of panels are sewn together; None without one.
+
+    Args:
+        mesh: the panels.
+        places: (points, 3) of the panels [m].
+    """
+    sewn = mesh.sewn(places)
+    meet = (np.bincount(mesh.vertex) >= 4) & (np.abs(sewn[:, 0]) < _MIDDLE)
+    return float(sewn[meet, 1].min()) if meet.any() else None
 
 
 def off_body(mesh: PatternMesh, places: np.ndarray, body: np.ndarray) -> np.ndarray:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from pb4u.collision.jit import COMPILES
 from pb4u.physics.contact.contact_set import (
     ContactPlanes,
     ContactSet,
@@ -17,7 +16,7 @@ from pb4u.physics.contact.contact_set import (
     nearest_planes,
 )
 from pb4u.physics.contact.obstacle import Obstacle
-from pb4u.physics.contact.self_contact import ClothPairs, CollisionFree, NoSelfContact, SelfContact
+from pb4u.physics.contact.self_contact import ClothPairs, CollisionFree
 from pb4u.physics.terms.bending import Bending
 from pb4u.physics.terms.cloth_contact import ClothContact, ClothFriction
 from pb4u.physics.terms.collision import Collision, ReleasedCollision
@@ -87,12 +86,12 @@ class IncrementalPotential:
     Args:
         terms: the energies, each under a name of its own.
         search: finds the planes of the body: its exact nearest points, or the family's nearest face centres.
-        self_contact: keeps cloth from passing through cloth, or does not.
+        self_contact: keeps cloth from passing through cloth; None for the paper's physics, where it does.
     """
 
     terms: tuple[EnergyTerm, ...] = TERMS
     search: PlaneSearch = nearest_planes
-    self_contact: SelfContact = field(default_factory=NoSelfContact)
+    self_contact: CollisionFree | None = None
 
     @staticmethod
     def paper_release() -> IncrementalPotential:
@@ -113,14 +112,14 @@ class IncrementalPotential:
     def pressed_by_bodies(self) -> IncrementalPotential:
         """This potential with faces and edges of bodies among what presses cloth, where cloth feels bodies at all."""
         contact = self.self_contact
-        if not isinstance(contact, CollisionFree) or not contact.feels_bodies:
+        if contact is None or not contact.feels_bodies:
             return self
         return replace(self, self_contact=replace(contact, pressed_by_bodies=True))
 
     def without_self_contact(self) -> IncrementalPotential:
         """This potential without contact between cloth elements."""
         ours = {term.name for term in SELF_CONTACT}
-        return replace(self, terms=tuple(t for t in self.terms if t.name not in ours), self_contact=NoSelfContact())
+        return replace(self, terms=tuple(t for t in self.terms if t.name not in ours), self_contact=None)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -139,7 +138,8 @@ class IncrementalPotential:
     def of(self, step: TimeStep) -> StepPotential:
         """The potential of `step`, with the contacts of the body at its start queried."""
         contacts = step.contacts if self.search is nearest_planes else step.contacts_by(self.search)
-        if self.self_contact.feels_bodies and contacts.now is not None and step.sags is not None:
+        feels_bodies = self.self_contact is not None and self.self_contact.feels_bodies
+        if feels_bodies and contacts.now is not None and step.sags is not None:
             contacts = replace(contacts, now=contacts.now.raised(step.sags), raised=step.sags)
         return StepPotential(self, step, contacts)
 
@@ -199,8 +199,11 @@ class StepPotential:
             x: (vertices, 3) [m] from where, crossing nowhere.
             wanted: (vertices, 3) [m].
         """
+        contact = self.potential.self_contact
+        if contact is None:
+            return self, wanted
         met = self._along(x, wanted - x)
-        contact, cloth = self.potential.self_contact, met.contacts.cloth
+        cloth = met.contacts.cloth
         on_the_way = None if cloth is None else cloth.obstacle
         carried, obstacle = contact.carried(self.step.garments, x, wanted, cloth, obstacle=on_the_way)
         met = replace(met, contacts=replace(met.contacts, obstacle=obstacle))
@@ -213,23 +216,26 @@ class StepPotential:
             x: (vertices, 3) [m] from where, crossing nowhere.
             moves: (vertices, 3) [m], linear.
         """
-        met = self._along(x, moves)
-        return met, met.potential.self_contact.shares(self.step.garments, met.contacts.cloth, x, moves)
+        contact, met = self.potential.self_contact, self._along(x, moves)
+        if contact is None:
+            return met, x.new_ones(self.step.garments.world_count)
+        return met, contact.shares(self.step.garments, met.contacts.cloth, x, moves)
 
     def with_cloth(self, cloth: ClothPairs | None) -> StepPotential:
         """This potential with the cloth elements that it compares fixed to `cloth`; None looks them up."""
-        if cloth is None:
+        contact = self.potential.self_contact
+        if cloth is None or contact is None:
             return self
         if self.contacts.cloth is not None:
             return replace(self, contacts=replace(self.contacts, cloth=cloth))
         before = self.step.state.positions
         obstacle = self._obstacle(before, None)
-        near = self.potential.self_contact.pairs(self.step.garments, before, None, before, obstacle=obstacle)
+        near = contact.pairs(self.step.garments, before, None, before, obstacle=obstacle)
         return self._with_cloth_from(cloth, near)
 
-    def _with_cloth_from(self, cloth: ClothPairs, start: ClothPairs | None) -> StepPotential:
+    def _with_cloth_from(self, cloth: ClothPairs, start: ClothPairs) -> StepPotential:
         """This potential with `cloth`, and those of the pairs near at the step's `start` that touch there."""
-        touching = None if start is None else start.touching(self.step.state.positions)
+        touching = start.touching(self.step.state.positions)
         return replace(self, contacts=replace(self.contacts, cloth=cloth, cloth_now=touching))
 
     def without_cloth(self) -> StepPotential:
@@ -238,11 +244,14 @@ class StepPotential:
 
     def _along(self, x: Tensor, moves: Tensor | None) -> StepPotential:
         """This potential with all cloth elements that meet along `moves` (vertices, 3) [m] from `x`; None for none."""
+        contact = self.potential.self_contact
+        if contact is None:
+            return self
         garments, before, known = self.step.garments, self.step.state.positions, self.contacts.cloth
         obstacle = self._obstacle(x, moves)
-        cloth = self.potential.self_contact.pairs(garments, x, moves, before, known, obstacle)
+        cloth = contact.pairs(garments, x, moves, before, known, obstacle)
         # What a move from the step's start meets is all that touches there.
-        if cloth is not None and known is None and x is before:
+        if known is None and x is before:
             return self._with_cloth_from(cloth, cloth)
         return self.with_cloth(cloth)
 
@@ -251,8 +260,8 @@ class StepPotential:
 
         Let through what was found to leave them no room.
         """
-        step, known = self.step, self.contacts.obstacle
-        if step.bodies is None or not self.potential.self_contact.pressed_by_bodies:
+        step, known, contact = self.step, self.contacts.obstacle, self.potential.self_contact
+        if step.bodies is None or contact is None or not contact.pressed_by_bodies:
             return None
         if x is step.state.positions:
             start = step.obstacle
@@ -316,7 +325,7 @@ class StepPotential:
     def undifferentiated(self) -> StepPotential:
         """This potential for its numbers alone: compiled where the garments are what the solver computes with."""
         garments = self.step.garments
-        of_solver = COMPILES and garments.dtype == torch.float64 and garments.device.type == "cpu"
+        of_solver = garments.dtype == torch.float64 and garments.device.type == "cpu" and not self._batches
         return self.compiled() if of_solver else self
 
     def stiffness(self, x: Tensor, pattern: StiffnessPattern) -> Stiffness:

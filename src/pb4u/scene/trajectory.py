@@ -179,7 +179,6 @@ def _write_members(archive: zipfile.ZipFile, members: Mapping[str, np.ndarray]) 
 
 
 def _joined_rest(garments: Sequence[Garment]) -> np.ndarray | None:
-    """`TrajectoryHeader.rest_uv` of garments."""
     if all(garment.rest_uv is None for garment in garments):
         return None
     parts = (np.full((len(g.faces), 3, 2), np.nan) if g.rest_uv is None else g.rest_uv for g in garments)

@@ -1,23 +1,23 @@
-"""Controls: what a network does around its predictions, without the network."""
+"""Controls: what a network does around its predictions, without the network; and the solver's first iterations."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from pb4u.errors import InputError
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep
-from pb4u.simulation.network_pass import GradientPass, Network, NoNetwork
+from pb4u.simulation.network_pass import GradientPass
 from pb4u.simulation.pass_search import search_of
-from pb4u.simulation.penetration_response import Contact, NoContact
-from pb4u.simulation.refinement import NoRefinement, Refinement, SafeguardedRefinement
+from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
-from pb4u.simulation.step_start import start_of
+from pb4u.simulation.step_start import BodyMotionWarmStart, start_of
 from pb4u.simulation.stepwise_simulator import StepwiseSimulator
 from pb4u.simulation.timeline import Timeline
 
-GRADIENT_DESCENT, WARM_START = "gradient-descent", "warm-start"
+GRADIENT_DESCENT, WARM_START, QUICK_SOLVER = "gradient-descent", "warm-start", "quick-solver"
 
 
 class ControlSimulator(StepwiseSimulator):
@@ -25,44 +25,51 @@ class ControlSimulator(StepwiseSimulator):
 
     `--model gradient-descent` takes the network's own input feature, Jacobi descent of the potential, for its
     prediction; `--model warm-start` leaves the step where it starts. What a network is better by is its own.
+    `--model quick-solver` has no network beside it: a few solver iterations from where the body carries the garment.
 
     Args:
-        name: one of the two.
-        like: network whose start, search and number of passes are taken.
+        name: one of the three.
+        like: network whose start, search and number of passes are taken; None for the quick solver.
         refine: solver iterations after each step, which is retried where they fail; 0 for none.
         contact: pushes out vertices left inside the body; none by default.
         passes: gradients in a step; None is the number of the network.
         first_frame: makes frame 0; by default one long step of the method's own.
         potential: energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
+
+    Raises:
+        InputError: the quick solver without an iteration.
     """
 
     def __init__(
         self,
         name: str,
-        like: GraphNetwork,
+        like: GraphNetwork | None = None,
         refine: int = 0,
-        contact: Contact | None = None,
+        contact: ContactResponse | None = None,
         passes: int | None = None,
         first_frame: FirstFrame | None = None,
         potential: IncrementalPotential | None = None,
     ) -> None:
+        if like is None and refine < 1:
+            raise InputError(f"The quick solver is nothing but iterations: it takes 1 or more a step, not {refine}.")
         self.name, self.like, self.refine = name, like, refine
-        self.contact, self.first_frame = contact or NoContact(), first_frame or OneLongStep()
-        self.potential = potential or IncrementalPotential()
-        self.passes = like.passes if passes is None else passes
-        self.further = like.further_passes if passes is None else 0
+        self.contact, self.first_frame = contact, first_frame or OneLongStep()
+        self.potential, self.passes = potential or IncrementalPotential(), passes
 
     def settings(self) -> dict[str, Any]:
-        passes = self.passes if self.name == GRADIENT_DESCENT else 0
-        return {**super().settings(), "refine": self.refine, "passes": passes, "device": "cpu"}
+        made = {**super().settings(), "refine": self.refine, "device": "cpu"}
+        return made if self.like is None else {**made, "passes": self._passes(self.like)[0]}
+
+    def _passes(self, like: GraphNetwork) -> tuple[int, int]:
+        if self.name != GRADIENT_DESCENT:
+            return 0, 0
+        return (like.passes, like.further_passes) if self.passes is None else (self.passes, 0)
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
-        network: Network = NoNetwork()
-        if self.name == GRADIENT_DESCENT:
-            network = GradientPass(timeline.garments, self.passes, self.further)
-        refinement: Refinement = NoRefinement(self.potential.self_contact)
-        if self.refine:
-            refinement = SafeguardedRefinement(self.refine, self.potential, record.count_retried)
-        return StepMethod(
-            start_of(self.like), network, refinement, self.contact, self.potential.self_contact, search_of(self.like)
-        )
+        parts: dict[str, Any] = {"contact": self.contact, "self_contact": self.potential.self_contact}
+        parts["refinement"] = self.refinement(record)
+        if self.like is None:
+            return StepMethod(BodyMotionWarmStart(), **parts)
+        passes, further = self._passes(self.like)
+        network = GradientPass(timeline.garments, passes, further) if passes else None
+        return StepMethod(start_of(self.like), network, search=search_of(self.like), **parts)

@@ -31,12 +31,26 @@ class FirstFrame(ABC):
         yield self.start(timeline, method)
 
 
+def untangled(timeline: Timeline, method: StepMethod, state: State) -> State:
+    """`state` with its garments untangled, where the method keeps cloth from passing through cloth.
+
+    Args:
+        timeline: garments and bodies.
+        method: takes the steps that follow.
+        state: of any frame.
+
+    Raises:
+        InputError: what crosses cannot be untangled.
+    """
+    cloth = method.self_contact
+    return state if cloth is None else replace(state, positions=cloth.free_start(timeline.garments, state.positions))
+
+
 class AsPlaced(FirstFrame):
     """The garments where their placement puts them, such as cloth about to fall; untangled where cloth feels cloth."""
 
     def start(self, timeline: Timeline, method: StepMethod) -> State:
-        placed = timeline.skinned_state(0)
-        return replace(placed, positions=method.self_contact.free_start(timeline.garments, placed.positions))
+        return untangled(timeline, method, timeline.skinned_state(0))
 
 
 class OneLongStep(FirstFrame):
@@ -48,8 +62,10 @@ class OneLongStep(FirstFrame):
     def start(self, timeline: Timeline, method: StepMethod) -> State:
         begun = AsPlaced().start(timeline, method)
         step = timeline.settling_from(begun)
-        pushed = carried(method.self_contact, step, step.state, method.contact.respond(step, step.state))
-        return replace(begun, positions=take(timeline.settling_from(pushed), method).positions)
+        if method.contact is not None:
+            pushed = carried(method.self_contact, step, step.state, method.contact.respond(step, step.state))
+            step = timeline.settling_from(pushed)
+        return replace(begun, positions=take(step, method).positions)
 
 
 @dataclass(frozen=True)

@@ -98,18 +98,19 @@ def simulator_of(run: Run) -> Simulator:
         InputError: an unknown model, a bad file or an impossible option.
     """
     from pb4u.physics.incremental_potential import IncrementalPotential
-    from pb4u.simulation.control_simulator import GRADIENT_DESCENT, WARM_START, ControlSimulator
-    from pb4u.simulation.penetration_response import Contact, ContactResponse, NoContact
+    from pb4u.physics.solver.implicit_steps import free_flight
+    from pb4u.simulation.control_simulator import GRADIENT_DESCENT, QUICK_SOLVER, WARM_START, ControlSimulator
+    from pb4u.simulation.penetration_response import ContactResponse
     from pb4u.simulation.simulator import SkinningSimulator
-    from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight
-    from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolverSimulator, SolverSimulator
+    from pb4u.simulation.step_start import BodyMotionWarmStart
+    from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
 
     model = default_model() if str(run.model) == "auto" else str(run.model)
     _require_possible(run, model)
     potential = IncrementalPotential()
     if run.self_contact is not False:
         potential = potential.with_self_contact(bodies=run.contact)
-    contact: Contact = ContactResponse() if run.contact else NoContact()
+    contact = ContactResponse() if run.contact else None
     # The solver improves a state more, and settles it better, than one long step of a network at the same cost.
     solves = (model in OPTIONS and not looks_at(model, "refine")) or run.refine > 0
     first_frame = _first_frame(run.first_frame, "settled" if solves else "long_step", potential)
@@ -117,10 +118,10 @@ def simulator_of(run: Run) -> Simulator:
         return SkinningSimulator()
     if model == "solver":
         # Where cloth stops cloth, what free flight leaves behind a fast limb would stay caught on it.
-        start = FreeFlight() if run.self_contact is False else BodyMotionWarmStart()
+        start = free_flight if run.self_contact is False else BodyMotionWarmStart().positions
         return SolverSimulator(contact=contact, first_frame=first_frame, potential=potential, start=start)
-    if model == "quick-solver":
-        return QuickSolverSimulator(run.refine, contact, first_frame, potential)
+    if model == QUICK_SOLVER:
+        return ControlSimulator(model, None, run.refine, contact, None, first_frame, potential)
     # Where the solver refines, it improves a state more than a further pass does.
     passes = 1 if run.passes is None and run.refine else run.passes
     if model in (GRADIENT_DESCENT, WARM_START):

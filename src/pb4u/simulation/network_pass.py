@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -31,37 +30,7 @@ _SMALLEST_DESCENT = 1e-6
 """Root mean square of a descent, in edge lengths, that is no longer shown larger: cloth at rest in single precision."""
 
 
-class Network(ABC):
-    """Adds to the accelerations of a step.
-
-    Attributes:
-        passes: how often it is asked in a step.
-        further: how often it is asked again at most, while a pass frees much energy.
-    """
-
-    passes: int
-    further: int = 0
-
-    @abstractmethod
-    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] to add to those reached so far.
-
-        Args:
-            step: that is taken.
-            accelerations: (vertices, 3) reached so far, from free flight [m per step^2].
-        """
-
-
-class NoNetwork(Network):
-    """Leaves the step where it starts."""
-
-    passes = 0
-
-    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        return torch.zeros_like(accelerations)
-
-
-class NetworkPass(Network):
+class NetworkPass:
     """The network's correction of the accelerations reached so far.
 
     Args:
@@ -89,6 +58,12 @@ class NetworkPass(Network):
         self._colliders: tuple[PackedColliders, PackedColliders] | None = None
 
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        """Accelerations (vertices, 3) [m per step^2] to add to those reached so far.
+
+        Args:
+            step: that is taken.
+            accelerations: (vertices, 3) reached so far, from free flight [m per step^2].
+        """
         extra, scale = self.features.scaled(step, accelerations)
         with self.mode():
             return scale * self.network(self._graph(step, extra), self.prepared).to(accelerations)
@@ -172,7 +147,7 @@ class AdvanceFeature:
 _MAKERS: dict[Feature, Callable[[], StepFeature]] = {DESCENT: DescentFeature, ADVANCE: AdvanceFeature}
 
 
-class GradientPass(Network):
+class GradientPass:
     """The gradient feature itself as the pass: what a network adds is judged against it.
 
     Args:
@@ -188,6 +163,7 @@ class GradientPass(Network):
 
     @torch.no_grad()
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        """Accelerations (vertices, 3) [m per step^2] to add; see `NetworkPass.correction`."""
         length = self._incident_length
         return length[:, None] * self._feature.of(step, accelerations, length)
 

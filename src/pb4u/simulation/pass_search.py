@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
 import torch
 from torch import Tensor
 
@@ -16,8 +14,8 @@ _FLATTEST = 1e-3
 """Smallest curvature along a joint of scaled directions: two that are nearly one must not be played off each other."""
 
 
-class PassSearch(ABC):
-    """Rule for what a step makes of a pass. Made for one run, as it may remember the passes before.
+class PassSearch:
+    """Takes what the network predicts, as in the paper. Made for one run, as others may remember the passes before.
 
     Attributes:
         freed: (worlds,) energy [J] that the last pass freed; None where it is not looked at.
@@ -39,7 +37,6 @@ class PassSearch(ABC):
             return garments.vertex_masses.new_zeros(())
         return (self.freed / garments.world_weights).max()
 
-    @abstractmethod
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
         """Accelerations (vertices, 3) [m per step^2] to add; differentiable in `correction`.
 
@@ -48,12 +45,6 @@ class PassSearch(ABC):
             accelerations: (vertices, 3) reached so far, from free flight [m per step^2].
             correction: (vertices, 3) that the network predicts from there [m per step^2].
         """
-
-
-class WholePass(PassSearch):
-    """Takes what the network predicts, as in the paper."""
-
-    def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
         return correction
 
 
@@ -160,4 +151,4 @@ def eigenvectors(matrices: Tensor) -> tuple[Tensor, Tensor]:
 
 def search_of(network: GraphNetwork) -> PassSearch:
     """Rule for the passes of `network`, for one run."""
-    return ConjugatePass() if network.conjugate else WholePass()
+    return ConjugatePass() if network.conjugate else PassSearch()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -12,74 +11,15 @@ from torch import Tensor
 from pb4u.physics.contact.contact_set import ContactPlanes, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.penetration_cleanup import FaceClearance
-from pb4u.physics.contact.self_contact import SelfContact
+from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
 from pb4u.scene.scene import UP
 from pb4u.scene.state import State
 
 
-class Contact(ABC):
-    """Corrects vertices that are inside the body at the end of a step."""
-
-    @abstractmethod
-    def respond(self, step: TimeStep, state: State) -> State:
-        """State with vertices pushed out of the bodies; the push never becomes speed.
-
-        Args:
-            step: the time step that was taken.
-            state: at the end of it.
-        """
-
-    @abstractmethod
-    def cleared(self, step: TimeStep, state: State, cloth: SelfContact) -> State:
-        """State with cloth lifted that a body is through though no vertex is inside it, as far as cloth can go there.
-
-        Args:
-            step: the time step that was taken.
-            state: at the end of it.
-            cloth: keeps it from passing through cloth, and tells whether bodies count.
-        """
-
-    @abstractmethod
-    def depth(self, step: TimeStep, x: Tensor) -> float:
-        """How deep [m] the deepest vertex that may be pushed is inside the bodies or the ground, 0 where none is.
-
-        Args:
-            step: the time step.
-            x: (vertices, 3) [m] at its end.
-        """
-
-    @abstractmethod
-    def present(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: SelfContact) -> State:
-        """State as it is written; the simulation goes on from `state`.
-
-        Args:
-            garments: static quantities.
-            state: at one frame.
-            pose: the bodies at that frame.
-            cloth: keeps it from passing through cloth.
-        """
-
-
-class NoContact(Contact):
-    """Leaves states as they are."""
-
-    def respond(self, step: TimeStep, state: State) -> State:
-        return state
-
-    def cleared(self, step: TimeStep, state: State, cloth: SelfContact) -> State:
-        return state
-
-    def depth(self, step: TimeStep, x: Tensor) -> float:
-        return 0.0
-
-    def present(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: SelfContact) -> State:
-        return state
-
-
 @dataclass(frozen=True)
-class ContactResponse(Contact):
+class ContactResponse:
     """Pushes vertices out of the true surface along its normal and removes the speed that would take them back in.
 
     A push is at most `largest_push` per step; what remains, `depth` tells. Of the velocity only the inward normal
@@ -102,6 +42,12 @@ class ContactResponse(Contact):
     faces: FaceClearance | None = field(default_factory=FaceClearance)
 
     def respond(self, step: TimeStep, state: State) -> State:
+        """State with vertices pushed out of the bodies; the push never becomes speed.
+
+        Args:
+            step: the time step that was taken.
+            state: at the end of it.
+        """
         x, v = state.positions, state.velocities
         movable = ~step.garments.pinned
         if step.bodies is not None:
@@ -114,8 +60,15 @@ class ContactResponse(Contact):
             v = torch.where(touched[:, None], v + (-v[:, 1]).clamp_min(0.0)[:, None] * up, v)
         return replace(state, positions=x, velocities=v)
 
-    def cleared(self, step: TimeStep, state: State, cloth: SelfContact) -> State:
-        if step.bodies is None or self.faces is None or not cloth.feels_bodies:
+    def cleared(self, step: TimeStep, state: State, cloth: CollisionFree | None) -> State:
+        """State with cloth lifted that a body is through though no vertex is inside it, as far as cloth can go there.
+
+        Args:
+            step: the time step that was taken.
+            state: at the end of it.
+            cloth: keeps it from passing through cloth, and tells whether bodies count.
+        """
+        if step.bodies is None or self.faces is None or cloth is None or not cloth.feels_bodies:
             return state
         obstacle = Obstacle.at(step.garments, step.bodies.following, state.positions)
         if obstacle is None or not obstacle.passed.any():
@@ -126,9 +79,23 @@ class ContactResponse(Contact):
         return lifted
 
     def depth(self, step: TimeStep, x: Tensor) -> float:
+        """How deep [m] the deepest vertex that may be pushed is inside the bodies or the ground, 0 where none is.
+
+        Args:
+            step: the time step.
+            x: (vertices, 3) [m] at its end.
+        """
         return float(torch.where(step.garments.pinned, 0.0, _depths(step, x)).max()) if len(x) else 0.0
 
-    def present(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: SelfContact) -> State:
+    def present(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: CollisionFree | None) -> State:
+        """State as it is written; the simulation goes on from `state`.
+
+        Args:
+            garments: static quantities.
+            state: at one frame.
+            pose: the bodies at that frame.
+            cloth: keeps it from passing through cloth.
+        """
         return state if self.faces is None else self.faces.lift(garments, state, pose, cloth)
 
     def _out_of_bodies(

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 
 from torch import Tensor
 
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
+from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.physics.solver.implicit_steps import implicit_steps
+from pb4u.physics.solver.implicit_steps import free_flight, implicit_steps
 from pb4u.physics.solver.newton_solver import Solution, Solver
 from pb4u.physics.terms.collision import Collision
-from pb4u.physics.time_step import TimeStep, integrate
+from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
-from pb4u.simulation.penetration_response import Contact
+from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.pierced_edges import newly_pierced
-from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight, StepStart
+from pb4u.simulation.step_start import BodyMotionWarmStart
 
 _BALANCED = 20.0
 """Residual [standard gravity] above which a refined step may be made again.
@@ -69,60 +68,7 @@ _TURNED_ASIDE = 1e-2
 run that is every step, and takes as long as the step."""
 
 
-class Refinement(ABC):
-    """Improves a prediction by physics."""
-
-    @abstractmethod
-    def refine(self, step: TimeStep, predicted: State) -> State:
-        """State of lower incremental potential; its velocity is the displacement over dt.
-
-        Args:
-            step: the time step.
-            predicted: state at its end that the method predicts.
-        """
-
-    @abstractmethod
-    def respond_with_cloth(self, step: TimeStep, state: State, contact: Contact) -> State:
-        """`state` with what is inside the body pushed out of it, as far as that succeeds; its velocity stays.
-
-        Args:
-            step: the time step.
-            state: at its end, after the response of `contact`.
-            contact: tells how deep a vertex is inside.
-        """
-
-    @abstractmethod
-    def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
-        """`state` as far as it is reached past the moving bodies, at rest with them where they turned it aside.
-
-        Args:
-            step: the time step.
-            state: at its end.
-            self_contact: keeps cloth from passing through bodies, or does not.
-        """
-
-
-class NoRefinement(Refinement):
-    """Leaves predictions as they are, as far as cloth can go there.
-
-    Args:
-        self_contact: keeps cloth from passing through cloth, or does not.
-    """
-
-    def __init__(self, self_contact: SelfContact | None = None) -> None:
-        self.self_contact = self_contact or NoSelfContact()
-
-    def refine(self, step: TimeStep, predicted: State) -> State:
-        return carried(self.self_contact, step, step.state, predicted)
-
-    def respond_with_cloth(self, step: TimeStep, state: State, contact: Contact) -> State:
-        return state
-
-    def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
-        return past_bodies(self_contact, step, state)
-
-
-class SolverRefinement(Refinement):
+class SolverRefinement:
     """Minimises the incremental potential from the prediction.
 
     Args:
@@ -146,12 +92,25 @@ class SolverRefinement(Refinement):
         self._pressing = Solver(_NEAR_BALANCE, _MOST_PRESSING, settled=_SETTLED)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
+        """State of lower incremental potential; its velocity is the displacement over dt.
+
+        Args:
+            step: the time step.
+            predicted: state at its end that the method predicts.
+        """
         solution = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
         if self.watch:
             self.watch(solution)
         return step.reached(solution.positions)
 
-    def respond_with_cloth(self, step: TimeStep, state: State, contact: Contact) -> State:
+    def respond_with_cloth(self, step: TimeStep, state: State, contact: ContactResponse) -> State:
+        """`state` with what is inside the body pushed out of it, as far as that succeeds; its velocity stays.
+
+        Args:
+            step: the time step.
+            state: at its end, after the response of `contact`.
+            contact: tells how deep a vertex is inside.
+        """
         depth = contact.depth(step, state.positions)
         if depth <= _LEFT_INSIDE:
             return state
@@ -159,9 +118,17 @@ class SolverRefinement(Refinement):
         pressed = self._pressing.minimise(firm.of(step), state.positions).positions
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
-    def past_bodies(self, step: TimeStep, state: State, self_contact: SelfContact) -> State:
+    def past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
+        """`state` as far as it is reached past the moving bodies, at rest with them where they turned it aside.
+
+        Args:
+            step: the time step.
+            state: at its end.
+            self_contact: keeps cloth from passing through bodies; None where it may.
+        """
         reached = past_bodies(self_contact, step, state)
-        felt = self.potential.self_contact.feels_bodies
+        own = self.potential.self_contact
+        felt = own is not None and own.feels_bodies
         aside = (reached.positions - state.positions).norm(dim=1)
         if not felt or float(aside.max()) < _TURNED_ASIDE or not _has_failed(step, reached.positions):
             return reached
@@ -180,7 +147,7 @@ class ImplicitSteps(SolverRefinement):
         solver: computes in float64 on the CPU.
         potential: the energies.
         watch: called with the solution of every step, as `implicit_steps` tells of it.
-        start: where each implicit step starts from; free flight by default.
+        start: gives the positions (vertices, 3) [m] that each implicit step starts from.
     """
 
     def __init__(
@@ -189,10 +156,10 @@ class ImplicitSteps(SolverRefinement):
         solver: Solver | None = None,
         potential: IncrementalPotential | None = None,
         watch: Callable[[Solution], None] | None = None,
-        start: StepStart | None = None,
+        start: Callable[[TimeStep], Tensor] = free_flight,
     ) -> None:
         super().__init__(iterations, solver, potential, watch)
-        self.start = start or FreeFlight()
+        self.start = start
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         state, solution = self.solved(step)
@@ -202,10 +169,7 @@ class ImplicitSteps(SolverRefinement):
 
     def solved(self, step: TimeStep) -> tuple[State, Solution]:
         """State at the end of `step`, and what `implicit_steps` tells of its solution."""
-        return implicit_steps(self.potential, self.solver, step, self.iterations, self._started)
-
-    def _started(self, step: TimeStep) -> Tensor:
-        return integrate(step, self.start.accelerations(step)).positions
+        return implicit_steps(self.potential, self.solver, step, self.iterations, self.start)
 
 
 class SafeguardedRefinement(SolverRefinement):
@@ -229,7 +193,7 @@ class SafeguardedRefinement(SolverRefinement):
         super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential)
         self.retried = retried
         rough = Solver(_ROUGH_TOLERANCE, _MOST_ANEW)
-        self.anew = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart())
+        self.anew = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart().positions)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
@@ -249,15 +213,17 @@ def _has_failed(step: TimeStep, x: Tensor) -> bool:
     return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _TORN).any())
 
 
-def carried(self_contact: SelfContact, step: TimeStep, before: State, wanted: State) -> State:
+def carried(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
     """`wanted` as far as it is reached from `before` without cloth passing through cloth, at the speed it then has.
 
     Args:
-        self_contact: keeps cloth from passing through cloth, or does not.
+        self_contact: keeps cloth from passing through cloth; None where it may.
         step: the time step.
         before: state that crosses nowhere.
         wanted: state at the end of the step.
     """
+    if self_contact is None:
+        return wanted
     positions, _ = self_contact.carried(step.garments, before.positions, wanted.positions)
     if positions is wanted.positions:
         return wanted
@@ -265,15 +231,15 @@ def carried(self_contact: SelfContact, step: TimeStep, before: State, wanted: St
     return replace(wanted, positions=positions, velocities=wanted.velocities + cut)
 
 
-def past_bodies(self_contact: SelfContact, step: TimeStep, wanted: State) -> State:
+def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State) -> State:
     """`wanted` as far as it is reached from the step's start past the moving bodies, at the speed it then has.
 
     Args:
-        self_contact: keeps cloth from passing through bodies, or does not.
+        self_contact: keeps cloth from passing through bodies; None where it may.
         step: the time step.
         wanted: state at the end of the step.
     """
-    if not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
+    if self_contact is None or not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
         return wanted
     positions, obstacle = self_contact.carried(
         step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle

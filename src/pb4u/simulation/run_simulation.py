@@ -13,7 +13,7 @@ from pb4u.progress import Progress, no_progress, shown
 from pb4u.run import Run
 from pb4u.scene.assembly import build_scene
 from pb4u.scene.scene import Scene
-from pb4u.scene.trajectory import Frame, Trajectory
+from pb4u.scene.trajectory import Frame, Trajectory, kept_sentence
 from pb4u.simulation.models import simulator_of
 from pb4u.simulation.simulator import RunRecord, Simulator
 
@@ -106,7 +106,7 @@ def roll_out(
     except KeyboardInterrupt as error:
         if rows and interrupted is not None:
             kept = Trajectory.collect(header, rows).save(interrupted)
-            raise Interrupted(f"the first {len(rows)} frames are in {kept}", getattr(error, "signal", 2)) from error
+            raise Interrupted(kept_sentence(len(rows), kept), getattr(error, "signal", 2)) from error
         raise
     trajectory = Trajectory.collect(header, rows)
     if is_resampled:

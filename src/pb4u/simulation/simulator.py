@@ -8,13 +8,13 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from pb4u import __version__
 from pb4u.body.body_model import PosedBody
 from pb4u.errors import Pb4uError, interrupt_behind
 from pb4u.progress import Progress, no_progress, shown
@@ -173,7 +173,7 @@ class Simulator(ABC):
             "model": self.name,
             "propagation_steps": self.propagation_steps(scene),
             "seed": scene.seed,
-            "versions": _versions(),
+            "versions": {"pb4u": __version__, "torch": torch.__version__, "numpy": np.__version__},
             "gravity": scene.gravity.tolist(),
             "ground_height": scene.ground_height,
             "lead_in": scene.lead_in,
@@ -207,13 +207,3 @@ def _heading(scene: Scene) -> float:
         return 0.0
     forward = collider.transforms[scene.lead_in, 0, :, 2].double()
     return math.atan2(forward[0], forward[2])
-
-
-def _versions() -> dict[str, str]:
-    installed = {}
-    for package in ("pb4u", "torch", "numpy"):
-        try:
-            installed[package] = version(package)
-        except PackageNotFoundError:
-            installed[package] = "unknown"
-    return installed

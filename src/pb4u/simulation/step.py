@@ -12,14 +12,14 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
-from pb4u.physics.contact.self_contact import NoSelfContact, SelfContact
+from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
-from pb4u.simulation.network_pass import Network, NoNetwork
-from pb4u.simulation.pass_search import PassSearch, WholePass
-from pb4u.simulation.penetration_response import Contact, NoContact
-from pb4u.simulation.refinement import NoRefinement, Refinement, carried
-from pb4u.simulation.step_start import FreeFlight, StepStart
+from pb4u.simulation.network_pass import GradientPass, NetworkPass
+from pb4u.simulation.pass_search import PassSearch
+from pb4u.simulation.penetration_response import ContactResponse
+from pb4u.simulation.refinement import SolverRefinement, carried, past_bodies
+from pb4u.simulation.step_start import BodyMotionWarmStart, begun
 from pb4u.threads import one_torch_thread
 
 LARGE_DECREASE = 1.5e-3
@@ -31,23 +31,23 @@ Less than the 2 mm above the skin at which contact begins.
 
 @dataclass(frozen=True, eq=False)
 class StepMethod:
-    """What takes a step; each part has a null object.
+    """What takes a step.
 
     Args:
-        start: where the step starts from.
-        network: predicts accelerations.
-        refinement: lowers the incremental potential from there.
-        contact: answers what is left inside the body.
-        self_contact: keeps each of these from carrying cloth through cloth.
+        start: where the step starts from; None for free flight.
+        network: predicts accelerations; None leaves the step where it starts.
+        refinement: lowers the incremental potential from there; None leaves predictions as far as cloth can go.
+        contact: answers what is left inside the body; None leaves it there.
+        self_contact: keeps each of these from moving cloth through cloth; None where it may.
         search: how far a step goes along a pass of the network.
     """
 
-    start: StepStart = field(default_factory=FreeFlight)
-    network: Network = field(default_factory=NoNetwork)
-    refinement: Refinement = field(default_factory=NoRefinement)
-    contact: Contact = field(default_factory=NoContact)
-    self_contact: SelfContact = field(default_factory=NoSelfContact)
-    search: PassSearch = field(default_factory=WholePass)
+    start: BodyMotionWarmStart | None = None
+    network: NetworkPass | GradientPass | None = None
+    refinement: SolverRefinement | None = None
+    contact: ContactResponse | None = None
+    self_contact: CollisionFree | None = None
+    search: PassSearch = field(default_factory=PassSearch)
 
 
 def take(step: TimeStep, method: StepMethod) -> State:
@@ -60,21 +60,26 @@ def take(step: TimeStep, method: StepMethod) -> State:
     Raises:
         DivergedError: it is not finite.
     """
+    refinement, contact, cloth = method.refinement, method.contact, method.self_contact
     with one_torch_thread():
         # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
         *_, predicted = predictions(step, method)
-        # A few iterations of the solver, or all of them, lower the same energies that the network was trained on.
-        refined = method.refinement.refine(step, require_finite(predicted))
-        # Vertices still inside the body are pushed out, without gaining speed.
-        answered = method.contact.respond(step, refined)
-        # A push, like every other move, goes no further than to the next cloth.
-        pushed = carried(method.self_contact, step, refined, answered)
-        # What cloth around it kept inside the body is pushed out together with that cloth.
-        pressed = method.refinement.respond_with_cloth(step, pushed, method.contact)
+        require_finite(predicted)
+        if refinement is None:
+            state = carried(cloth, step, step.state, predicted)
+        else:
+            # A few iterations of the solver, or all of them, lower the energies that the network was trained on.
+            state = refinement.refine(step, predicted)
+        if contact is not None:
+            # Vertices still inside the body are pushed out, without gaining speed, and no further than to other cloth.
+            state = carried(cloth, step, state, contact.respond(step, state))
+            if refinement is not None:
+                # What cloth around it kept inside the body is pushed out together with that cloth.
+                state = refinement.respond_with_cloth(step, state, contact)
         # Between vertices too no face or edge of a body comes through.
-        kept = method.refinement.past_bodies(step, pressed, method.self_contact)
+        kept = past_bodies(cloth, step, state) if refinement is None else refinement.past_bodies(step, state, cloth)
         # Where one is through cloth already, no energy leads it back.
-        return method.contact.cleared(step, kept, method.self_contact)
+        return kept if contact is None else contact.cleared(step, kept, cloth)
 
 
 def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) -> Iterator[State]:
@@ -89,10 +94,13 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
         rooms: of a step that waits for no decision: passes that are not worth taking are computed, and left out.
     """
     # From free flight, or part of the way that the body moves: (vertices, 3) [m per step^2].
-    accelerations = method.start.accelerations(step)
+    accelerations = begun(method.start, step)
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
     yield integrate(step, accelerations)
-    passes, most = method.network.passes, method.network.passes + method.network.further
+    network = method.network
+    if network is None:
+        return
+    passes, most = network.passes, network.passes + network.further
     made = most if rooms is None else rooms.repeats("passes", most)
     worth: list[Tensor] = []
     for number in range(min(made + 1, most)):
@@ -105,7 +113,7 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
         reached, last = accelerations.detach(), method.search.last
         if rooms is None and not bool(torch.isfinite(reached).all()):
             return
-        move = method.search.move(step, reached, method.network.correction(step, reached))
+        move = method.search.move(step, reached, network.correction(step, reached))
         method.search.worth = worth[-1] if worth and rooms is not None else None
         if rooms is not None and worth and last is not None and method.search.last is not None:
             move = torch.where(worth[-1], move, 0.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
 import torch
 from torch import Tensor
 
@@ -17,22 +15,7 @@ WARM_START_SHARES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the body's motion that a step may start from, besides none."""
 
 
-class StepStart(ABC):
-    """Rule for the positions that a step starts from."""
-
-    @abstractmethod
-    def accelerations(self, step: TimeStep) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] from free flight to the start."""
-
-
-class FreeFlight(StepStart):
-    """The rule of the paper and of the solver: every vertex keeps its velocity."""
-
-    def accelerations(self, step: TimeStep) -> Tensor:
-        return torch.zeros_like(step.state.positions)
-
-
-class BodyMotionWarmStart(StepStart):
+class BodyMotionWarmStart:
     """Starts every world with the share of the body's motion of least potential, lifted off the body.
 
     When a body begins to move, free flight leaves all cloth behind by the same amount, and a network has to pass that
@@ -48,6 +31,7 @@ class BodyMotionWarmStart(StepStart):
 
     @torch.no_grad()
     def accelerations(self, step: TimeStep) -> Tensor:
+        """Accelerations (vertices, 3) [m per step^2] from free flight to the start."""
         free = integrate(step, torch.zeros_like(step.state.positions)).positions
         if step.skinned_motion is None:
             return torch.zeros_like(free)
@@ -62,7 +46,16 @@ class BodyMotionWarmStart(StepStart):
         start = free + best[garments.vertex_world, None] * missing
         return moved_off_the_body(potential, start) - free
 
+    def positions(self, step: TimeStep) -> Tensor:
+        """Positions (vertices, 3) [m] of the start."""
+        return integrate(step, self.accelerations(step)).positions
 
-def start_of(network: GraphNetwork) -> StepStart:
-    """Rule for the start of the steps of `network`."""
-    return BodyMotionWarmStart(network.warm_start_shares) if network.warm_start_shares else FreeFlight()
+
+def start_of(network: GraphNetwork) -> BodyMotionWarmStart | None:
+    """Start of the steps of `network`; None for free flight, as in the paper."""
+    return BodyMotionWarmStart(network.warm_start_shares) if network.warm_start_shares else None
+
+
+def begun(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:
+    """Accelerations (vertices, 3) [m per step^2] from free flight to where `step` starts."""
+    return torch.zeros_like(step.state.positions) if start is None else start.accelerations(step)

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import require_propagation_steps
 from pb4u.network.graph.features import ADVANCE
-from pb4u.physics.contact.self_contact import NoSelfContact
 from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.solver.implicit_steps import free_flight
 from pb4u.physics.solver.newton_solver import Solution
-from pb4u.physics.time_step import DivergedError, require_finite
+from pb4u.physics.time_step import DivergedError, TimeStep, require_finite
 from pb4u.scene.packed import ColliderPose, PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
@@ -27,15 +28,13 @@ from pb4u.simulation.device_steps import require_memory, states_after
 from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
-from pb4u.simulation.penetration_response import Contact, NoContact
-from pb4u.simulation.refinement import ImplicitSteps, NoRefinement, Refinement, SafeguardedRefinement
+from pb4u.simulation.penetration_response import ContactResponse
+from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import BodyMotionWarmStart, FreeFlight, StepStart, start_of
+from pb4u.simulation.step_start import start_of
 from pb4u.simulation.timeline import Timeline
 from pb4u.threads import prefetch
-
-QUICK_SOLVER = "quick-solver"
 
 
 class StepwiseSimulator(Simulator):
@@ -43,18 +42,20 @@ class StepwiseSimulator(Simulator):
 
     Attributes:
         first_frame: makes frame 0.
+        refine: solver iterations after each step at most, which is retried where they fail; 0 for none.
         contact: answers what is left inside the body after each step.
         potential: the energies, and whether cloth feels cloth.
     """
 
     first_frame: FirstFrame
-    contact: Contact
+    refine: int = 0
+    contact: ContactResponse | None
     potential: IncrementalPotential
 
     def settings(self) -> dict[str, Any]:
         return {
-            "contact": not isinstance(self.contact, NoContact),
-            "self_contact": not isinstance(self.potential.self_contact, NoSelfContact),
+            "contact": self.contact is not None,
+            "self_contact": self.potential.self_contact is not None,
         }
 
     @abstractmethod
@@ -66,13 +67,21 @@ class StepwiseSimulator(Simulator):
             record: receives the cost of the run.
         """
 
+    def refinement(self, record: RunRecord) -> SafeguardedRefinement | None:
+        """What refines a prediction; None where nothing does.
+
+        Args:
+            record: counts the steps that are retried.
+        """
+        return SafeguardedRefinement(self.refine, self.potential, record.count_retried) if self.refine else None
+
     def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
-        timeline = Timeline.of(scene)
+        timeline = self.timeline(scene)
         method = self.method(timeline, record)
 
         def written(made: tuple[State, ColliderPose]) -> State:
             state, pose = made
-            if state.frame < scene.lead_in:
+            if state.frame < scene.lead_in or method.contact is None:
                 return state
             # As it is written: lifted off the skin, as far as cloth can go there.
             return method.contact.present(timeline.garments, state, pose, method.self_contact)
@@ -86,15 +95,40 @@ class StepwiseSimulator(Simulator):
         """The states of a run, with the bodies there; ends where one is not finite, and notes it."""
         made = 0
         try:
-            for state in islice(self.first_frame.states(timeline, method), scene.total_frames):
+            for state in islice(self._moved(timeline, method, scene.total_frames), scene.total_frames):
                 yield require_finite(state), timeline.pose(state.frame).apart()
                 made += 1
-            for frame in range(made, scene.total_frames):
-                made = frame
-                state = require_finite(take(timeline.step_from(state), method))
-                yield state, timeline.pose(state.frame).apart()
         except DivergedError:
             record.failed_at = made - scene.lead_in
+
+    def _moved(self, timeline: Timeline, method: StepMethod, frames: int) -> Iterator[State]:
+        for state in self.first_frame.states(timeline, method):
+            yield state
+        yield from self.steps(timeline, method, state, frames)
+
+    def timeline(self, scene: Scene) -> Timeline:
+        """Frames of a scene, on the device that takes its steps.
+
+        Args:
+            scene: what is simulated.
+
+        Raises:
+            InputError: the device has no room for it.
+        """
+        return Timeline.of(scene)
+
+    def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
+        """States after `state`, one a frame.
+
+        Args:
+            timeline: garments and bodies.
+            method: takes the steps.
+            state: of the last frame that was made in a way of its own.
+            frames: total number of frames.
+        """
+        for _ in range(state.frame + 1, frames):
+            state = take(timeline.step_from(state), method)
+            yield state
 
 
 class SolverSimulator(StepwiseSimulator):
@@ -107,7 +141,7 @@ class SolverSimulator(StepwiseSimulator):
         contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; settled by default.
         potential: the energies, and whether cloth feels cloth; the six terms by default.
-        start: where a step starts from; free flight by default.
+        start: gives the positions (vertices, 3) [m] that a step starts from.
     """
 
     name = "solver"
@@ -115,13 +149,13 @@ class SolverSimulator(StepwiseSimulator):
     def __init__(
         self,
         iterations: int | None = None,
-        contact: Contact | None = None,
+        contact: ContactResponse | None = None,
         first_frame: FirstFrame | None = None,
         potential: IncrementalPotential | None = None,
-        start: StepStart | None = None,
+        start: Callable[[TimeStep], Tensor] = free_flight,
     ) -> None:
-        self.iterations, self.contact = iterations, contact or NoContact()
-        self.potential, self.start = potential or IncrementalPotential(), start or FreeFlight()
+        self.iterations, self.contact = iterations, contact
+        self.potential, self.start = potential or IncrementalPotential(), start
         self.first_frame = first_frame or Settled()
 
     def settings(self) -> dict[str, Any]:
@@ -134,47 +168,6 @@ class SolverSimulator(StepwiseSimulator):
 
         refinement = ImplicitSteps(self.iterations, potential=self.potential, watch=note, start=self.start)
         return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
-
-
-class QuickSolverSimulator(StepwiseSimulator):
-    """The solver's first iterations from where the body carries the garments (`--model quick-solver`).
-
-    What `NetworkSimulator` does with the solver in its loop, without the network: what a network has to beat there.
-
-    Args:
-        refine: solver iterations a step at most; a step that they leave overstretched is solved again.
-        contact: pushes out vertices left inside the body; none by default.
-        first_frame: makes frame 0; settled by default.
-        potential: the energies, and whether cloth feels cloth; the six terms by default.
-
-    Raises:
-        InputError: less than 1 iteration.
-    """
-
-    name = QUICK_SOLVER
-
-    def __init__(
-        self,
-        refine: int,
-        contact: Contact | None = None,
-        first_frame: FirstFrame | None = None,
-        potential: IncrementalPotential | None = None,
-    ) -> None:
-        if refine < 1:
-            raise InputError(f"The quick solver is nothing but iterations: it takes 1 or more a step, not {refine}.")
-        self.refine, self.contact = refine, contact or NoContact()
-        self.potential, self.first_frame = potential or IncrementalPotential(), first_frame or Settled()
-
-    def settings(self) -> dict[str, Any]:
-        return {**super().settings(), "refine": self.refine, "device": "cpu"}
-
-    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
-        return StepMethod(
-            BodyMotionWarmStart(),
-            refinement=SafeguardedRefinement(self.refine, self.potential, record.count_retried),
-            contact=self.contact,
-            self_contact=self.potential.self_contact,
-        )
 
 
 class NetworkSimulator(StepwiseSimulator):
@@ -204,7 +197,7 @@ class NetworkSimulator(StepwiseSimulator):
         checkpoint: Checkpoint,
         propagation_steps: int | None = None,
         refine: int = 0,
-        contact: Contact | None = None,
+        contact: ContactResponse | None = None,
         device: torch.device | str = "cpu",
         passes: int | None = None,
         first_frame: FirstFrame | None = None,
@@ -215,7 +208,7 @@ class NetworkSimulator(StepwiseSimulator):
         self.potential = potential or IncrementalPotential()
         self.fps = 1.0 / checkpoint.record.dt
         self.override, self.refine = propagation_steps, refine
-        self.contact, self.first_frame = contact or NoContact(), first_frame or OneLongStep()
+        self.contact, self.first_frame = contact, first_frame or OneLongStep()
         self.device = torch.device(device)
         network = checkpoint.model.network
         if propagation_steps is not None and network.propagates:
@@ -245,34 +238,26 @@ class NetworkSimulator(StepwiseSimulator):
             "weights_licence": self.checkpoint.licence,
         }
 
-    def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
-        if self.device.type == "cpu" or not self._alone:
-            yield from super().rollout(scene, record)
-            return
-        host = Timeline.of(scene)
+    def timeline(self, scene: Scene) -> Timeline:
+        host = super().timeline(scene)
+        if not self._on_card:
+            return host
         free, _ = torch.cuda.mem_get_info(self.device)
         width = max(weights.shape[0] for weights in self.checkpoint.model.network.parameters())
         require_memory(host.garments, len(host.colliders.faces), width, free)
-        timeline = host.to(self.device, Rooms())
-        method = self.method(timeline, record)
-        frame = 0
-        try:
-            for begun in self.first_frame.states(timeline, method):
-                yield require_finite(begun)
-                frame = begun.frame + 1
-            for state in states_after(timeline, method, begun, scene.total_frames):
-                yield require_finite(state)
-                frame = state.frame + 1
-        except DivergedError:
-            record.failed_at = frame - scene.lead_in
+        return host.to(self.device, Rooms())
+
+    def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
+        return (states_after if self._on_card else super().steps)(timeline, method, state, frames)
 
     @property
-    def _alone(self) -> bool:
-        """Whether nothing follows the network's passes, so that all of a step may be computed on its device."""
+    def _on_card(self) -> bool:
+        """Whether all of a step is computed on an accelerator: nothing follows the network's passes."""
         return (
-            not self.refine
-            and isinstance(self.contact, NoContact)
-            and isinstance(self.potential.self_contact, NoSelfContact)
+            self.device.type != "cpu"
+            and not self.refine
+            and self.contact is None
+            and self.potential.self_contact is None
             and isinstance(self.first_frame, (OneLongStep, AsPlaced))
         )
 
@@ -291,13 +276,10 @@ class NetworkSimulator(StepwiseSimulator):
         model = self.checkpoint.model
         prepared = (model if self.refine else self.checkpoint).prepare(garments, self.override)
 
-        refinement: Refinement = NoRefinement(self.potential.self_contact)
-        if self.refine:
-            refinement = SafeguardedRefinement(self.refine, self.potential, record.count_retried)
         return StepMethod(
             start_of(model.network),
             NetworkPass(model, prepared, self.passes, further=self.further),
-            refinement,
+            self.refinement(record),
             self.contact,
             self.potential.self_contact,
             search_of(model.network),

@@ -107,8 +107,7 @@ class TrainingConfiguration:
         most_propagation_steps: K is drawn from 1 to this at every step; 0 leaves it to the resolution.
         after_settling: velocity after the settling step: "skinned"; "slowed", half to all of that, so that bodies that
             set off are seen; "zero"; or "carried" as the family's code has it.
-        loss_weight: "joule"; "relative" to what the garment has now, so that light cloth counts as heavy cloth does; or
-            "progress", relative to what the pass freed.
+        loss_weight: "joule", or "progress": relative to what the pass freed.
         inside_weight: weight of a second collision term in the loss, which begins at the skin [J/m^3]; 0 for none.
         statistics_windows: windows whose statistics normalise the features.
         gradient_norm: largest norm of the gradient, of the unit of the loss; longer ones are scaled down to it.

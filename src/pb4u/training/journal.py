@@ -148,23 +148,20 @@ class Journal:
 
 @contextmanager
 def reporter() -> Iterator[Reporter]:
-    """Reporter with a bar where standard error is a terminal and rich is installed; with sentences alone elsewhere."""
+    """Reporter with a bar where standard error is a terminal; with sentences alone elsewhere."""
     if not sys.stderr.isatty():
         yield Reporter()
         return
-    try:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-    except ImportError:
-        yield Reporter()
-        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
     columns = (BarColumn(20), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[terms]}"))
     with Progress(*columns, console=Console(stderr=True)) as bar:
         yield BarReporter(bar, bar.add_task("train", total=1.0, terms="gathering statistics"))
 
 
-def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
-    """Draw a run's metrics to a PNG; returns False without metrics or without matplotlib.
+def draw_curve(lines: list[dict[str, Any]], path: Path) -> None:
+    """Draw a run's metrics to a PNG, if there are any.
 
     Args:
         lines: metrics as `RunFolder.metrics` reads them.
@@ -172,14 +169,10 @@ def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
     """
     steps = [line for line in lines if "total" in line]
     if not steps:
-        return False
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        return False
+        return
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, sharex=True)
     x = [line["step"] for line in steps]
     for name in LOSS_TERMS:
@@ -211,4 +204,3 @@ def draw_curve(lines: list[dict[str, Any]], path: Path) -> bool:
     lower.set_ylabel("total [J]")
     lower.legend(fontsize=8)
     figure.savefig(path, dpi=110)
-    return True

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
-import torch
 from torch import Tensor
 
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError
 from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.physics.incremental_potential import Energies, IncrementalPotential
 from pb4u.physics.terms.collision import Collision
@@ -70,48 +68,8 @@ def further_losses(prepared: PreparedGarments, step: TimeStep, positions: Tensor
     return {loss.name: loss.energies(before, positions, progress) for loss in prepared.losses}
 
 
-class LossWeight(ABC):
-    """What the loss of each garment counts, beside those of other garments and other steps."""
-
-    @abstractmethod
-    def of(self, energies: Energies, garments: PackedGarments, freed: Tensor | None) -> Tensor:
-        """Weights (garments,), without a gradient.
-
-        Args:
-            energies: of the step, for each garment.
-            garments: the pack that they are of.
-            freed: (worlds,) energy [J] that the pass freed, where its search tells.
-        """
-
-
-class JouleWeight(LossWeight):
-    """Every joule counts the same, as in the paper: what is heavy, stiff or lost decides."""
-
-    def of(self, energies: Energies, garments: PackedGarments, freed: Tensor | None) -> Tensor:
-        return torch.ones_like(energies.per_garment)
-
-
-class RelativeWeight(LossWeight):
-    """A joule counts the less, the more of them the garment has now without gravity's, in 1/J.
-
-    Descending this is descending the logarithm of that energy, so that its ratio to the solver's counts alike for silk
-    and leather, and a garment that is lost no more than one that is worn.
-
-    Args:
-        lift: height [m] to which the energy added to all would lift the garment, so that cloth at rest weighs no more
-            than cloth that hangs.
-    """
-
-    def __init__(self, lift: float = 1e-3) -> None:
-        self.lift = lift
-
-    def of(self, energies: Energies, garments: PackedGarments, freed: Tensor | None) -> Tensor:
-        own = energies.per_garment.detach() - energies.terms["gravity"].detach()
-        return 1.0 / (own + _lifting(garments, self.lift).to(own))
-
-
-class ProgressWeight(LossWeight):
-    """A joule counts the less, the more of them the pass freed, in 1/J.
+def progress_weights(garments: PackedGarments, freed: Tensor | None, lift: float = 1e-4) -> Tensor:
+    """Weights (garments,) [1/J] of losses: a joule counts the less, the more of them the pass freed.
 
     Where a pass lowers the energy by much more than `lift`, descending this is raising the logarithm of that decrease,
     of the terms that its search knows: it asks for the best direction alike far from the minimum and near it, in silk
@@ -119,42 +77,21 @@ class ProgressWeight(LossWeight):
     with the greatest weight of all. For conjugate passes.
 
     Args:
+        garments: the pack that the losses are of.
+        freed: (worlds,) energy [J] that the pass freed, where its search tells.
         lift: height [m] to which the energy added to all would lift the garment, below which nothing is seen.
-    """
-
-    def __init__(self, lift: float = 1e-4) -> None:
-        self.lift = lift
-
-    def of(self, energies: Energies, garments: PackedGarments, freed: Tensor | None) -> Tensor:
-        if freed is None:
-            raise InputError("loss_weight=progress needs a network whose passes are conjugate: network.conjugate=True.")
-        of_world = freed[garments.garment_world].clamp_min(0.0).to(energies.per_garment)
-        return 1.0 / (of_world + _lifting(garments, self.lift).to(of_world))
-
-
-def _lifting(garments: PackedGarments, height: float) -> Tensor:
-    """Energies (garments,) [J] that lift the garments by `height` [m]."""
-    return height * STANDARD_GRAVITY * garments.garment_masses
-
-
-PROGRESS = "progress"
-LOSS_WEIGHTS: dict[str, LossWeight] = {
-    "joule": JouleWeight(),
-    "relative": RelativeWeight(),
-    PROGRESS: ProgressWeight(),
-}
-"""By the name that a configuration gives them."""
-
-
-def loss_weight(name: str) -> LossWeight:
-    """The weight called `name`.
 
     Raises:
-        InputError: there is none; the names are listed.
+        InputError: the search of the passes does not tell what they free.
     """
-    if name not in LOSS_WEIGHTS:
-        raise unknown_name("loss weight", name, LOSS_WEIGHTS)
-    return LOSS_WEIGHTS[name]
+    if freed is None:
+        raise InputError("loss_weight=progress needs a network whose passes are conjugate: network.conjugate=True.")
+    of_world = freed[garments.garment_world].clamp_min(0.0)
+    return 1.0 / (of_world + (lift * STANDARD_GRAVITY * garments.garment_masses).to(of_world))
+
+
+JOULE, PROGRESS = LOSS_WEIGHTS = ("joule", "progress")
+"""What a joule of a garment counts: always the same, as in the paper, or by `progress_weights`."""
 
 
 def comparable_total(terms: dict[str, float], collision_weight: float) -> float:

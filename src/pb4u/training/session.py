@@ -1,4 +1,4 @@
-"""Begins a training or goes on with one: the same for the command line and for a bare training machine."""
+"""Begins a training or goes on with one."""
 
 from __future__ import annotations
 

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, astuple, dataclass, fields
 from enum import Enum, auto
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from pb4u import __version__
 from pb4u.errors import InputError
 from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import PreparedGarments
@@ -25,7 +25,7 @@ from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoi
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import PassSearch, search_of
 from pb4u.simulation.step import StepMethod, predictions
-from pb4u.simulation.step_start import start_of
+from pb4u.simulation.step_start import begun, start_of
 from pb4u.simulation.timeline import SETTLING_DT
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
@@ -34,10 +34,11 @@ from pb4u.training.journal import Journal, Reporter
 from pb4u.training.learner import Learner
 from pb4u.training.lost_garment import GarmentWatch, drift_from
 from pb4u.training.objective import (
+    PROGRESS,
     comparable_total,
     further_losses,
-    loss_weight,
     mean_energies,
+    progress_weights,
     step_energies,
     strain_energy,
 )
@@ -126,7 +127,6 @@ class Trainer:
         self.loader = WindowLoader(Wardrobe(data, workers.device))
         self.validation = Validation(data, configuration, self.loader)
         self.share = workers.share(configuration.batch)
-        self.loss_weight = loss_weight(configuration.loss_weight)
         self.counters = Counters()
         self.journal = Journal(reporter, folder, workers.leads)
         self.recovery = Recovery(self.learner, workers, folder, self.journal)
@@ -229,9 +229,9 @@ class Trainer:
         for number in range(self.configuration.statistics_windows):
             course = self.begin(number, length=1, settle=bool(number % 2))
             step, network = course.next_step(), NetworkPass(self.network, course.prepared, features=course.features)
-            graph = network.graph(step, self.start.accelerations(step))
+            graph = network.graph(step, begun(self.start, step))
             while self.rooms is not None and self.rooms.grow(*self.rooms.taken()):
-                graph = network.graph(step, self.start.accelerations(step))
+                graph = network.graph(step, begun(self.start, step))
             self.model.gather_statistics(graph, course.window.timeline.skinned_acceleration(1))
             self.counters.window += 1
         self.workers.reduce_statistics(self.model)
@@ -357,8 +357,9 @@ class Trainer:
         energies = step_energies(step, positions, weight, self.configuration.inside_weight)
         further = further_losses(prepared, step, positions, self.progress)
         each = torch.stack([energies.per_garment, *further.values()]).sum(0)
-        freed = None if search is None else search.freed
-        gradient = self.learner.gradient((self.loss_weight.of(energies, step.garments, freed) * each).mean())
+        if self.configuration.loss_weight == PROGRESS:
+            each = progress_weights(step.garments, None if search is None else search.freed).to(each) * each
+        gradient = self.learner.gradient(each.mean())
         terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
         self.latest_collision = terms["collision"].detach().double() / weight
         none = finite.new_zeros(())
@@ -460,7 +461,7 @@ class Trainer:
             "hours": round(self.counters.seconds / 3600.0, 3),
             "device": str(self.workers.device),
             "validation": {name: value if math.isfinite(value) else None for name, value in score.items()},
-            "versions": {"pb4u": _version("pb4u"), "torch": torch.__version__},
+            "versions": {"pb4u": __version__, "torch": torch.__version__},
         }
         seen = TrainingRecord(1.0 / clip.poses.fps, self.data.edge_lengths, steps, self.counters.step, details)
         return seen if self.origin is None else seen.after(self.origin)
@@ -476,10 +477,3 @@ class Trainer:
             InputError: it is not of this configuration.
         """
         self.counters = self.recovery.resume(tensors, counters)
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from pb4u.collision.jit import COMPILES
 from pb4u.garment.material import MATERIALS
 from pb4u.measures.excess import Reference
 from pb4u.measures.metrics import strain_percentile
@@ -114,12 +113,7 @@ class Validation:
 
     @cached_property
     def references(self) -> tuple[Reference, ...]:
-        """Solver's first frames of every clip, with the states that a score takes steps from; made once.
-
-        None on a machine that only trains: without kernels the solver would take hours.
-        """
-        if not COMPILES:
-            return ()
+        """Solver's first frames of every clip, with the states that a score takes steps from; made once."""
         loader = WindowLoader(Wardrobe(self.loader.data, "cpu", torch.float64))
         return tuple(self._reference(loader, sample) for sample in self.samples)
 

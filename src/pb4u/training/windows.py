@@ -12,7 +12,6 @@ from torch import Tensor
 from pb4u.body.skeleton import PoseSequence
 from pb4u.garment.material import Material
 from pb4u.network.acceleration_model import PreparedGarments
-from pb4u.network.propagation_control import RandomSteps
 from pb4u.physics.contact.contact_set import nearest_planes
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY
@@ -111,7 +110,7 @@ class Sampler:
         if most == 0:
             return ruled
         rng = np.random.default_rng((self.configuration.seed, _STEPS, index, step))
-        return RandomSteps(most, rng).steps(0.0)
+        return int(rng.integers(1, most + 1))
 
 
 def drawn_material(ranges: MaterialSampling, rng: np.random.Generator) -> Material:

@@ -61,13 +61,6 @@ class EdgeFinder(Protocol):
         """
 
 
-class NoFoundEdges(EdgeFinder):
-    """The finder of a network whose edges are all known beforehand."""
-
-    def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
-        return {}
-
-
 @dataclass(frozen=True, eq=False)
 class GraphBuilder:
     """Makes the graph of each step; everything that does not change was computed when the builder was made.
@@ -76,7 +69,7 @@ class GraphBuilder:
         static: mesh edges and rest-state features.
         layout: columns to make.
         world_edges: rule for the body vertices that a garment vertex has edges to.
-        finder: finds the edges that change from step to step.
+        finder: finds the edges that change from step to step; None where none do.
         rest: tensors handed on to every graph (`Graph.rest`), by name.
         pins: rule for what is seen of pinned vertices.
     """
@@ -84,7 +77,7 @@ class GraphBuilder:
     static: GarmentGraph
     layout: FeatureLayout
     world_edges: WorldEdgeRule | NearestFaceRule
-    finder: EdgeFinder = field(default_factory=NoFoundEdges)
+    finder: EdgeFinder | None = None
     rest: Mapping[str, Tensor] = field(default_factory=dict)
     pins: PinRule = field(default_factory=PinsAtPresent)
 
@@ -128,7 +121,7 @@ class GraphBuilder:
         edges = {
             name: self._garment_edges(name, of, seen.edge_positions, duration) for name, of in self.static.edges.items()
         }
-        for name, found in self.finder.found(seen).items():
+        for name, found in ({} if self.finder is None else self.finder.found(seen)).items():
             edges[name] = self._found_edges(name, found, positions, velocities, duration)
         if collider is not None:
             self._add_body(nodes, edges, collider, positions, velocities, origin, duration)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
-from importlib.util import find_spec
 
 import torch
 from torch import Tensor
@@ -121,7 +119,7 @@ class NearestFaceRule:
 def nearest_within(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
     """Indices (points, neighbours) int64 of the nearest targets of each point, and flags of those within the radius.
 
-    Nearest first; absent ones are index 0. By a tree on the CPU, by all distances on an accelerator or without scipy.
+    Nearest first; absent ones are index 0. By a tree on the CPU, by all distances on an accelerator.
 
     Args:
         points: (points, 3) [m]; one that is not finite is near nothing.
@@ -130,15 +128,7 @@ def nearest_within(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tupl
     """
     if targets.shape[0] == 0:
         return _none(points, rule)
-    if points.device.type == "cpu" and _has_scipy():
-        return _nearest_by_tree(points, targets, rule)
-    return _nearest_by_chunks(points, targets, rule)
-
-
-@cache
-def _has_scipy() -> bool:
-    """Whether the tree is installed; machines that only train make do without."""
-    return find_spec("scipy") is not None
+    return (_nearest_by_tree if points.device.type == "cpu" else _nearest_by_chunks)(points, targets, rule)
 
 
 def _none(points: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:

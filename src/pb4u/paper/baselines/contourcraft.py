@@ -14,14 +14,13 @@ from torch import Tensor, nn
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import Derived, NetworkConfiguration
 from pb4u.network.encode_process_decode import LEVEL, EncodeProcessDecode
-from pb4u.network.graph.builder import NoFoundEdges
 from pb4u.network.graph.features import FeatureLayout
 from pb4u.network.graph.graph import Graph
 from pb4u.network.interaction_block import InteractionBlock
 from pb4u.network.mlp import MLP
 from pb4u.paper.baselines.coarsening import REMEMBERED, coarse_levels
 from pb4u.paper.baselines.directed_self_contact import DirectedSelfEdges
-from pb4u.paper.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require
+from pb4u.paper.baselines.rest_meshes import MeshMemory, levels_of, packed_levels
 from pb4u.paper.baselines.self_contact_edges import (
     ATTRACTION,
     REPULSION,
@@ -102,7 +101,6 @@ class ContourCraft(EncodeProcessDecode):
     """
 
     def __init__(self, configuration: ContourCraftConfiguration) -> None:
-        require("ContourCraft", "scipy", "libigl", "numba")
         found = (REPULSION, ATTRACTION) if configuration.radius > 0 else ()
         super().__init__(configuration, ("mesh", COARSE), found, levels=configuration.level + 2)
         self.configuration = configuration
@@ -127,7 +125,7 @@ class ContourCraft(EncodeProcessDecode):
         edges, labels = packed_levels(garments, levels, (COARSE,))
         return Derived(
             edges=edges,
-            finder=c.self_edges.finder(garments, proximity, c.radius) if c.radius > 0 else NoFoundEdges(),
+            finder=c.self_edges.finder(garments, proximity, c.radius) if c.radius > 0 else None,
             rest={LEVEL: labels},
             losses=tuple(SelfContactLoss(loss, garments, proximity) for loss in c.losses),
         )

@@ -24,7 +24,7 @@ from pb4u.network.interaction_block import InteractionBlock
 from pb4u.network.mlp import MLP, SplitMLP
 from pb4u.network.segment import gather, segment_sum
 from pb4u.paper.baselines.meshgraphnet import MESH_GRAPH_LAYOUT
-from pb4u.paper.baselines.rest_meshes import MeshMemory, require
+from pb4u.paper.baselines.rest_meshes import MeshMemory
 from pb4u.scene.packed import PackedGarments
 
 LANDMARKS, GEODESICS = "landmarks", "geodesics"
@@ -77,7 +77,6 @@ class Eslr(EncodeProcessDecode):
     """
 
     def __init__(self, configuration: EslrConfiguration) -> None:
-        require("ESLR", "scipy")
         super().__init__(configuration)
         self.configuration = configuration
         self._landmarks = MeshMemory(geodesic_landmarks, _REMEMBERED)
@@ -117,9 +116,7 @@ class _Layer(nn.Module):
         width = configuration.width
         self.local = InteractionBlock(width, ("mesh", "world"))
         self.smoothed = MLP(width, width, width, norm=True)
-        self.distant: nn.Module = (
-            GeodesicAttention(width, configuration.heads) if configuration.landmarks else NoAttention()
-        )
+        self.distant = GeodesicAttention(width, configuration.heads) if configuration.landmarks else None
         self.fusion = SplitMLP((width, width), width, width, norm=True)
 
     def forward(
@@ -128,7 +125,9 @@ class _Layer(nn.Module):
         before = nodes[GARMENT]
         nodes, edges = self.local(nodes, edges, graph)
         near = self.smoothed(_neighbour_mean(nodes[GARMENT], edges["mesh"], graph))
-        hidden = self.fusion.project(0, near, bias=True) + self.fusion.project(1, self.distant(before, graph))
+        hidden = self.fusion.project(0, near, bias=True)
+        if self.distant is not None:
+            hidden = hidden + self.fusion.project(1, self.distant(before, graph))
         return {**nodes, GARMENT: before + self.fusion.after_first(hidden)}, edges
 
 
@@ -137,13 +136,6 @@ def _neighbour_mean(nodes: Tensor, latents: Tensor, graph: Graph) -> Tensor:
     mesh = graph.edges["mesh"]
     total = segment_sum(gather(nodes, mesh.senders) + latents, mesh.receivers)
     return total / mesh.degrees().to(total).clamp_min(1.0)
-
-
-class NoAttention(nn.Module):
-    """Zeros in the place of attention, for a configuration without landmarks."""
-
-    def forward(self, values: Tensor, graph: Graph) -> Tensor:
-        return torch.zeros_like(values)
 
 
 class GeodesicAttention(nn.Module):

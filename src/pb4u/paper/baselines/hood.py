@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -19,22 +17,12 @@ from pb4u.network.interaction_block import InteractionBlock
 from pb4u.network.mlp import MLP
 from pb4u.paper.baselines.coarsening import REMEMBERED, coarse_levels
 from pb4u.paper.baselines.meshgraphnet import MESH_GRAPH_LAYOUT
-from pb4u.paper.baselines.rest_meshes import MeshMemory, levels_of, packed_levels, require
+from pb4u.paper.baselines.rest_meshes import MeshMemory, levels_of, packed_levels
 from pb4u.scene.packed import PackedGarments
 
 NEAR, FAR = "coarse_near", "coarse_far"
 SCHEDULE = (("mesh", NEAR), (NEAR, FAR), (FAR,), (NEAR, FAR), ("mesh", NEAR))
 """Kinds of garment edges that the blocks of each stage process."""
-
-
-class LevelChoice(Protocol):
-    """A rule for the two coarse levels that a garment uses."""
-
-    def levels(self, mean_edge_length: float) -> tuple[int, int]:
-        """Numbers of the near and the far level for a garment of `mean_edge_length` [m] at rest.
-
-        An edge of level l spans 2^(l + 1) mesh edges.
-        """
 
 
 @dataclass(frozen=True)
@@ -56,34 +44,6 @@ class LevelsByHops:
         if not 0 <= self.near < self.far <= 12:
             raise InputError(f"Coarse levels rise from 0 to at most 12, unlike {self.near} and {self.far}.")
 
-    def levels(self, mean_edge_length: float) -> tuple[int, int]:
-        return self.near, self.far
-
-
-@dataclass(frozen=True)
-class LevelsByLength:
-    """Rule for levels whose edges are about as long in metres at every resolution; our own, not published.
-
-    Args:
-        near: length of the finer level's edges [m]; HOOD's at the 15 mm of its training meshes as they are computed.
-        far: length of the coarser level's edges [m].
-
-    Raises:
-        InputError: the lengths do not rise from above 0.
-    """
-
-    near: float = 0.03
-    far: float = 0.06
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.near < self.far < math.inf:
-            raise InputError(f"Coarse edges are of rising lengths above 0 m, unlike {self.near} and {self.far}.")
-
-    def levels(self, mean_edge_length: float) -> tuple[int, int]:
-        near, far = (round(math.log2(length / mean_edge_length)) - 1 for length in (self.near, self.far))
-        near = max(near, 0)
-        return near, max(far, near + 1)
-
 
 @dataclass(frozen=True, kw_only=True)
 class HoodConfiguration(NetworkConfiguration):
@@ -101,7 +61,7 @@ class HoodConfiguration(NetworkConfiguration):
     """
 
     repeats: int | tuple[int, ...] = 3
-    choice: LevelsByHops | LevelsByLength = field(default_factory=LevelsByHops)
+    choice: LevelsByHops = field(default_factory=LevelsByHops)
     labelled: int | None = None
     layout: FeatureLayout = field(default_factory=lambda: MESH_GRAPH_LAYOUT)
 
@@ -130,9 +90,8 @@ class Hood(EncodeProcessDecode):
     """
 
     def __init__(self, configuration: HoodConfiguration) -> None:
-        require("HOOD", "scipy")
         super().__init__(configuration, ("mesh", NEAR, FAR), levels=1 + (configuration.labelled or 2))
-        self.choice: LevelChoice = configuration.choice
+        self.choice = configuration.choice
         self.labelled = configuration.labelled
         self._levels = MeshMemory(coarse_levels, REMEMBERED)
         width = configuration.width
@@ -167,8 +126,8 @@ class Hood(EncodeProcessDecode):
 
     def derive(self, garments: PackedGarments) -> Derived:
         chosen, labelled = [], []
-        for garment, length in enumerate(garments.mean_edge_lengths):
-            near, far = self.choice.levels(length)
+        near, far = self.choice.near, self.choice.far
+        for garment in range(garments.garment_count):
             levels = levels_of(garments, garment, max(far + 1, self.labelled or 0), self._levels)
             chosen.append([levels[near], levels[far]])
             labelled.append(chosen[-1] if self.labelled is None else levels[: self.labelled])

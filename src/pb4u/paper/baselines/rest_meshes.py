@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from importlib.util import find_spec
 from itertools import pairwise
 from typing import Generic, TypeVar
 
@@ -13,14 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.errors import InputError
 from pb4u.paper.baselines.coarsening import level_labels
 from pb4u.scene.packed import PackedGarments
 
 T = TypeVar("T")
-
-_MODULES = {"libigl": "igl"}
-"""Modules of packages that are installed by another name."""
 
 
 class MeshMemory(Generic[T]):
@@ -92,19 +87,3 @@ def packed_levels(
     named = zip(kinds, zip(*(own[-len(kinds) :] for own in shifted), strict=True), strict=True)
     edges = {kind: torch.from_numpy(np.concatenate(parts)).to(garments.device) for kind, parts in named}
     return edges, torch.from_numpy(np.concatenate(labels)).to(garments.device)
-
-
-def require(method: str, *packages: str) -> None:
-    """Refuse a `method` that computes with packages not installed here: a machine that only trains may lack some.
-
-    Args:
-        method: name of the method.
-        packages: names by which they are installed.
-
-    Raises:
-        InputError: one of them is absent.
-    """
-    absent = [package for package in packages if find_spec(_MODULES.get(package, package)) is None]
-    if absent:
-        names = " and ".join(absent)
-        raise InputError(f"{method} needs {names}, not installed here; `pip install {' '.join(absent)}` adds it.")

@@ -22,7 +22,7 @@ from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import PosedSurface
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle
-from pb4u.physics.contact.self_contact import SelfContact
+from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH, SkinCover
 from pb4u.scene.packed import ColliderPose, PackedGarments
 from pb4u.scene.state import State
@@ -63,7 +63,7 @@ class FaceClearance:
     passes: int = 6
     most_stretch: float = 1.8
 
-    def lift(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: SelfContact) -> State:
+    def lift(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: CollisionFree | None) -> State:
         """State with its cloth lifted out of the bodies.
 
         Args:
@@ -95,7 +95,7 @@ class FaceClearance:
         before: Tensor,
         lifted: np.ndarray,
         planes: ContactPlanes,
-        cloth: SelfContact,
+        cloth: CollisionFree | None,
     ) -> Tensor:
         """Positions (vertices, 3) [m] between those `before` and those `lifted`.
 
@@ -105,12 +105,14 @@ class FaceClearance:
         stood, edges = as_float64(before), garments.edges.numpy()
         longest = self.most_stretch * garments.edge_lengths.numpy()
         held = self._taken_deeper(garments, pose, stood, lifted, planes)
-        obstacle = Obstacle.at(garments, pose, before) if cloth.feels_bodies else None
+        obstacle = Obstacle.at(garments, pose, before) if cloth is not None and cloth.feels_bodies else None
         for _ in range(_ROUNDS):
             x = _cut_back(stood, lifted, np.where(held, 0.0, 1.0), edges, longest)
             wanted, firm = torch.from_numpy(x).to(before), torch.from_numpy(held)
             # What lifted cloth pushes aside goes into the body as well: what is held back stays where it is.
-            reached, _ = cloth.carried(garments, before, wanted, held=firm, obstacle=obstacle)
+            reached = wanted
+            if cloth is not None:
+                reached, _ = cloth.carried(garments, before, wanted, held=firm, obstacle=obstacle)
             # In a fold a part of the way may lead where the whole of it does not.
             deeper = self._taken_deeper(garments, pose, stood, as_float64(reached), planes)
             if not deeper.any():

@@ -6,7 +6,6 @@ Two promises: no step of any kind carries one element of cloth through another, 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -177,18 +176,20 @@ class TouchingCloth:
     sides: np.ndarray
 
 
-class SelfContact(ABC):
-    """What keeps cloth from passing through cloth.
+@dataclass(frozen=True)
+class CollisionFree:
+    """Cloth stays apart from cloth, within a garment and between the garments of a world.
 
-    Attributes:
-        feels_bodies: whether bodies are surfaces that cloth does not pass through either.
-        pressed_by_bodies: whether their faces and edges press cloth in the energies too, not in its moves alone.
+    Args:
+        reach: distance [m] at which elements begin to feel each other.
+        feels_bodies: whether cloth stays apart from bodies too, but for what they leave no room.
+        pressed_by_bodies: whether their faces and edges press it.
     """
 
+    reach: float = 2e-3
     feels_bodies: bool = False
     pressed_by_bodies: bool = False
 
-    @abstractmethod
     def pairs(
         self,
         garments: PackedGarments,
@@ -197,10 +198,10 @@ class SelfContact(ABC):
         before: Tensor,
         known: ClothPairs | None = None,
         obstacle: Obstacle | None = None,
-    ) -> ClothPairs | None:
-        """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`; None for none."""
+    ) -> ClothPairs:
+        """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`."""
+        return ClothPairs.along(garments, x, moves, before, self.reach, known, obstacle)
 
-    @abstractmethod
     def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
         """Positions (vertices, 3) [m] near `x` from which a simulation may begin, pinned vertices in their places.
 
@@ -211,8 +212,15 @@ class SelfContact(ABC):
         Raises:
             InputError: what crosses cannot be untangled.
         """
+        # Garments stand above contact.
+        from pb4u.garment.tangles import untangled_start
 
-    @abstractmethod
+        positions, freed = as_float64(x), []
+        for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
+            worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
+            freed.append(untangled_start(worn, positions[first:stop]))
+        return torch.from_numpy(np.concatenate(freed)).to(x)
+
     def carried(
         self,
         garments: PackedGarments,
@@ -235,95 +243,6 @@ class SelfContact(ABC):
             held: (vertices,) bool, of which none gives way to what meets it, as no pinned vertex does; None for none.
             obstacle: the bodies, which move while the cloth does; None for none.
         """
-
-    @abstractmethod
-    def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
-        """Shares (worlds,) in [0, 1] of linear `moves` that each world may take.
-
-        Args:
-            garments: static quantities.
-            cloth: all pairs that may touch on the way.
-            x: (vertices, 3) [m] that cross nowhere.
-            moves: (vertices, 3) [m].
-        """
-
-
-class NoSelfContact(SelfContact):
-    """Cloth passes through cloth: the paper's physics."""
-
-    def pairs(
-        self,
-        garments: PackedGarments,
-        x: Tensor,
-        moves: Tensor | None,
-        before: Tensor,
-        known: ClothPairs | None = None,
-        obstacle: Obstacle | None = None,
-    ) -> ClothPairs | None:
-        return None
-
-    def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
-        return x
-
-    def carried(
-        self,
-        garments: PackedGarments,
-        before: Tensor,
-        wanted: Tensor,
-        cloth: ClothPairs | None = None,
-        held: Tensor | None = None,
-        obstacle: Obstacle | None = None,
-    ) -> tuple[Tensor, Obstacle | None]:
-        return wanted, None
-
-    def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
-        return x.new_ones(garments.world_count)
-
-
-@dataclass(frozen=True)
-class CollisionFree(SelfContact):
-    """Cloth stays apart from cloth, within a garment and between the garments of a world.
-
-    Args:
-        reach: distance [m] at which elements begin to feel each other.
-        feels_bodies: whether cloth stays apart from bodies too, but for what they leave no room.
-        pressed_by_bodies: whether their faces and edges press it.
-    """
-
-    reach: float = 2e-3
-    feels_bodies: bool = False
-    pressed_by_bodies: bool = False
-
-    def pairs(
-        self,
-        garments: PackedGarments,
-        x: Tensor,
-        moves: Tensor | None,
-        before: Tensor,
-        known: ClothPairs | None = None,
-        obstacle: Obstacle | None = None,
-    ) -> ClothPairs | None:
-        return ClothPairs.along(garments, x, moves, before, self.reach, known, obstacle)
-
-    def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
-        # Needs what a machine that only trains may lack.
-        from pb4u.garment.tangles import untangled_start
-
-        positions, freed = as_float64(x), []
-        for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
-            worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
-            freed.append(untangled_start(worn, positions[first:stop]))
-        return torch.from_numpy(np.concatenate(freed)).to(x)
-
-    def carried(
-        self,
-        garments: PackedGarments,
-        before: Tensor,
-        wanted: Tensor,
-        cloth: ClothPairs | None = None,
-        held: Tensor | None = None,
-        obstacle: Obstacle | None = None,
-    ) -> tuple[Tensor, Obstacle | None]:
         firm = garments.pinned if held is None else garments.pinned | held
         masses = as_float64(torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12)))
         begun, asked = as_float64(before), as_float64(wanted)
@@ -344,6 +263,14 @@ class CollisionFree(SelfContact):
         return reached, obstacle.standing(passed)
 
     def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
+        """Shares (worlds,) in [0, 1] of linear `moves` that each world may take.
+
+        Args:
+            garments: static quantities.
+            cloth: all pairs that may touch on the way.
+            x: (vertices, 3) [m] that cross nowhere.
+            moves: (vertices, 3) [m].
+        """
         result = x.new_ones(garments.world_count)
         if cloth is None or not len(cloth.pairs):
             return result

@@ -118,23 +118,6 @@ class EnergyTerm(ABC):
         return None
 
 
-class NullTerm(EnergyTerm):
-    """A term switched off: zero everywhere, under the name of the one that it stands for.
-
-    Args:
-        name: name of the term that it stands for.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        return x.new_zeros(step.garments.garment_count)
-
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        return self.energies(step, contacts, x), torch.zeros_like(x)
-
-
 class MeasuredTerm(EnergyTerm):
     """A term that is measured rather than minimised: its gradient comes from autograd, and it has no curvature."""
 
