@@ -43,12 +43,12 @@ def main() -> None:
         print(f"{finding.severity.value}: {finding.sentence} Fix: {finding.fix}.")
 
     # ... and the mend of all that is safe to mend. The file itself is left alone.
-    mended, said = repair(mesh, body)
+    mended = repair(mesh, body)
     garment = options.garment
-    if said:
+    if mended.changes:
         garment = options.out.with_name(f"{garment.stem}_mended.obj")
-        write_obj(garment, mended)
-        print("mended:", *said)
+        write_obj(garment, mended.mesh)
+        print("mended:", *mended.changes)
 
     scene = pb4u.make_scene(
         garment, body, options.motion, triangles=options.triangles, frames=options.frames, pins=options.pins

@@ -9,11 +9,11 @@ import pytest
 import torch
 import trimesh
 from tests.laws.test_self_contact import OneMethod, methods
-from tests.prescribed_placement import PrescribedPlacement
 from tests.simulation.ball_scene import sheet
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.collision.crossings import crossings
+from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential

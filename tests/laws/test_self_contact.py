@@ -11,10 +11,10 @@ import torch
 from ball_scene import MATERIAL, Ball
 from tests.collision.crossing_free_states import Surface, folded, stack
 from tests.physics.shapes import DT, packed, sheet, time_step
-from tests.prescribed_placement import PrescribedPlacement
 
 from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.errors import InputError
+from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.garment.garment import Garment
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential

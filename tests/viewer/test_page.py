@@ -269,7 +269,7 @@ def test_an_impossible_wish_is_answered_on_the_page(window: Window, session: Any
     window.choose("Model", "solver")
     before = session.simulation
     coarse = Run((WornGarment(triangles=7),))
-    session.simulation_panel.run = lambda: Run(coarse)
+    session.simulation_panel.run = lambda: coarse
     window.button("Simulate")
     wait_for(lambda: window.says("triangles must lie between 400 and 40,000"), "it says what is wrong")
     assert session.simulation is before

@@ -110,3 +110,18 @@ class AttachedPlacement(Placement):
         edge = corners[:, :, 1] - corners[:, :, 0]
         tangent = torch.nn.functional.normalize(edge - (edge * normal).sum(-1, keepdim=True) * normal, dim=-1)
         return torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], dim=-1), anchors
+
+
+class PrescribedPlacement(Placement):
+    """Where a cloth starts, and the paths of its pinned vertices.
+
+    Args:
+        frames: (frames, vertices, 3) [m]; the last one is held.
+    """
+
+    def __init__(self, frames: np.ndarray) -> None:
+        self.frames = frames
+
+    def positions(self, start: int, stop: int) -> Tensor:
+        rows = np.clip(np.arange(start, stop), 0, len(self.frames) - 1)
+        return torch.from_numpy(self.frames[rows].astype(np.float32))
