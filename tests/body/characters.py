@@ -302,3 +302,17 @@ def slow_vertices(path: Path, clip: int, time: float, mesh_node: str) -> np.ndar
             blended = sum(w * moved[b] for b, w in zip(bones, share / share.sum(), strict=True) if w)
             result.append((blended @ np.append(place, 1.0))[:3])
     return np.array(result)
+
+
+def rewritten(source: Path, target: Path, change) -> Path:
+    """A .glb whose JSON a function has changed."""
+    data = source.read_bytes()
+    length = struct.unpack_from("<I", data, 12)[0]
+    document = json.loads(data[20 : 20 + length])
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    header = struct.pack("<IIIII", 0x46546C67, 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
+    target.write_bytes(header + text + rest)
+    return target

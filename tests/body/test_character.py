@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.body.characters import GltfWriter, slow_vertices, write_woman
+from tests.body.characters import GltfWriter, rewritten, slow_vertices, write_woman
 
 from pb4u.body import character_file
 from pb4u.body.bone_names import smpl_names
@@ -253,20 +251,6 @@ def test_key_frames_are_interpolated(kind, wanted):
 
 
 # What cannot be used.
-
-
-def rewritten(source: Path, target: Path, change) -> Path:
-    """A .glb whose JSON a function has changed."""
-    data = source.read_bytes()
-    length = struct.unpack_from("<I", data, 12)[0]
-    document = json.loads(data[20 : 20 + length])
-    change(document)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + length :]
-    header = struct.pack("<IIIII", 0x46546C67, 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
-    target.write_bytes(header + text + rest)
-    return target
 
 
 def _without_skin(document):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,7 @@ import joblib
 import numpy as np
 import pytest
 import torch
-from tests.body.characters import write_doll
+from tests.body.characters import rewritten, write_doll
 
 
 class Code:
@@ -40,17 +38,7 @@ def wham(path: Path, people: Any) -> Path:
 
 
 def doll(path: Path, change: Callable[[dict[str, Any]], object] = lambda document: None) -> Path:
-    data = write_doll(path).read_bytes()
-    length = struct.unpack_from("<I", data, 12)[0]
-    document = json.loads(data[20 : 20 + length])
-    change(document)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + length :]
-    path.write_bytes(
-        struct.pack("<IIIII", 0x46546C67, 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
-    )
-    return path
+    return rewritten(write_doll(path), path, change)
 
 
 def without_skin(document: dict[str, Any]) -> None:

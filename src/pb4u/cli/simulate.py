@@ -27,6 +27,8 @@ from pb4u.progress import announced, progress_bar
 from pb4u.run import Run
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from pb4u.export.view import View
     from pb4u.scene.scene import Scene
     from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
@@ -178,7 +180,7 @@ def _simulate(
         run.save(save_scene)
     record = RunRecord()
     left = list(targets)
-    trajectory = _trajectory(run, simulator, scene, left, live, record)
+    trajectory, watched = _trajectory(run, simulator, scene, left, live, record)
     _export(trajectory, left, next((target for target in targets if target not in left), None), view, bones)
     if json != "-":
         print(wrote(targets, trajectory.frame_count))
@@ -192,12 +194,10 @@ def _simulate(
         diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
         from pb4u.measures.divergence import skinned_centres
-        from pb4u.measures.limbs import Bones, limbs_through_cloth, watched
         from pb4u.measures.metrics import first_diverged
 
         diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
-        limbs = Bones.of(scene, trajectory.frame_count, trajectory.fps)
-        through = limbs_through_cloth(*watched(limbs, trajectory))
+        through = watched.found(trajectory)
     if record.failed_at is not None:
         raise Pb4uError(
             f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
@@ -250,7 +250,7 @@ def _trajectory(
     targets: list[Path],
     live: Path | None,
     record: RunRecord,
-) -> Trajectory:
+) -> tuple[Trajectory, _LimbWarnings]:
     """Simulate into the first .npz asked for, which is taken off `targets`, else into memory; `live` as frames come."""
     from pb4u.export.live_caches import LiveCaches
     from pb4u.scene.trajectory import interrupted_path
@@ -266,7 +266,7 @@ def _trajectory(
         header = simulator.header(scene)
         watched = _LimbWarnings(scene, header, simulator.name)
         if live is None:
-            return roll_out(run, simulator, scene, file, record, told, kept, watched)
+            return roll_out(run, simulator, scene, file, record, told, kept, watched), watched
         caches = opened.enter_context(LiveCaches(live, header, run.fps, run.written_frames))
 
         def stepped(done: int, total: int) -> None:
@@ -277,7 +277,7 @@ def _trajectory(
             caches.append(frame)
             watched(frame)
 
-        return roll_out(run, simulator, scene, file, record, stepped, kept, seen)
+        return roll_out(run, simulator, scene, file, record, stepped, kept, seen), watched
 
 
 class _LimbWarnings:
@@ -286,16 +286,28 @@ class _LimbWarnings:
     def __init__(self, scene: Scene, header: TrajectoryHeader, model: str) -> None:
         from pb4u.measures.limbs import Bones, LimbWatch
 
+        self.scene, self.model = scene, model
         self.watch = LimbWatch(Bones.of(scene, scene.frames, scene.fps), header)
-        self.frame, self.model = 0, model
+        self.rows: list[np.ndarray] = []
 
     def __call__(self, frame: Frame) -> None:
-        known = set(self.watch.enough)
-        self.watch.through(self.frame, frame.positions, frame.body_positions)
+        known, number = set(self.watch.enough), len(self.rows)
+        self.rows.append(self.watch.through(number, frame.positions, frame.body_positions))
         for bone in self.watch.enough:
             if bone not in known:
-                _warn(self.watch.sentence(bone, self.frame, self.model))
-        self.frame += 1
+                _warn(self.watch.sentence(bone, number, self.model))
+
+    def found(self, trajectory: Trajectory) -> list[dict[str, Any]]:
+        """What went through cloth in the frames of `trajectory`, as `limbs_through_cloth` gives it."""
+        import numpy as np
+
+        from pb4u.measures.limbs import Bones, limbs_through_cloth, watched
+
+        if trajectory.fps == self.scene.fps and trajectory.frame_count == len(self.rows):
+            return limbs_through_cloth(np.array(self.rows), self.watch)
+        # Resampled: its frames were never seen.
+        bones = Bones.of(self.scene, trajectory.frame_count, trajectory.fps)
+        return limbs_through_cloth(*watched(bones, trajectory))
 
 
 def _export(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pb4u.geometry.topology import connected_labels
 from pb4u.scene.trajectory import TrajectoryHeader
 
 
@@ -49,14 +50,9 @@ class SewnPanels:
 
 def uv_islands(uv_faces: np.ndarray) -> np.ndarray:
     """Island (faces,) int64 of each face (faces, 3) of UV points, numbered in the order of their first points."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     points, corners = np.unique(uv_faces, return_inverse=True)
     corners = corners.reshape(-1, 3)
-    links = np.concatenate([corners[:, :2], corners[:, 1:]]).T
-    matrix = coo_matrix((np.ones(links.shape[1]), links), shape=(len(points), len(points)))
-    island = connected_components(matrix, directed=False)[1]
+    island = connected_labels(len(points), *np.concatenate([corners[:, :2], corners[:, 1:]]).T)
     first = np.unique(island, return_index=True)[1]
     return np.asarray(np.argsort(np.argsort(first))[island][corners[:, 0]], dtype=np.int64)
 

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.garment_file import map_to_same
 from pb4u.geometry.mesh_file import PolygonMesh
-from pb4u.geometry.topology import Topology
+from pb4u.geometry.topology import Topology, connected_labels
+from pb4u.geometry.triangle_mesh import laid_flat
 
 FARTHEST = 0.1
 """Distance [m] over which a tack may pull two vertices together; what is farther apart is another place."""
@@ -63,7 +62,7 @@ def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
         skinning = skinning.at(np.repeat(first[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
     return replace(
         garment, vertices=vertices, faces=faces, pinned=pinned, source=source or _source_of(garment), coarse_edges=(),
-        skinning=skinning, rest_uv=_flat(garment.rest_corners),
+        skinning=skinning, rest_uv=laid_flat(garment.rest_corners),
     )  # fmt: skip
 
 
@@ -75,11 +74,10 @@ def sewn(faces: np.ndarray, size: int, pairs: np.ndarray) -> tuple[np.ndarray, n
         size: number of vertices.
         pairs: (tacks, 2) int64.
     """
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (size, size))
-    count, name = connected_components(graph, directed=False)
+    name = connected_labels(size, *pairs.T)
     joined = name[faces].astype(np.int64)
     sides = np.sort(joined, axis=1)
-    if (np.diff(sides, axis=1) == 0).any() or len(Topology(joined, count).non_manifold_edges):
+    if (np.diff(sides, axis=1) == 0).any() or len(Topology(joined, int(name.max()) + 1).non_manifold_edges):
         return None
     return joined, name
 
@@ -94,14 +92,3 @@ def _source_of(garment: Garment) -> SourceMap:
     mesh = PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
     every = np.arange(len(garment.vertices))
     return map_to_same(mesh, every, garment.vertices, garment.faces)
-
-
-def _flat(corners: np.ndarray) -> np.ndarray:
-    """Corners (faces, 3, 2) [m] of triangles (faces, 3, 3) [m] laid flat."""
-    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    length = np.linalg.norm(one, axis=1)
-    flat = np.zeros((len(corners), 3, 2))
-    flat[:, 1, 0] = length
-    flat[:, 2, 0] = (one * other).sum(axis=1) / length
-    flat[:, 2, 1] = np.linalg.norm(np.cross(one, other), axis=1) / length
-    return flat

@@ -92,3 +92,18 @@ def edge_lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
         (edges,) [m].
     """
     return np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+
+
+def laid_flat(corners: np.ndarray) -> np.ndarray:
+    """Corners (faces, 3, 2) of triangles in their own planes: the first at the origin, the second on the x axis.
+
+    Args:
+        corners: (faces, 3, 3) in any unit; those of a triangle whose first two coincide come out not finite.
+    """
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    flat = np.zeros((len(corners), 3, 2))
+    flat[:, 1, 0] = np.linalg.norm(e1, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        flat[:, 2, 0] = np.einsum("ij,ij->i", e1, e2) / flat[:, 1, 0]
+        flat[:, 2, 1] = np.linalg.norm(np.cross(e1, e2), axis=1) / flat[:, 1, 0]
+    return flat

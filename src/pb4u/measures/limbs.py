@@ -104,6 +104,10 @@ class LimbWatch:
         self._touched = self._faces[np.array(header.body_contact)[self._faces].all(axis=1)]
 
     @cached_property
+    def _vertices(self) -> np.ndarray:
+        return np.unique(self._touched)
+
+    @cached_property
     def _skin(self) -> TriangleSurface:
         return TriangleSurface(self._faces, len(self.bones.skin))
 
@@ -140,8 +144,7 @@ class LimbWatch:
     def _bare(self, cloth: np.ndarray, body: np.ndarray, limbs: np.ndarray) -> np.ndarray:
         """Which bones (bones,) bool, of some `limbs`, have skin over the cloth."""
         bones = len(self.bones.names)
-        touched = np.unique(self._touched)
-        asked = touched[np.isin(self.bones.skin[touched], limbs)]
+        asked = self._vertices[np.isin(self.bones.skin[self._vertices], limbs)]
         normals = area_weighted_normals(body, self._touched)[asked]
         cover = SkinCover.at(body[asked], normals, TriangleSurface(self.header.faces, len(cloth)).at(cloth))
         areas, shown = vertex_areas(body, self._touched), asked[cover.shown & (cover.heights < -_OUT)]

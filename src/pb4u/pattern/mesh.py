@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.geometry.topology import Topology
+from pb4u.geometry.topology import Topology, connected_labels
 from pb4u.pattern.layout import laid_out
 from pb4u.pattern.pattern import Panel, Pattern, Seam
 from pb4u.pattern.triangulation import triangulate_loop
@@ -168,13 +168,9 @@ def _welded(pattern: Pattern, points: np.ndarray, panel: np.ndarray, faces: np.n
 
     Edges within a panel that welding would lay on each other, as at the tip of a dart, are split.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     for _ in range(_MOST_SPLITS):
         pairs = np.concatenate([np.column_stack(pair) for pair in sides]) if sides else np.zeros((0, 2), dtype=int)
-        links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
-        vertex = connected_components(links, directed=False)[1]
+        vertex = connected_labels(len(points), *pairs.T)
         order = np.unique(vertex, return_index=True)[1]
         renamed = np.empty(len(order), dtype=np.int64)
         renamed[np.argsort(order)] = np.arange(len(order))

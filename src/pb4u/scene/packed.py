@@ -26,6 +26,7 @@ from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.collision.wide_tree import WideTree
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
+from pb4u.geometry.triangle_mesh import laid_flat
 from pb4u.scene.scene import STANDARD_GRAVITY
 
 Formed = TypeVar("Formed")
@@ -509,12 +510,9 @@ def inverse_rest_shapes(corners: np.ndarray) -> np.ndarray:
     Raises:
         InputError: triangles are degenerate; they are named.
     """
-    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    x1 = np.linalg.norm(e1, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x2 = np.einsum("ij,ij->i", e1, e2) / x1
-        y2 = np.linalg.norm(np.cross(e1, e2), axis=1) / x1
-    longest = np.maximum(x1, np.linalg.norm(e2, axis=1))
+    flat = laid_flat(corners)
+    x1, x2, y2 = flat[:, 1, 0], flat[:, 2, 0], flat[:, 2, 1]
+    longest = np.maximum(x1, np.linalg.norm(corners[:, 2] - corners[:, 0], axis=1))
     bad = np.flatnonzero(~(x1 > 0) | ~(y2 > 1e-6 * longest))
     if len(bad):
         raise InputError(
