@@ -54,10 +54,11 @@ def on_host(model: AccelerationModel, steps: int) -> list[torch.Tensor]:
 
 @pytest.fixture
 def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on an accelerator: no compiled kernels, and contact normals that do not hang on which of two faces is named.
+    """As on an accelerator: eigenvectors in closed form, and contact normals that do not hang on which face is named.
 
     Where two faces are equally near, rounding decides; their normals differ, and so friction would.
     """
+    monkeypatch.setattr("torch.linalg.eigh", eigenvectors)
     monkeypatch.setattr(ContactPlanes, "transported_normals", lambda self, pose: self.normals)
 
 
@@ -67,7 +68,7 @@ def on_device(model: AccelerationModel, steps: int, rooms: Rooms, replays: bool 
     return [state.positions for state in states]
 
 
-@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 2e-8, 20), (torch.float32, 1e-5, 5)])
+@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 5)])
 def test_both_ways_lead_to_the_same_states(dtype: torch.dtype, near: float, steps: int, in_tensors: None) -> None:
     model = from_pretrained("pb4u-wide").model.to(dtype)
     expected = on_host(model, steps)
