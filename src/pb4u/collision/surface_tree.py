@@ -51,7 +51,7 @@ _HALVED = 2
 """How often the surface is halved for the parts that threads search: four pieces, and the three seams between them."""
 
 
-Boxes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Boxes = tuple[np.ndarray, np.ndarray]
 
 
 class _Fitted(NamedTuple):
@@ -62,7 +62,7 @@ class _Fitted(NamedTuple):
         moves: (obstacle vertices, 3) [m].
         margin: what the boxes are wider by [m].
         room: the same at the end of the moves [m].
-        boxes: of nodes, faces, edges and vertices.
+        boxes: of nodes and faces.
     """
 
     obstacles: np.ndarray
@@ -110,10 +110,9 @@ class SurfaceTree:
         centres = self.rest[self.faces].mean(axis=1)
         self.vertex_world = np.asarray(world, dtype=np.int64)[self.part]
         self.boxes = BoxTree.over(centres, face_part, np.asarray(world))
-        self._vertices = np.arange(len(self.rest))[:, None]
         self.first_obstacle = len(self.rest) - obstacles
         own_edges, own_faces = (int((e[:, 0] < self.first_obstacle).sum()) for e in (self.edges, self.faces))
-        self._own_counts = own_faces, own_edges, self.first_obstacle
+        self._own_faces = own_faces
         lengths = np.linalg.norm(self.rest[self.edges[:own_edges, 0]] - self.rest[self.edges[:own_edges, 1]], axis=1)
         self._room = _ROOM * float(lengths.mean()) if len(lengths) else 0.0
         self._owned_vertices, self._owned_edges = _owners(self.faces, self.edges, len(self.rest))
@@ -211,7 +210,7 @@ class SurfaceTree:
         boxes = self.fitted(vertices, moves, margin, room)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
         tree = self.boxes.arrays[:3]
-        asked = (among, *asked_for(tree, self.faces, self.edges, among))
+        asked = (among, *asked_for(tree, self.faces, among))
         whole = np.count_nonzero(among) > _FEW
         wanted = self._parts[self._has_obstacle[self._parts].any(axis=1)] if with_obstacles else self._parts
         parts = np.split(wanted, range(1, len(wanted))) if whole else [wanted]
@@ -239,7 +238,7 @@ class SurfaceTree:
         return vertex_faces, edge_edges
 
     def fitted(self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0) -> Boxes:
-        """Boxes (.., 12) [m] of the nodes, faces, edges and vertices; those of obstacles may be wider than asked for.
+        """Boxes (.., 12) [m] of the nodes and faces; those of obstacles may be wider than asked for.
 
         They hold until the next call in the same thread.
 
@@ -249,20 +248,18 @@ class SurfaceTree:
             margin: what they are wider by on every side [m].
             room: the same at the end of the move [m].
         """
-        elements, first = (self.faces, self.edges, self._vertices), self.first_obstacle
-        if first == len(vertices):
-            made = [boxes_of(vertices, moves, corners, margin, room) for corners in elements]
-            return self.boxes.fitted(made[0]), made[0], made[1], made[2]
+        first = self.first_obstacle
         kept: _Fitted | None = getattr(self._kept, "boxes", None)
-        if kept is None or not kept.serves(vertices[first:], moves[first:], margin, room):
-            made = [boxes_of(vertices, moves, corners, margin, room) for corners in elements]
-            boxes = self.boxes.fitted(made[0]), made[0], made[1], made[2]
+        if first < len(vertices) and kept is not None and kept.serves(vertices[first:], moves[first:], margin, room):
+            nodes, faces = kept.boxes
+            fill_boxes(vertices, moves, self.faces[: self._own_faces], margin, room, faces)
+            fit_nodes(self._own_nodes, faces, *self.boxes.arrays[:3], nodes)
+            return kept.boxes
+        faces = boxes_of(vertices, moves, self.faces, margin, room)
+        boxes = self.boxes.fitted(faces), faces
+        if first < len(vertices):
             self._kept.boxes = _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes)
-            return boxes
-        for corners, own, boxes_of_them in zip(elements, self._own_counts, kept.boxes[1:], strict=True):
-            fill_boxes(vertices, moves, corners[:own], margin, room, boxes_of_them)
-        fit_nodes(self._own_nodes, kept.boxes[1], *self.boxes.arrays[:3], kept.boxes[0])
-        return kept.boxes
+        return boxes
 
     @cached_property
     def _kept(self) -> threading.local:
@@ -419,12 +416,10 @@ def _near_around(
 
 
 @compiled
-def asked_for(
-    tree: tuple, faces: np.ndarray, edges: np.ndarray, among: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which nodes, faces and edges have a vertex `among` (vertices,) those asked for."""
+def asked_for(tree: tuple, faces: np.ndarray, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which nodes and faces have a vertex `among` (vertices,) those asked for."""
     order, children, ranges = tree
-    asked_edges, asked_faces = any_corner(edges, among), any_corner(faces, among)
+    asked_faces = any_corner(faces, among)
     asked_nodes = np.empty(len(children), dtype=np.bool_)
     for node in range(len(children) - 1, -1, -1):
         asked = False
@@ -434,7 +429,7 @@ def asked_for(
             for place in range(ranges[node, 0], ranges[node, 1]):
                 asked = asked or asked_faces[order[place]]
         asked_nodes[node] = asked
-    return asked_nodes, asked_faces, asked_edges
+    return asked_nodes, asked_faces
 
 
 @compiled
@@ -448,8 +443,9 @@ def _search(
     """
     order, children, ranges = tree
     faces, edges, owned_vertices, owned_edges = elements
-    node_boxes, face_boxes, edge_boxes, vertex_boxes = boxes
-    among, asked_nodes, asked_faces, asked_edges = asked
+    node_boxes, face_boxes = boxes
+    among, asked_nodes, asked_faces = asked
+    begun, ended, ends = way[2], way[3], way[5]
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
     leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY)
@@ -468,23 +464,32 @@ def _search(
                 if faces[g, 0] >= way[4] and _beside(faces[f], faces[g], way):
                     continue
                 one, other = (faces[f, 0], faces[f, 1], faces[f, 2]), (faces[g, 0], faces[g, 1], faces[g, 2])
-                if _apart(way[5], one, other, way[2], way[3]):
+                if _apart(ends, one, other, begun, ended):
                     continue
-                for one, two in ((f, g), (g, f)):
+                for first, second, corners in ((f, g, other), (g, f, one)):
                     for k in range(3):
-                        v = owned_vertices[one, k]
-                        if v >= 0 and (among[v] or asked_faces[two]) and boxes_meet(vertex_boxes, v, face_boxes, two):
+                        v = owned_vertices[first, k]
+                        if v < 0 or not (among[v] or asked_faces[second]):
+                            continue
+                        if not _apart(ends, (v, v, v), corners, begun, ended):
                             near_faces = with_room(near_faces, face_count)
                             near_faces[face_count, 0] = v
-                            copy_row(faces[two], near_faces[face_count, 1:])
+                            copy_row(faces[second], near_faces[face_count, 1:])
                             face_count += 1
                 for k in range(3):
                     p = owned_edges[f, k]
-                    if p < 0 or not boxes_meet(edge_boxes, p, face_boxes, g):
+                    if p < 0:
+                        continue
+                    side = edges[p, 0], edges[p, 1], edges[p, 1]
+                    if _apart(ends, side, other, begun, ended):
                         continue
                     for m in range(3):
                         q = owned_edges[g, m]
-                        if q >= 0 and (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes, p, edge_boxes, q):
+                        if q < 0:
+                            continue
+                        if not (among[side[0]] or among[side[1]] or among[edges[q, 0]] or among[edges[q, 1]]):
+                            continue
+                        if not _apart(ends, side, (edges[q, 0], edges[q, 1], edges[q, 1]), begun, ended):
                             near_edges = with_room(near_edges, edge_count)
                             copy_row(edges[p], near_edges[edge_count, :2])
                             copy_row(edges[q], near_edges[edge_count, 2:])
