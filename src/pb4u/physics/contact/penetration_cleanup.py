@@ -105,7 +105,7 @@ class FaceClearance:
         *,
         cover: bool,
     ) -> np.ndarray:
-        """Positions (vertices, 3) [m] with the `movable` (vertices,) lifted, for skin that comes through to `cover` too.
+        """Positions (vertices, 3) [m] with the `movable` (vertices,) lifted, `cover`: off skin that pierces them too.
 
         Without, only what lies between these alone is looked at.
         """
