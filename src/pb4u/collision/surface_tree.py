@@ -8,9 +8,9 @@ same measure, so that cloth which is carried along by centimetres gives no more 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -218,7 +218,9 @@ class SurfaceTree:
         begun, ended = 2.0 * margin, 2.0 * (margin + room)
         ends = np.concatenate([vertices, vertices + moves], axis=1)
         way = vertices, moves, begun, ended, self.first_obstacle, ends
-        searches = [partial(_search, boxes, tree, elements, asked, part, way) for part in parts]
+        searches: list[Callable[[], Any]] = [
+            partial(_search, boxes, tree, elements, asked, part, way) for part in parts
+        ]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = _PIECES if whole else 1
         around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
