@@ -63,7 +63,7 @@ def evaluate(
     device: Annotated[str, typer.Option(help="Where networks compute: auto, cpu or cuda.")] = "auto",
     floors: Annotated[
         Literal["run", "stored"],
-        typer.Option(help="Reference energies: run the solver on scenes without a stored one, or use stored ones only."),
+        typer.Option(help="Reference energies: run the solver on scenes that lack a stored one, or use stored ones."),
     ] = "run",
     measure: Annotated[
         Literal["excess"] | None,
