@@ -109,7 +109,8 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(
     flags = arguments(tmp_path)
     # Root, as which tests may run, has rights everywhere.
     (tmp_path / "locked").mkdir()
-    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name not in ("locked", "protected.abc"))
+    closed = ("locked", "protected.abc")
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK or Path(path).name not in closed)
     (tmp_path / "there").mkdir()
     monkeypatch.chdir(tmp_path / "there")
     ended = pb4u("simulate", "--frames", 1, "--lead-in", 0, "--model", "skinning", *flags)
