@@ -399,5 +399,5 @@ def test_diverged_clips_and_notes_are_summed(tmp_path: Path) -> None:
 
 
 def test_a_refusal_names_file_and_clip(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^jobs\.toml: clip 2 \(tshirt in linen\): .*no material.*'linen'"):
+    with pytest.raises(InputError, match=r"^jobs\.toml: clip 2 \(tshirt in linen, model = skinning\): .*no material.*'linen'"):
         make([*runs(1), *runs(1, material="linen")], tmp_path / "set", quick, jobs_file="jobs.toml")
