@@ -443,7 +443,8 @@ def read_tables(path: Path, kind: str) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} cannot be read as TOML, which {kind} is: {error}.") from None
+        reason = "it is no text" if isinstance(error, UnicodeDecodeError) else error
+        raise InputError(f"{path} cannot be read as TOML, which {kind} is: {reason}.") from None
 
 
 def with_companions(path: Path) -> list[Path]:

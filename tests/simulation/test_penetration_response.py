@@ -174,3 +174,21 @@ def test_a_vertex_that_comes_inside_where_the_body_overlaps_itself_is_found_thou
     assert response.depth(step, within.positions) == pytest.approx(0.028)
     pushed = response.respond(step, within).positions
     assert response.depth(step, pushed) == pytest.approx(0.008)
+
+
+def test_contact_wins_against_a_pin() -> None:
+    """Pins that would sink into the body are lifted, edges between them too; those that are clear keep their place."""
+    garments, state = lying(0.02)
+    pinned = torch.zeros(len(state.positions), dtype=torch.bool)
+    pinned[:4] = pinned[12:16] = True
+    garments = packed(sheet(3, 3, 0.3, 0.3).with_pins(pinned.numpy()))
+    places = state.positions.clone()
+    places[:4, 1] = -0.012
+    step = replace(time_step(garments, state, slab()), pin_positions=places)
+    clear = ContactResponse().with_pins_clear(step).pin_positions
+    assert clear is not None
+    assert 2e-3 <= float(clear[:4, 1].min()) <= float(clear[:4, 1].max()) < 0.03
+    torch.testing.assert_close(clear[:, [0, 2]], places[:, [0, 2]])
+    torch.testing.assert_close(clear[4:], places[4:])
+    without = replace(time_step(*lying(0.02), slab()), pin_positions=places)
+    assert ContactResponse().with_pins_clear(without) is without

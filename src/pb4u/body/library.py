@@ -113,9 +113,10 @@ def _built_in(name: str, shape: tuple[tuple[str, float], ...]) -> ShapedBody:
 
 def _read(path: Path) -> BodyModel | VertexSequence:
     suffix, names = path.suffix.lower(), (*BUILT_IN, *_MODELS)
-    suffixes = {known for format_ in _FORMATS for known in format_.suffixes}
+    if suffix and suffix not in file_suffixes() and not path.is_dir():
+        raise InputError(f"{path} is of no kind of body file that is read; those end in {', '.join(file_suffixes())}.")
     if not path.exists():
-        if suffix in suffixes or path.name != str(path):
+        if suffix or path.name != str(path):
             raise InputError(
                 f'There is no body file "{path}"; check the path, or use one of the names {", ".join(names)}.'
             )

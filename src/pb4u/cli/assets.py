@@ -169,13 +169,15 @@ def write(
 def _tell(json: str | None, **summary: Any) -> None:
     if json:
         write_json(summary, json)
+    if json != "-":
+        print(f"Wrote {summary['out']}")
 
 
 @group.command("pack")
 def pack(
     out: Annotated[Path, typer.Argument(help="The .npz to write.", show_default=False)],
     preset: Annotated[
-        str, typer.Option(help="Training whose data is packed: small, wide, comparison, paper or smoke.")
+        str, typer.Option(help="Training whose data is packed; `pb4u train --help` lists them.")
     ] = "small",
     recordings: Annotated[
         Path | None,

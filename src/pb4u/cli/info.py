@@ -15,8 +15,11 @@ _EXTRAS = {
     "anny": "anny",
     "render": "cv2",
     "usd": "pxr",
+    "abc": "alembic3d",
+    "svg": "svgelements",
     "view": "viser",
     "ray": "ray",
+    "dataset": "pyarrow",
 }
 
 

@@ -116,7 +116,7 @@ def simulate(
     run = run_of(Run() if scene is None else Run.open(scene), flags)
     _refuse_useless(str(run.model), flags)
     if (measure or reference) and not json:
-        raise InputError("--measure and --reference are told by --json; give that too.")
+        raise InputError("--measure and --reference add to the report of --json; give --json FILE too.")
     keep_inputs([scene, reference], [("--save-scene", save_scene), ("--json", json)])
     targets = list(out) if out else _default_targets(run)
     for target in targets:

@@ -14,8 +14,9 @@ def train(
     preset: Annotated[
         str | None,
         typer.Option(
-            help="Which training: small (two cores, the default), comparison (half an hour; what networks are "
-            "compared by), wide (goes on with small by --weights), paper (an accelerator), smoke (seconds)."
+            help="Which training: small (two cores, the default), wide (goes on with small by --weights), literal (the "
+            "paper's network and schedule; days of an accelerator), literal_small (the same, 64 wide with 4 blocks), "
+            "paper (the paper's size and schedule with inputs of ours), comparison (half an hour), smoke (seconds)."
         ),
     ] = None,
     steps: Annotated[

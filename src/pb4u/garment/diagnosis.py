@@ -272,7 +272,10 @@ def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: st
             "Where on the body the garment belongs is unclear: it fits about as well in "
             f"{1 + len(fit.alike)} of {len(AXES)} ways to turn it, {1000 * fit.misfit:.0f} mm off on average."
         )
-        fix = "place it on the resting body in the program it comes from, in metres, Y up and facing +Z"
+        fix = (
+            "give --body and --body-shape of the body that it was made for, or place it on the resting body in the "
+            "program it comes from, in metres, Y up and facing +Z"
+        )
         return [*_far_finding(vertices, body), Finding("unsure", Severity.REFUSED, sentence, fix)]
     findings = []
     if fit.unit != "metres":

@@ -129,7 +129,10 @@ def read_source(path: Path, most_triangles: int = MOST_READ) -> PolygonMesh:
         InputError: the file is missing, of another kind, damaged, empty of faces or too large.
     """
     if path.suffix.lower() not in READERS:
-        raise InputError(f"{path.name} is no garment file that can be read; the kinds are {', '.join(READERS)}.")
+        raise InputError(
+            f"{path.name} is no garment file that can be read; the kinds are {', '.join(READERS)}, and sewing "
+            "patterns .json, .toml or the .npz of `pb4u dress`."
+        )
     if not path.is_file():
         raise InputError(f"There is no garment file {path}.")
 

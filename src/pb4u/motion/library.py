@@ -77,7 +77,7 @@ def load_motion(
     path, person = recording_file(name)
     if path.suffix.lower() == ".asf":
         raise InputError(f"{path} holds the skeleton alone; give the .amc file beside it, which holds the motion.")
-    if path.is_file() and path.suffix.lower() not in SUFFIXES:
+    if path.suffix and path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path} is of no kind of motion file that is read; those end in {', '.join(SUFFIXES)}.")
     if path.suffix.lower() not in SUFFIXES:
         raise unknown_name("motion", name, CLIPS)

@@ -178,7 +178,9 @@ def trainable(name: str) -> str | None:
         how = "it is the name of the method"
     if word == "literal":
         return f"{how}, the paper's network to the letter"
-    return f"{how}; the paper's network to the letter is `literal`, and of its size with inputs of ours `paper`"
+    if word == "literal_small":
+        return f"{how}, the paper's network to the letter, 64 wide with 4 blocks"
+    return f"{how}; the paper's network to the letter is `literal`"
 
 
 def training_preset(name: str) -> TrainingConfiguration:

@@ -187,6 +187,8 @@ def read_pattern(path: str | Path) -> Pattern:
     if not path.is_file():
         raise InputError(f"There is no pattern {path}.")
     kind = path.suffix.lower()
+    if kind not in (".toml", ".npz", ".json"):
+        raise InputError(f"{path} is no sewing pattern; those are .json, .toml or the .npz of `pb4u dress`.")
     if kind == ".toml":
         return read_drawn(path)
     return read_dressed(path)[0].pattern if kind == ".npz" else read_specification(path)

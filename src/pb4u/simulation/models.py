@@ -50,7 +50,9 @@ def model_descriptions() -> dict[str, str]:
 
 
 def _network_line(name: str) -> str:
-    return "compared by `pb4u evaluate`" if name.startswith("comparison-") else "trained network"
+    if name.startswith("comparison-"):
+        return "small network that `pb4u evaluate` compares methods with"
+    return f"{'the default' if name == default_model() else 'a'} network; `pb4u info --model {name}` says what it is"
 
 
 def default_model() -> str:

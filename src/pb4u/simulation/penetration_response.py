@@ -17,6 +17,9 @@ from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
 from pb4u.scene.scene import UP
 from pb4u.scene.state import State
 
+_PIN_CLEARANCE = 2e-3
+"""Distance [m] that pins keep from the body: where contact begins."""
+
 
 @dataclass(frozen=True)
 class ContactResponse:
@@ -59,6 +62,18 @@ class ContactResponse:
             x = torch.where(touched[:, None], x + depth[:, None] * up, x)
             v = torch.where(touched[:, None], v + (-v[:, 1]).clamp_min(0.0)[:, None] * up, v)
         return replace(state, positions=x, velocities=v)
+
+    def with_pins_clear(self, step: TimeStep) -> TimeStep:
+        """`step` with the places of its pins outside the bodies: contact wins against a pin.
+
+        Args:
+            step: that is to be taken.
+        """
+        garments, pins = step.garments, step.pin_positions
+        if step.bodies is None or self.faces is None or pins is None or not bool(garments.pinned.any()):
+            return step
+        clear = replace(self.faces, clearance=_PIN_CLEARANCE)
+        return replace(step, pin_positions=clear.pins_clear(garments, step.bodies.following, pins))
 
     def cleared(self, step: TimeStep, state: State, cloth: CollisionFree | None) -> State:
         """State with cloth lifted that a body is through though no vertex is inside it, as far as cloth can go there.

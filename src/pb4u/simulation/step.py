@@ -62,6 +62,8 @@ def take(step: TimeStep, method: StepMethod) -> State:
     """
     refinement, contact, cloth = method.refinement, method.contact, method.self_contact
     with one_torch_thread():
+        if contact is not None:
+            step = contact.with_pins_clear(step)
         # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
         *_, predicted = predictions(step, method)
         require_finite(predicted)

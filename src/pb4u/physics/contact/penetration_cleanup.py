@@ -72,21 +72,60 @@ class FaceClearance:
             pose: the bodies at the state's frame.
             cloth: keeps the lift from carrying cloth through cloth.
         """
-        x, worlds = as_float64(state.positions).copy(), range(min(garments.world_count, len(pose.surfaces)))
-        if all(pose.surfaces[world] is None for world in worlds):
+        if not _touched(garments, pose):
             return state
         planes = nearest_planes(pose, garments, state.positions, MOTION_REACH)
+        lifted = self._lifted(garments, pose, planes, state.positions, ~garments.pinned.numpy(), cover=True)
+        return replace(state, positions=self._without_harm(garments, pose, state.positions, lifted, planes, cloth))
+
+    def pins_clear(self, garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Tensor:
+        """Positions (vertices, 3) [m] with pinned vertices, and what lies between them, lifted out of the bodies.
+
+        A pin that this would take deeper into another part of a body stays where it is.
+
+        Args:
+            garments: static quantities.
+            pose: the bodies.
+            x: (vertices, 3) [m].
+        """
+        if not _touched(garments, pose):
+            return x
+        planes = nearest_planes(pose, garments, x, MOTION_REACH)
+        lifted = self._lifted(garments, pose, planes, x, garments.pinned.numpy(), cover=False)
+        deeper = self._taken_deeper(garments, pose, as_float64(x), lifted, planes)
+        return torch.where(torch.from_numpy(deeper)[:, None], x, torch.from_numpy(lifted).to(x))
+
+    def _lifted(
+        self,
+        garments: PackedGarments,
+        pose: ColliderPose,
+        planes: ContactPlanes,
+        before: Tensor,
+        movable: np.ndarray,
+        *,
+        cover: bool,
+    ) -> np.ndarray:
+        """Positions (vertices, 3) [m] with the `movable` (vertices,) lifted, `cover`: off skin that pierces them too.
+
+        Without, only what lies between these alone is looked at.
+        """
+        x, worlds = as_float64(before).copy(), _touched(garments, pose)
         elements = [part for world in worlds for part in self._near(garments, pose, planes, x, world)]
-        skin = [_skin(pose.surfaces[world], x, slice(*garments.world_offsets[world : world + 2])) for world in worlds]
+        skin: list[_Skin] = []
+        if cover:
+            offsets = garments.world_offsets
+            skin = [_skin(pose.surfaces[world], x, slice(*offsets[world : world + 2])) for world in worlds]
+        else:
+            elements = [part.chosen(movable[part.corners].all(axis=1)) for part in elements]
         lift = _Lift(np.zeros_like(x), np.zeros(len(x)))
         for _ in range(self.passes):
             moved, lift = lift.size, _Lift(np.zeros_like(x), np.zeros(len(x)))
             elements = [self._lift_middles(lift, x, part) for part in elements]
-            for world, places in enumerate(skin):
-                skin[world] = self._cover(lift, garments, x, moved, world, places)
-            if not _move(x, *lift, garments.pinned.numpy(), self.largest_push):
+            for place, (world, places) in enumerate(zip(worlds, skin, strict=False)):
+                skin[place] = self._cover(lift, garments, x, moved, world, places)
+            if not _move(x, *lift, movable, self.largest_push):
                 break
-        return replace(state, positions=self._without_harm(garments, pose, state.positions, x, planes, cloth))
+        return x
 
     def _without_harm(
         self,
@@ -171,7 +210,7 @@ class FaceClearance:
         # Where a region is left out of contact there is no skin, nor is the cap of one.
         skin = ~found.beyond & (found.triangle < middles.skin_faces)
         low = skin & (found.distances < middles.wanted)
-        kept = middles._replace(corners=middles.corners[low], wanted=middles.wanted[low], found=found.among(low))
+        kept = middles.chosen(low)
         shares = np.full(kept.corners.shape, 1.0 / kept.corners.shape[1])
         _add(*lift, kept.corners, shares, kept.wanted - kept.found.distances, kept.found.normals)
         return kept
@@ -221,6 +260,10 @@ class _Middles(NamedTuple):
     wanted: np.ndarray
     found: Found
 
+    def chosen(self, rows: np.ndarray) -> _Middles:
+        """Those of `rows` (elements,) bool."""
+        return self._replace(corners=self.corners[rows], wanted=self.wanted[rows], found=self.found.among(rows))
+
 
 class _Skin(NamedTuple):
     """Places on the skin of one world.
@@ -248,6 +291,11 @@ class _Lift(NamedTuple):
 
     direction: np.ndarray
     size: np.ndarray
+
+
+def _touched(garments: PackedGarments, pose: ColliderPose) -> list[int]:
+    """Worlds whose bodies can be touched."""
+    return [world for world, surface in enumerate(pose.surfaces[: garments.world_count]) if surface is not None]
 
 
 def _skin(surface: PosedSurface | None, x: np.ndarray, own: slice) -> _Skin:
@@ -395,15 +443,15 @@ def _cut_back(
 
 
 @compiled
-def _move(x: np.ndarray, direction: np.ndarray, size: np.ndarray, pinned: np.ndarray, largest: float) -> bool:
-    """Move vertices `x` (vertices, 3) [m] that are not `pinned` (vertices,) by a `_Lift`, at most by `largest` [m].
+def _move(x: np.ndarray, direction: np.ndarray, size: np.ndarray, movable: np.ndarray, largest: float) -> bool:
+    """Move vertices `x` (vertices, 3) [m] that are `movable` (vertices,) by a `_Lift`, at most by `largest` [m].
 
     Returns whether any moved.
     """
     moved = False
     for row in range(len(x)):
         length = np.sqrt(direction[row, 0] ** 2 + direction[row, 1] ** 2 + direction[row, 2] ** 2)
-        if pinned[row] or length == 0.0:
+        if not movable[row] or length == 0.0:
             continue
         for axis in range(3):
             x[row, axis] += min(size[row], largest) * direction[row, axis] / length
