@@ -8,7 +8,6 @@ from tests.collision.crossing_free_states import Surface, folded, nested, stack
 
 from pb4u.collision.element_distance import nearest
 from pb4u.collision.element_pairs import ElementPairs
-from pb4u.collision.surface_tree import SurfaceTree
 
 SURFACES = {
     "stack": stack(3, 2e-3),
@@ -108,20 +107,6 @@ def test_pairs_of_some_vertices_are_those_of_all_that_have_one(name: str) -> Non
     some = surface.tree.pairs(surface.before, 5e-3, moves, among=among)
     assert 0 < len(some) < len(every)
     assert keys(some) == keys(every, among[every.corners].any(axis=1))
-
-
-@pytest.mark.parametrize("name", ["stack", "nested", "worlds"])
-def test_pairs_with_obstacles_alone_are_all_that_have_one(name: str) -> None:
-    surface = SURFACES[name]
-    first = int(np.flatnonzero(surface.part == surface.part.max())[0])
-    tree = SurfaceTree(
-        surface.rest, surface.tree.faces, surface.tree.edges, surface.part, surface.world, len(surface.rest) - first
-    )
-    moves = 0.02 * np.random.default_rng(5).normal(size=surface.before.shape)
-    every, some = (tree.pairs(surface.before, 5e-3, moves, with_obstacles=alone) for alone in (False, True))
-    mixed, kept = ((pairs.corners >= first).any(axis=1) for pairs in (every, some))
-    assert keys(some, kept) == keys(every, mixed)
-    assert mixed.any()
 
 
 @pytest.mark.parametrize("name", SURFACES)

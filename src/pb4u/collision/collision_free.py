@@ -64,7 +64,6 @@ def past_obstacles(
     masses: np.ndarray,
     known: tuple[ElementPairs, np.ndarray] | None = None,
     passed: np.ndarray | None = None,
-    crosses_nowhere: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions near `wanted` that `before` reaches without an element passing through another; obstacles go first.
 
@@ -77,8 +76,6 @@ def past_obstacles(
         masses: (vertices,) [kg]; infinite for vertices that give way to no impulse, as those of obstacles are.
         known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were queried already.
         passed: (vertices,) bool of the surface that obstacles are let through; none by default.
-        crosses_nowhere: whether at `wanted` no two elements cross of which none is an obstacle's: these are stopped
-            only where obstacles change their moves.
 
     Returns:
         Positions (vertices, 3) [m], `wanted` itself where nothing touches, and what (vertices,) bool obstacles have
@@ -88,7 +85,7 @@ def past_obstacles(
     moves = wanted - before
     if not moves.any():
         return wanted, passed
-    pairs, gaps = known or _met(tree, before, moves, passed, with_obstacles=crosses_nowhere)
+    pairs, gaps = known or _met(tree, before, moves, passed)
     shares = free_shares(pairs, gaps, before, moves)
     if (shares >= 1.0).all():
         return wanted, passed
@@ -163,12 +160,10 @@ def _met(
     passed: np.ndarray,
     known: ElementPairs | None = None,
     changed: np.ndarray | None = None,
-    with_obstacles: bool = False,
 ) -> tuple[ElementPairs, np.ndarray]:
     """Pairs that may touch along `moves`, and their gaps (pairs,) [m]; what obstacles have `passed` is left out.
 
-    Pairs of vertices that have not `changed` (vertices,) their moves since they were known free may be left out too,
-    and those without an obstacle where only those `with_obstacles` are wanted.
+    Pairs of vertices that have not `changed` (vertices,) their moves since they were known free may be left out too.
     """
     # The push out of the body and the lift move few vertices; what stands still meets nothing that does.
     if known is not None and known.neighbourhood is not None:
@@ -177,7 +172,7 @@ def _met(
         moved = np.any(moves, axis=1) if changed is None else changed
         if moved[tree.first_obstacle :].any():
             moved = np.arange(len(moved)) < tree.first_obstacle
-        pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved, with_obstacles=with_obstacles)
+        pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved)
     if passed.any():
         pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, passed))
     return pairs, smallest_gaps(pairs, before)

@@ -136,7 +136,6 @@ class SurfaceTree:
         known: ElementPairs | None = None,
         lasting: bool = False,
         among: np.ndarray | None = None,
-        with_obstacles: bool = False,
     ) -> ElementPairs:
         """Pairs that may come within `reach` of one another, a superset of those that do.
 
@@ -149,7 +148,6 @@ class SurfaceTree:
             known: pairs of positions a little before these, where there are such: only what went far since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
             among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
-            with_obstacles: whether pairs without an obstacle may be left out; as `among`.
 
         Raises:
             ValueError: they are given together.
@@ -167,7 +165,7 @@ class SurfaceTree:
                 return self._pairs((stayed, found), neighbourhood)
         if not lasting:
             asked = self._everywhere if among is None else among
-            candidates = self._search(vertices, moving, 0.5 * reach, asked, with_obstacles=with_obstacles)
+            candidates = self._search(vertices, moving, 0.5 * reach, asked)
             return self._pairs((_near(candidates, vertices, moving, reach),), None)
         candidates = self._search(vertices, moving, 0.5 * reach, self._everywhere, self._room)
         neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reach)
@@ -199,7 +197,6 @@ class SurfaceTree:
         margin: float,
         among: np.ndarray,
         room: float = 0.0,
-        with_obstacles: bool = False,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
 
@@ -212,8 +209,7 @@ class SurfaceTree:
         tree = self.boxes.arrays[:3]
         asked = (among, *asked_for(tree, self.faces, among))
         whole = np.count_nonzero(among) > _FEW
-        wanted = self._parts[self._has_obstacle[self._parts].any(axis=1)] if with_obstacles else self._parts
-        parts = np.split(wanted, range(1, len(wanted))) if whole else [wanted]
+        parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
         begun, ended = 2.0 * margin, 2.0 * (margin + room)
         ends = np.concatenate([vertices, vertices + moves], axis=1)
@@ -224,8 +220,7 @@ class SurfaceTree:
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = _PIECES if whole else 1
         around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
-        if not with_obstacles:
-            searches += [partial(_near_around, ends, among, *piece, begun, ended) for piece in around]
+        searches += [partial(_near_around, ends, among, *piece, begun, ended) for piece in around]
         found = parallel_map(lambda search: search(), searches)
         vertex_faces, edge_edges = (
             np.concatenate(
@@ -270,17 +265,10 @@ class SurfaceTree:
     @cached_property
     def _own_nodes(self) -> np.ndarray:
         """Nodes (nodes,) int64 that hold a face which is no obstacle's, children before their parents."""
-        return np.ascontiguousarray(np.flatnonzero(self._nodes_with(self.faces[:, 0] < self.first_obstacle))[::-1])
-
-    @cached_property
-    def _has_obstacle(self) -> np.ndarray:
-        return self._nodes_with(self.faces[:, 0] >= self.first_obstacle)
-
-    def _nodes_with(self, faces: np.ndarray) -> np.ndarray:
-        """Which nodes (nodes,) hold one of the `faces` (faces,) bool."""
-        counts = np.concatenate([[0], np.cumsum(faces[self.boxes.order])])
-        held: np.ndarray = counts[self.boxes.ranges[:, 1]] > counts[self.boxes.ranges[:, 0]]
-        return held
+        own = self.faces[:, 0] < self.first_obstacle
+        counts = np.concatenate([[0], np.cumsum(own[self.boxes.order])])
+        nodes = np.flatnonzero(counts[self.boxes.ranges[:, 1]] > counts[self.boxes.ranges[:, 0]])
+        return np.ascontiguousarray(nodes[::-1])
 
     @cached_property
     def _parts(self) -> np.ndarray:

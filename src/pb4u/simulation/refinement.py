@@ -234,12 +234,12 @@ def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: Stat
     Args:
         self_contact: keeps cloth from passing through bodies; None where it may.
         step: the time step.
-        wanted: state at the end of the step, in which no cloth crosses cloth.
+        wanted: state at the end of the step.
     """
     if self_contact is None or not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
         return wanted
     positions, obstacle = self_contact.carried(
-        step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle, crosses_nowhere=True
+        step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle
     )
     if obstacle is not None:
         # What they were not through, nor left no room, need not be looked for again.

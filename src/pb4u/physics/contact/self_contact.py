@@ -229,7 +229,6 @@ class CollisionFree:
         cloth: ClothPairs | None = None,
         held: Tensor | None = None,
         obstacle: Obstacle | None = None,
-        crosses_nowhere: bool = False,
     ) -> tuple[Tensor, Obstacle | None]:
         """Positions (vertices, 3) [m] near `wanted` that are reached without cloth passing through cloth or a body.
 
@@ -243,7 +242,6 @@ class CollisionFree:
             cloth: all pairs that may touch on the way, where they were queried already.
             held: (vertices,) bool, of which none gives way to what meets it, as no pinned vertex does; None for none.
             obstacle: the bodies, which move while the cloth does; None for none.
-            crosses_nowhere: whether no cloth crosses cloth at `wanted`.
         """
         firm = garments.pinned if held is None else garments.pinned | held
         masses = as_float64(torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12)))
@@ -260,7 +258,6 @@ class CollisionFree:
             np.concatenate([masses, np.full(len(obstacle.areas), np.inf)]),
             known,
             obstacle.passed,
-            crosses_nowhere,
         )
         reached = wanted if result is whole else torch.from_numpy(result[: len(asked)].copy()).to(wanted)
         return reached, obstacle.standing(passed)
