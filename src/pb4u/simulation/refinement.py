@@ -173,7 +173,7 @@ class ImplicitSteps(SolverRefinement):
 
 
 class SafeguardedRefinement(SolverRefinement):
-    """Refines a prediction, and retries the step by the solver where edges go through a limb or stretched cloth still falls.
+    """Refines a prediction, and retries the step where edges go through a limb or stretched cloth falls.
 
     Cloth that a prediction left on two sides of a limb stays caught there, however many iterations follow. The step is
     then solved from where the body carries the garment, to a rough tolerance.
