@@ -13,7 +13,6 @@ from torch import Tensor, nn
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import PreparedGarments
 from pb4u.network.graph.features import ADVANCE, DESCENT, Feature
-from pb4u.network.graph.garment_graph import incident_lengths
 from pb4u.network.graph.graph import Graph
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.descent import JacobiDescent
@@ -145,27 +144,6 @@ class AdvanceFeature:
 
 
 _MAKERS: dict[Feature, Callable[[], StepFeature]] = {DESCENT: DescentFeature, ADVANCE: AdvanceFeature}
-
-
-class GradientPass:
-    """The gradient feature itself as the pass: what a network adds is judged against it.
-
-    Args:
-        garments: garments of the steps, float64 on the CPU.
-        passes: number of gradients in a step.
-        further: most gradients beyond those, while a pass frees much energy.
-    """
-
-    def __init__(self, garments: PackedGarments, passes: int = 1, further: int = 0) -> None:
-        self.passes, self.further = passes, further
-        self._feature = DescentFeature()
-        self._incident_length = incident_lengths(garments)
-
-    @torch.no_grad()
-    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] to add; see `NetworkPass.correction`."""
-        length = self._incident_length
-        return length[:, None] * self._feature.of(step, accelerations, length)
 
 
 class StepFeatures:
