@@ -124,7 +124,7 @@ class CompiledCollision(CompiledTerm, Collision):
         bearing = np.sqrt(loads / np.maximum(3.0 * self._weight, 1e-300))
         slots = pattern.slots[self.name][:, 0]
         return [
-            _CollisionTangent(x, planes, self._weight * pattern.free, self.clearance, bearing, slots)
+            _tangent(x, planes, self._weight * pattern.free, self.clearance, bearing, slots)
             for planes in self._planes(contacts)
         ]
 
@@ -137,35 +137,21 @@ class CompiledCollision(CompiledTerm, Collision):
             yield self._ground
 
 
-class _CollisionTangent(Tangent):
-    """Contact of each vertex with one plane.
-
-    Args:
-        vertices: (vertices, 3) [m] where the step begins.
-        planes: as in `CompiledCollision`.
-        weight: (vertices,) [J/m^3], 0 where a vertex does not move.
-        clearance: distance at which contact begins [m].
-        bearing: (vertices,) [m] depths to which contacts that begin are taken to go at first.
-        slots: (vertices,) block of each vertex in the stiffness.
-    """
-
-    def __init__(
-        self,
-        vertices: np.ndarray,
-        planes: _Planes,
-        weight: np.ndarray,
-        clearance: float,
-        bearing: np.ndarray,
-        slots: np.ndarray,
-    ) -> None:
-        points, normals, counts = planes
-        depths = clearance - np.einsum("vi,vi->v", vertices - points, normals)
-        self._law = np.where(counts, weight, 0.0), normals, depths, bearing, slots
-        self._laid = np.maximum(depths, 0.0)
-        self._stiffness = 3.0 * weight * (self._laid + np.minimum(self._laid, _EXACT_DEPTH))
-
-    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
-        _follow(moves, *self._law, self._laid, self._stiffness, stiffness.positive, gradient, missed)
+def _tangent(
+    vertices: np.ndarray,
+    planes: _Planes,
+    weight: np.ndarray,
+    clearance: float,
+    bearing: np.ndarray,
+    slots: np.ndarray,
+) -> Tangent:
+    """Contact of each of the `vertices` (vertices, 3) [m] with one plane, as in `_follow`."""
+    points, normals, counts = planes
+    depths = clearance - np.einsum("vi,vi->v", vertices - points, normals)
+    law = np.where(counts, weight, 0.0), normals, depths, bearing, slots
+    laid = np.maximum(depths, 0.0)
+    stiffnesses = 3.0 * weight * (laid + np.minimum(laid, _EXACT_DEPTH))
+    return lambda moves, stiffness, *forces: _follow(moves, *law, laid, stiffnesses, stiffness.positive, *forces)
 
 
 @compiled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -16,24 +17,14 @@ from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 
+Tangent = Callable[[np.ndarray, Stiffness, np.ndarray, np.ndarray], None]
+"""A term's part of the quadratic model of a Newton step, which is relinearised where the step leads.
 
-class Tangent(ABC):
-    """A term's part of the quadratic model of a Newton step, which can be relinearised where the step leads.
-
-    Contact that begins, and friction that holds, change their force within a step far more than their second derivative
-    where it begins can tell.
-    """
-
-    @abstractmethod
-    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
-        """Lay the tangent where `moves` lead.
-
-        Args:
-            moves: (vertices, 3) [m] of the step.
-            stiffness: of the model; changed.
-            gradient: (vertices, 3) [N] of the model where the step begins; changed.
-            missed: (vertices, 3) [N] to which is added by how much the model was wrong where `moves` lead.
-        """
+Contact that begins, and friction that holds, change their force within a step far more than their second derivative
+where it begins can tell. Called with the moves (vertices, 3) [m] of the step, the stiffness and the gradient
+(vertices, 3) [N] of the model, both changed, and forces (vertices, 3) [N] to which is added by how much the model was
+wrong where the moves lead.
+"""
 
 
 class EnergyTerm(ABC):

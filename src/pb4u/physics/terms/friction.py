@@ -31,9 +31,6 @@ _SOFTENING = 0.8
 """Share of the softening along the slip that the curvature has: with all of it, steps overshoot where slipping ends."""
 
 
-_Law = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]
-
-
 @dataclass(frozen=True)
 class Friction(EnergyTerm):
     """Sum over touching vertices of mu m g c |s| [J], smoothed to mu m g (sqrt(c^2 |s|^2 + e^2) - e).
@@ -139,34 +136,8 @@ class CompiledFriction(CompiledTerm, Friction):
 
     def tangents(self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern) -> list[Tangent]:
         limit, *others = self._law
-        return [_FrictionTangent(x, (limit * pattern.free, *others), pattern.slots[self.name][:, 0])]
-
-
-class _FrictionTangent(Tangent):
-    """Friction of each vertex with the pull of the slip where the step leads, which holds what stops there.
-
-    Args:
-        vertices: (vertices, 3) [m] where the step begins.
-        law: as in `CompiledFriction`, its limits 0 where a vertex does not move.
-        slots: (vertices,) block of each vertex in the stiffness.
-    """
-
-    def __init__(self, vertices: np.ndarray, law: _Law, slots: np.ndarray) -> None:
-        self._vertices, self._law, self._slots = vertices, law, slots
-        self._lengths = np.zeros(len(vertices))
-
-    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
-        _follow(
-            self._vertices,
-            moves,
-            *self._law,
-            _SOFTENING,
-            self._slots,
-            self._lengths,
-            stiffness.positive,
-            gradient,
-            missed,
-        )
+        law = (limit * pattern.free, *others, _SOFTENING, pattern.slots[self.name][:, 0], np.zeros(len(x)))
+        return [lambda moves, stiffness, *forces: _follow(x, moves, *law, stiffness.positive, *forces)]
 
 
 def _directional(x: Tensor) -> Tensor:
