@@ -135,8 +135,9 @@ class CompiledFriction(CompiledTerm, Friction):
         _add_stiffness(x, *self._law, _SOFTENING, slots, stiffness.positive)
 
     def tangents(self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern) -> list[Tangent]:
-        limit, *others = self._law
-        law = (limit * pattern.free, *others, _SOFTENING, pattern.slots[self.name][:, 0], np.zeros(len(x)))
+        limit, anchor, normal, weights, rest = self._law
+        slots, lengths = pattern.slots[self.name][:, 0], np.zeros(len(x))
+        law = limit * pattern.free, anchor, normal, weights, rest, _SOFTENING, slots, lengths
         return [lambda moves, stiffness, *forces: _follow(x, moves, *law, stiffness.positive, *forces)]
 
 
