@@ -138,7 +138,7 @@ def made_small(words: list[str]) -> list[str]:
     verb, rest = words[1], list(words[2:])
     if verb == "check" and has_built_in_garment(rest):
         return [*words, "--triangles", SMALL["--triangles"]]
-    if verb == "assets" and rest[0] == "write" and rest[1] in garment_names() and "--triangles" not in rest:
+    if verb == "assets" and rest[:1] == ["write"] and rest[1] in garment_names() and "--triangles" not in rest:
         return [*words, "--triangles", "1000"]  # fewer are refused as a file of one's own
     if verb != "simulate":
         return words
