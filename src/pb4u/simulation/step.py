@@ -123,7 +123,7 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
     for number in range(min(made + 1, most)):
         if number >= passes:
             worth.append(_is_worth_another(step, method, worth))
-            if rooms is None and not bool(worth[-1]):
+            if rooms is None and not bool(worth[-1].any()):
                 return
         if number == made:
             break
@@ -132,16 +132,18 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
             return
         move = method.search.move(step, reached, network.correction(step, reached))
         method.search.worth = worth[-1] if worth and rooms is not None else None
-        if rooms is not None and worth and last is not None and method.search.last is not None:
-            move = torch.where(worth[-1], move, 0.0)
-            method.search.last = torch.where(worth[-1], method.search.last, last)
+        if worth and last is not None and method.search.last is not None:
+            # The worlds of a pack stop apart from each other.
+            goes_on = worth[-1][step.garments.vertex_world, None]
+            move = torch.where(goes_on, move, 0.0)
+            method.search.last = torch.where(goes_on, method.search.last, last)
         accelerations = reached + move
         yield integrate(step, accelerations)
     if rooms is not None and most > passes:
-        rooms.note("passes", passes + torch.stack(worth).sum())
+        rooms.note("passes", passes + torch.stack(worth).any(1).sum())
 
 
 def _is_worth_another(step: TimeStep, method: StepMethod, before: list[Tensor]) -> Tensor:
-    """Whether () bool another pass is worth its time, and those `before` were."""
+    """Where (worlds,) bool another pass is worth its time, and those `before` were."""
     worth = ~(method.search.decrease_height(step.garments) < LARGE_DECREASE)
     return worth & before[-1] if before else worth
