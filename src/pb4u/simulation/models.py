@@ -253,7 +253,11 @@ def _precision(name: str, device: str, refine: int) -> torch.dtype:
 
 
 def has_bfloat16_units(device: str) -> bool:
-    """Whether a device, "cpu" or "cuda", multiplies matrices in bfloat16 faster than in float32."""
+    """Whether a device, "cpu" or "cuda", multiplies matrices in bfloat16 faster than in float32.
+
+    Args:
+        device: "cpu" or "cuda".
+    """
     import torch
 
     if device == "cuda":

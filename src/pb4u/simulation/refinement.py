@@ -31,14 +31,14 @@ _NEAR_BALANCE = 1.0
 and five leave no more than half a percent less energy."""
 
 _SETTLED = 5e-4
-"""Height [m] to which the energy that an iteration freed would lift the garment: it is the last one then.
+"""Energy decrease of an iteration, as the height [m] to which it would lift the garment, below which it is the last.
 
 The iterations after it would lower the energy by a third of that: half a percent of a walking T-shirt's elastic one.
 """
 
 _STILL_FALLING = 1e-3
-"""Height [m] to which the energy that the last iteration freed would lift the garment, from which on such a step may be
-made again.
+"""Energy decrease of the last iteration, as the height [m] to which it would lift the garment, from which on such a
+step may be made again.
 
 Where a limb has caught a dress or a cardigan it is 1.2 mm to half a metre. Where a tight shirt is strained in every
 step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the step made again has 0.1 percent less energy.
@@ -168,7 +168,11 @@ class ImplicitSteps(SolverRefinement):
         return state
 
     def solved(self, step: TimeStep) -> tuple[State, Solution]:
-        """State at the end of `step`, and what `implicit_steps` tells of its solution."""
+        """State at the end of `step`, and what `implicit_steps` tells of its solution.
+
+        Args:
+            step: the time step.
+        """
         return implicit_steps(self.potential, self.solver, step, self.iterations, self.start)
 
 
@@ -198,7 +202,7 @@ class SafeguardedRefinement(SolverRefinement):
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
         pierced = newly_pierced(step, refined.positions)
-        falling = refined.residual > _BALANCED and refined.freed > _STILL_FALLING
+        falling = refined.residual > _BALANCED and refined.decrease > _STILL_FALLING
         if not pierced and not (falling and _has_failed(step, refined.positions)):
             return step.reached(refined.positions)
         state, solved = self.anew.solved(step)
@@ -213,8 +217,9 @@ def _has_failed(step: TimeStep, x: Tensor) -> bool:
     return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _TORN).any())
 
 
-def carried(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
-    """`wanted` as far as it is reached from `before` without cloth passing through cloth, at the speed it then has.
+def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
+    """As far from `before` towards `wanted` as cloth can move without passing through cloth; velocities follow the
+    positions.
 
     Args:
         self_contact: keeps cloth from passing through cloth; None where it may.
@@ -224,12 +229,13 @@ def carried(self_contact: CollisionFree | None, step: TimeStep, before: State, w
     """
     if self_contact is None:
         return wanted
-    positions, _ = self_contact.carried(step.garments, before.positions, wanted.positions)
+    positions, _ = self_contact.collision_free_move(step.garments, before.positions, wanted.positions)
     return _moved_to(positions, wanted, step)
 
 
 def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State) -> State:
-    """`wanted` as far as it is reached from the step's start past the moving bodies, at the speed it then has.
+    """As far from the step's start towards `wanted` as cloth can move past the moving bodies; velocities follow the
+    positions.
 
     Args:
         self_contact: keeps cloth from passing through bodies; None where it may.
@@ -238,7 +244,7 @@ def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: Stat
     """
     if self_contact is None or not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
         return wanted
-    positions, obstacle = self_contact.carried(
+    positions, obstacle = self_contact.collision_free_move(
         step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle
     )
     if obstacle is not None:

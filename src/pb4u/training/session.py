@@ -68,7 +68,11 @@ class Request:
 
 
 def train(request: Request) -> dict[str, Any]:
-    """Train as asked; returns a summary: how it ended, its steps, seconds, rollbacks and best validation.
+    """Train a network as the request says; returns a summary: how it ended, its steps, seconds, rollbacks and best
+    validation.
+
+    Args:
+        request: preset, budget, folder and settings.
 
     Raises:
         InputError: something of the request cannot be done.

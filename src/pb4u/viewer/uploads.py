@@ -83,12 +83,21 @@ class Uploads:
         return plain
 
     def names(self, kind: str) -> tuple[str, ...]:
-        """Names of the files of a kind that can be chosen."""
+        """Names of the files of a kind that can be chosen.
+
+        Args:
+            kind: "garment", "body" or "motion".
+        """
         chosen = (name for each, name in self._files if each == kind)
         return tuple(name for name in chosen if Path(name).suffix.lower() in KINDS[kind].suffixes)
 
     def find(self, kind: str, name: str) -> Path | None:
-        """The file of that kind and name; None where there is none, as of a built-in name."""
+        """The file of that kind and name; None where there is none, as of a built-in name.
+
+        Args:
+            kind: "garment", "body" or "motion".
+            name: its name.
+        """
         return self._files.get((kind, name))
 
     @property

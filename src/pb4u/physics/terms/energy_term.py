@@ -85,7 +85,8 @@ class EnergyTerm(ABC):
     def add_stiffness(
         self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
     ) -> None:
-        """Add the second derivative, or one near it, to the `stiffness`; asked of a compiled term that has `elements`.
+        """Add the second derivative, or one near it, to the `stiffness`; called for a compiled term that has
+        `elements`.
 
         Args:
             step: the time step.
@@ -179,7 +180,11 @@ def columns(x: Tensor, index: Tensor) -> Tensor:
 
 
 def vertex_elements(garments: PackedGarments) -> Tensor:
-    """Indices (vertices, 1) int64 of every vertex as an element of its own, for terms that couple no two vertices."""
+    """Indices (vertices, 1) int64 of every vertex as an element of its own, for terms that couple no two vertices.
+
+    Args:
+        garments: the packed garments.
+    """
     return torch.arange(garments.vertex_count, device=garments.device)[:, None]
 
 
