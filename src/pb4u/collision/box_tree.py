@@ -55,7 +55,7 @@ class BoxTree:
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Order, children, ranges and roots, for compiled searches."""
+        """Order (faces,), children (nodes, 2), ranges (nodes, 2) and roots (worlds,), int64, for compiled searches."""
         return self.order, self.children, self.ranges, self.roots
 
     def fitted(self, face_boxes: np.ndarray) -> np.ndarray:

@@ -44,7 +44,7 @@ def _compiled(function: Compiled, freedom: set[str]) -> Compiled:
     try:
         return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=freedom)(function))
     except RuntimeError:
-        # No folder may be written, neither beside the package nor of the user: compiled anew in every run.
+        # No folder may be written, neither beside the package nor of the user: compiled again in every run.
         return cast(Compiled, numba.njit(nogil=True, error_model="numpy", fastmath=freedom)(function))
 
 

@@ -20,7 +20,7 @@ from pb4u.simulation.pierced_edges import newly_pierced
 from pb4u.simulation.step_start import BodyMotionWarmStart
 
 _BALANCED = 20.0
-"""Residual [standard gravity] above which a refined step may be made again.
+"""Residual [standard gravity] above which a refined step may be retried.
 
 Iterations leave 0.5 to 13 of garments that walk, jump, squat or run; of steps in which a running body caught a dress
 or a cardigan, 65 to 300.
@@ -38,20 +38,21 @@ The iterations after it would lower the energy by a third of that: half a percen
 
 _STILL_FALLING = 1e-3
 """Energy decrease of the last iteration, as the height [m] to which it would lift the garment, from which on such a
-step may be made again.
+step may be retried.
 
 Where a limb has caught a dress or a cardigan it is 1.2 mm to half a metre. Where a tight shirt is strained in every
-step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the step made again has 0.1 percent less energy.
+step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the retried step has 0.1 percent less energy.
 """
 
-_TORN = 0.6
-"""Strain of a face from which on it is: contact between layers leaves such residuals too, with nothing caught."""
+_FAILED_STRAIN = 0.6
+"""Strain of a face from which on a step has failed: contact between layers leaves such residuals too, with nothing
+caught."""
 
 _ROUGH_TOLERANCE = 1.0
-"""Residual [standard gravity] to which such a step is solved: no more than steps that are refined as usual may have."""
+"""Residual [standard gravity] to which a retry solves the step: no more than steps that are refined as usual may have."""
 
-_MOST_ANEW = 60
-"""Iterations at which that ends; 8 to 31 were needed by a running dress."""
+_MOST_RETRY_ITERATIONS = 60
+"""Iterations at which a retry ends; a running dress needed 8 to 31."""
 
 _LEFT_INSIDE = 1e-3
 """Depth [m] from which on a vertex that the response leaves inside the body is pushed out."""
@@ -196,8 +197,8 @@ class SafeguardedRefinement(SolverRefinement):
     ) -> None:
         super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential)
         self.retried = retried
-        rough = Solver(_ROUGH_TOLERANCE, _MOST_ANEW)
-        self.anew = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart().positions)
+        rough = Solver(_ROUGH_TOLERANCE, _MOST_RETRY_ITERATIONS)
+        self.retry = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart().positions)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
@@ -205,7 +206,7 @@ class SafeguardedRefinement(SolverRefinement):
         falling = refined.residual > _BALANCED and refined.decrease > _STILL_FALLING
         if not pierced and not (falling and _has_failed(step, refined.positions)):
             return step.reached(refined.positions)
-        state, solved = self.anew.solved(step)
+        state, solved = self.retry.solved(step)
         if self.retried:
             self.retried()
         better = (newly_pierced(step, state.positions), solved.residual) < (pierced, refined.residual)
@@ -214,7 +215,7 @@ class SafeguardedRefinement(SolverRefinement):
 
 def _has_failed(step: TimeStep, x: Tensor) -> bool:
     garments = step.garments
-    return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _TORN).any())
+    return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _FAILED_STRAIN).any())
 
 
 def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:

@@ -125,7 +125,7 @@ def refuse_large(name: str, size: int, there: int = 0) -> None:
         raise InputError(f"{name} has {size / 2**20:,.0f} MB, and {MOST_BYTES / 2**20:,.0f} MB are the most.")
     if size + there > MOST_BYTES_TOGETHER:
         raise InputError(
-            f"With {name} this page would hold more than {MOST_BYTES_TOGETHER / 2**20:,.0f} MB; open it anew to begin "
+            f"With {name} this page would hold more than {MOST_BYTES_TOGETHER / 2**20:,.0f} MB; reload it to begin "
             "without the files it has."
         )
 

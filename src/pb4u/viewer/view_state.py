@@ -146,7 +146,7 @@ class PlaybackClock:
         (self._position, self._playing), self._since = self._reading(now), now
 
     def _reading(self, now: float) -> tuple[float, bool]:
-        """The position [frames] at the time `now`, and whether time still goes on there."""
+        """The position [frames] at the time `now`, and whether it still plays then."""
         position, playing = self._position, self._playing
         if not playing or not self.frame_count:
             return position, playing

@@ -244,8 +244,8 @@ def precondition(
     """Fill `result` (vertices, 3) [m] with the preconditioner times `residual` (vertices, 3) [N].
 
     Args:
-        fine: fine part, for each vertex.
-        coarse: coarse part, for the patches.
+        fine: inverse diagonal blocks of the vertices [m/N].
+        coarse: inverse stiffness of the patch motions.
         to_patches: functions that sum vertices to patches.
         to_vertices: functions that spread patches to vertices.
         residual: (vertices, 3) [N].
