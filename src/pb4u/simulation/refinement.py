@@ -49,7 +49,7 @@ _FAILED_STRAIN = 0.6
 caught."""
 
 _ROUGH_TOLERANCE = 1.0
-"""Residual [standard gravity] to which a retry solves the step: no more than steps that are refined as usual may have."""
+"""Residual [standard gravity] to which a retry solves the step: no more than steps refined as usual may have."""
 
 _MOST_RETRY_ITERATIONS = 60
 """Iterations at which a retry ends; a running dress needed 8 to 31."""
