@@ -129,7 +129,7 @@ def simulator_of(run: Run) -> Simulator:
     if model in (GRADIENT_DESCENT, WARM_START):
         like = load_checkpoint_of(_shipped_network(model)).model.network
         return ControlSimulator(model, like, run.refine, contact, passes, first_frame, potential)
-    device = _device(run.device)
+    device = available_device(run.device)
     precision = _precision(run.precision, device, run.refine)
     checkpoint = load_checkpoint_of(model)
     return NetworkSimulator(
@@ -228,7 +228,12 @@ def _header(path: Path) -> dict[str, str]:
         return {}
 
 
-def _device(name: str) -> str:
+def available_device(name: str) -> str:
+    """ "cpu" or "cuda", whichever "auto", "cpu" or "cuda" stands for here.
+
+    Raises:
+        InputError: a card is asked for, and there is none, or its driver is too old; the sentence says which.
+    """
     import torch
 
     if name == "cuda" and not torch.cuda.is_available():

@@ -24,7 +24,7 @@ from pb4u.scene.packed import ColliderPose, PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
-from pb4u.simulation.device_steps import require_memory, states_after
+from pb4u.simulation.device_steps import bytes_a_vertex, require_memory, states_after
 from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
@@ -241,18 +241,17 @@ class NetworkSimulator(StepwiseSimulator):
 
     def timeline(self, scene: Scene) -> Timeline:
         host = super().timeline(scene)
-        if not self._on_card:
+        if not self.on_card:
             return host
-        free, _ = torch.cuda.mem_get_info(self.device)
-        width = max(weights.shape[0] for weights in self.checkpoint.model.network.parameters())
-        require_memory(host.garments, len(host.colliders.faces), width, free)
+        each = bytes_a_vertex(self.checkpoint.model.network, len(host.colliders.faces))
+        require_memory("the scene", host.garments.vertex_count, each, self.device)
         return host.to(self.device, Rooms())
 
     def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
-        return (states_after if self._on_card else super().steps)(timeline, method, state, frames)
+        return (states_after if self.on_card else super().steps)(timeline, method, state, frames)
 
     @property
-    def _on_card(self) -> bool:
+    def on_card(self) -> bool:
         """Whether all of a step is computed on an accelerator: nothing follows the network's passes."""
         return (
             self.device.type != "cpu"

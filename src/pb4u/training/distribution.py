@@ -14,6 +14,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import AccelerationModel
+from pb4u.simulation.models import available_device
 
 
 @dataclass(frozen=True)
@@ -116,21 +117,24 @@ def workers(device: str = "auto") -> Iterator[Workers]:
         device: "auto", "cpu" or "cuda".
 
     Raises:
-        InputError: an accelerator is requested and absent.
+        InputError: an accelerator is requested and absent, or there are fewer cards than processes.
     """
     if device not in ("auto", "cpu", "cuda"):
         raise InputError(
             f"The device is auto, cpu or cuda, not {device!r}; of several cards the first that CUDA_VISIBLE_DEVICES "
             "lists is taken, and torchrun gives each process one."
         )
-    if device == "cuda" and not torch.cuda.is_available():
-        raise InputError("There is no CUDA device here; use --device cpu.")
-    accelerated = device != "cpu" and torch.cuda.is_available()
+    accelerated = available_device(device) == "cuda"
     count = int(os.environ.get("WORLD_SIZE", "1"))
     rank = int(os.environ.get("RANK", "0"))
     place = torch.device("cpu")
     if accelerated:
         place = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+        if place.index >= torch.cuda.device_count():
+            raise InputError(
+                f"There are {torch.cuda.device_count()} cards here, and process {place.index + 1} of this machine "
+                "needs one too; start as many processes as there are cards, with --nproc-per-node."
+            )
         torch.cuda.set_device(place)
     if count > 1:
         torch_distributed.init_process_group("cpu:gloo,cuda:nccl" if accelerated else "gloo")

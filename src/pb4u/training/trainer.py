@@ -22,6 +22,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.progress import format_duration
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint
+from pb4u.simulation.device_steps import bytes_a_vertex, require_memory
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import PassSearch, search_of
 from pb4u.simulation.step import StepMethod, predictions
@@ -147,7 +148,13 @@ class Trainer:
         self.began = time.monotonic()
 
     def run(self) -> str:
-        """Train until the budget is spent, the validation no longer improves, or a stop is requested; returns which."""
+        """Train until the budget is spent, the validation no longer improves, or a stop is requested; returns which.
+
+        Raises:
+            InputError: a card has no room for a step.
+        """
+        if self.rooms is not None:
+            self._require_memory()
         if self.counters.window == 0:
             self.gather_statistics()
             self.recovery.keep(self.counters)
@@ -187,6 +194,15 @@ class Trainer:
             self._save_averaged("final", {})
         self._checkpoint(exact=True, insist=True)
         return ending
+
+    def _require_memory(self) -> None:
+        """Refuse data of which the largest window has no room on the card."""
+        garments, network = [outfit.garment for outfit in self.data.outfits], self.model.network
+        depths = [network.propagation_steps(garment.mean_edge_length) for garment in garments]
+        faces = max(len(body.faces) for body in self.data.bodies)
+        each = bytes_a_vertex(network, faces, max(self.configuration.most_propagation_steps, *depths))
+        most = len(self._indices(0)) * max(len(garment.vertices) for garment in garments)
+        require_memory("a step of training", most, each, self.workers.device)
 
     def _ending(self) -> str | None:
         """Why to end now, the same in every process; None to go on."""
