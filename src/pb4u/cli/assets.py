@@ -12,10 +12,10 @@ from pb4u.cli.console import (
     JsonFlag,
     ShapeFlag,
     check_json_target,
-    check_writable,
     write_json,
 )
 from pb4u.errors import InputError, unknown_name
+from pb4u.io.atomic_file import check_writable
 from pb4u.progress import progress_bar
 
 if TYPE_CHECKING:

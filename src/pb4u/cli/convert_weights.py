@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, check_writable, write_json
+from pb4u.cli.console import JsonFlag, check_json_target, write_json
 from pb4u.errors import InputError
+from pb4u.io.atomic_file import check_writable
 
 
 def convert_weights(

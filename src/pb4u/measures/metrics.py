@@ -12,7 +12,6 @@ from torch import Tensor
 
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.collision.nearest_surface import TriangleSurface
-from pb4u.collision.overlaps import overlapping_faces
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
@@ -21,6 +20,8 @@ from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
 from pb4u.measures.divergence import first_lost
 from pb4u.measures.limbs import Bones, limbs_through_cloth, watched
+from pb4u.measures.overlaps import overlapping_faces
+from pb4u.measures.released_energies import released_potential
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
@@ -290,7 +291,7 @@ class Ruler:
     def __init__(self, trajectory: Trajectory) -> None:
         header = trajectory.header
         self.trajectory = trajectory
-        self.potentials = IncrementalPotential(), IncrementalPotential.paper_release()
+        self.potentials = IncrementalPotential(), released_potential()
         self.dt = 1.0 / trajectory.fps
         gravity = header.metadata.get("gravity", [0.0, -STANDARD_GRAVITY, 0.0])
         self.gravity = torch.tensor(gravity, dtype=torch.float64)

@@ -8,20 +8,20 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from pb4u.collision.jit import as_float64
 from pb4u.physics.contact.contact_set import (
     ContactPlanes,
     ContactSet,
     PlaneSearch,
-    nearest_face_centres,
     nearest_planes,
 )
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import ClothPairs, CollisionFree
 from pb4u.physics.terms.bending import Bending
 from pb4u.physics.terms.cloth_contact import ClothContact, ClothFriction
-from pb4u.physics.terms.collision import Collision, ReleasedCollision
-from pb4u.physics.terms.energy_term import EnergyTerm, Tangent
-from pb4u.physics.terms.friction import Friction, ReleasedFriction
+from pb4u.physics.terms.collision import Collision
+from pb4u.physics.terms.energy_term import CompiledTerm, EnergyTerm, Tangent
+from pb4u.physics.terms.friction import Friction
 from pb4u.physics.terms.gravity import Gravity
 from pb4u.physics.terms.inertia import Inertia
 from pb4u.physics.terms.pair_stiffness import PairStiffness
@@ -75,9 +75,6 @@ TERMS: tuple[EnergyTerm, ...] = (Stretch(), Bending(), Gravity(), Inertia(), Col
 SELF_CONTACT: tuple[EnergyTerm, ...] = (ClothContact(), ClothFriction())
 """The energies of contact between cloth elements, which a simulation adds and tables of the six leave out."""
 
-RELEASED_FORMS: tuple[EnergyTerm, ...] = (Gravity(absolute=True), ReleasedCollision(), ReleasedFriction())
-"""Terms that the family's released convention has otherwise: absolute height, collision per vertex, wide friction."""
-
 
 @dataclass(frozen=True, eq=False)
 class IncrementalPotential:
@@ -92,14 +89,6 @@ class IncrementalPotential:
     terms: tuple[EnergyTerm, ...] = TERMS
     search: PlaneSearch = nearest_planes
     self_contact: CollisionFree | None = None
-
-    @staticmethod
-    def paper_release() -> IncrementalPotential:
-        """The potential of the paper's tables: every term, in its released form where it has one."""
-        potential = IncrementalPotential(search=nearest_face_centres)
-        for term in RELEASED_FORMS:
-            potential = potential.with_term(term)
-        return potential
 
     def with_self_contact(self, bodies: bool = False) -> IncrementalPotential:
         """This potential with contact between cloth elements.
@@ -372,22 +361,25 @@ class StepPotential:
             pattern: of the `elements`.
         """
         contacts, sums = self._contacts_at(x), pattern.empty()
-        for term in self.potential.terms:
-            if term.name in pattern.slots:
-                term.add_stiffness(self.step, contacts, x, pattern.slots[term.name], sums)
+        for term in self._coupling(pattern):
+            term.add_stiffness(contacts, as_float64(x), pattern.slots[term.name], sums)
         pattern.hold(sums)
         return sums
 
     def tangents(self, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
-        """Parts of the model of a Newton step that can be relinearised, as in `EnergyTerm.tangents`.
+        """Parts of the model of a Newton step that can be relinearised, as in `CompiledTerm.tangents`.
 
         Args:
             x: (vertices, 3) [m] where the step begins.
             pattern: of the `elements`.
         """
         contacts = self._contacts_at(x)
-        coupling = [term for term in self.potential.terms if term.name in pattern.slots]
-        return [part for term in coupling for part in term.tangents(self.step, contacts, x, pattern)]
+        terms = self._coupling(pattern)
+        return [part for term in terms for part in term.tangents(self.step, contacts, as_float64(x), pattern)]
+
+    def _coupling(self, pattern: StiffnessPattern) -> list[CompiledTerm]:
+        """Terms that couple the elements of a pattern."""
+        return [t for t in self.potential.terms if isinstance(t, CompiledTerm) and t.name in pattern.slots]
 
     def pair_stiffness(self, x: Tensor) -> list[PairStiffness]:
         """Second derivatives over pairs of cloth elements, as in `EnergyTerm.pair_stiffness`.

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import PreparedGarments
-from pb4u.network.graph.features import ADVANCE, DESCENT, Feature
-from pb4u.network.graph.garment_graph import incident_lengths
+from pb4u.network.graph.features import ADVANCE, DESCENT
 from pb4u.network.graph.graph import Graph
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.descent import JacobiDescent
@@ -110,19 +108,6 @@ def local_origin(collider: ColliderFrame) -> Tensor:
     return (middle / _ORIGIN_GRID).round() * _ORIGIN_GRID
 
 
-class StepFeature(Protocol):
-    """One node feature."""
-
-    def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
-        """(vertices, width).
-
-        Args:
-            step: that is taken.
-            accelerations: (vertices, 3) from free flight to where the pass starts [m per step^2].
-            incident_length: (vertices,) mean rest length of the edges at each vertex [m].
-        """
-
-
 class DescentFeature:
     """Jacobi descent of the incremental potential where the step would end so far.
 
@@ -135,6 +120,13 @@ class DescentFeature:
         self._made: tuple[PackedGarments, float, JacobiDescent] | None = None
 
     def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
+        """Descent (vertices, 3) [edge lengths].
+
+        Args:
+            step: that is taken.
+            accelerations: (vertices, 3) from free flight to where the pass starts [m per step^2].
+            incident_length: (vertices,) mean rest length of the edges at each vertex [m].
+        """
         x = integrate(step, accelerations).positions
         strain = self._descent(step).at(self._potential.of(step).undifferentiated(), x) / incident_length.to(x)[:, None]
         size = strain.norm(dim=1, keepdim=True) / _LINEAR_UP_TO
@@ -144,42 +136,6 @@ class DescentFeature:
         if self._made is None or self._made[0] is not step.garments or self._made[1] != step.dt:
             self._made = step.garments, step.dt, JacobiDescent(step.garments, step.dt)
         return self._made[2]
-
-
-class AdvanceFeature:
-    """The accelerations from free flight to where the pass starts."""
-
-    def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
-        return 100.0 * accelerations
-
-
-_MAKERS: dict[Feature, Callable[[], StepFeature]] = {DESCENT: DescentFeature, ADVANCE: AdvanceFeature}
-
-
-class GradientPass:
-    """The gradient feature itself as the pass: what a network adds is judged against it.
-
-    Args:
-        garments: garments of the steps, float64 on the CPU.
-        passes: number of gradients in a step.
-        further: most gradients beyond those, while a pass frees much energy.
-    """
-
-    def __init__(self, garments: PackedGarments, passes: int = 1, further: int = 0) -> None:
-        self.passes, self.further = passes, further
-        self._feature = DescentFeature()
-        self._incident_length = incident_lengths(garments)
-
-    @torch.no_grad()
-    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] to add; see `NetworkPass.correction`.
-
-        Args:
-            step: the time step.
-            accelerations: (vertices, 3) [m per step^2] from free flight.
-        """
-        length = self._incident_length
-        return length[:, None] * self._feature.of(step, accelerations, length)
 
 
 class StepFeatures:
@@ -195,24 +151,22 @@ class StepFeatures:
     def __init__(self, prepared: PreparedGarments) -> None:
         self._incident_length = prepared.builder.static.incident_length
         self._descent_size = prepared.descent_size
-        self._features: dict[str, StepFeature] = {}
+        self._descent = DescentFeature()
+        self._names = [feature.name for feature in prepared.builder.layout.extra]
         for feature in prepared.builder.layout.extra:
-            if feature not in _MAKERS:
+            if feature not in (DESCENT, ADVANCE):
                 raise InputError(
                     f"The network reads the node feature {feature.name!r}, which this version cannot make."
                 )
-            self._features[feature.name] = _MAKERS[feature]()
 
     @torch.no_grad()
     def of(self, step: TimeStep, accelerations: Tensor) -> Mapping[str, Tensor]:
-        """Every feature (vertices, width) by name; arguments as in `StepFeature.of`.
-
-        Args:
-            step: the time step.
-            accelerations: (vertices, 3) [m per step^2] from free flight.
-        """
+        """Every feature (vertices, width) by name; arguments as in `scaled`."""
         return {
-            name: feature.of(step, accelerations, self._incident_length) for name, feature in self._features.items()
+            name: self._descent.of(step, accelerations, self._incident_length)
+            if name == DESCENT.name
+            else 100.0 * accelerations
+            for name in self._names
         }
 
     @torch.no_grad()

@@ -76,7 +76,6 @@ class SolverRefinement:
         iterations: at most this many a step; None goes to the solver's tolerance.
         solver: computes in float64 on the CPU.
         potential: the energies.
-        watch: called with every solution.
     """
 
     def __init__(
@@ -84,12 +83,10 @@ class SolverRefinement:
         iterations: int | None = None,
         solver: Solver | None = None,
         potential: IncrementalPotential | None = None,
-        watch: Callable[[Solution], None] | None = None,
     ) -> None:
         self.iterations = iterations
         self.solver = solver or Solver()
         self.potential = potential or IncrementalPotential()
-        self.watch = watch
         self._pressing = Solver(_NEAR_BALANCE, _MOST_PRESSING, settled=_SETTLED)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
@@ -99,10 +96,9 @@ class SolverRefinement:
             step: the time step.
             predicted: state at its end that the method predicts.
         """
-        solution = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
-        if self.watch:
-            self.watch(solution)
-        return step.reached(solution.positions)
+        return step.reached(
+            self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations).positions
+        )
 
     def respond_with_cloth(self, step: TimeStep, state: State, contact: ContactResponse) -> State:
         """`state` with what is inside the body pushed out of it, as far as that succeeds; its velocity stays.
@@ -159,8 +155,8 @@ class ImplicitSteps(SolverRefinement):
         watch: Callable[[Solution], None] | None = None,
         start: Callable[[TimeStep], Tensor] = free_flight,
     ) -> None:
-        super().__init__(iterations, solver, potential, watch)
-        self.start = start
+        super().__init__(iterations, solver, potential)
+        self.watch, self.start = watch, start
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         state, solution = self.solved(step)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -15,7 +16,6 @@ from pb4u.collision.rooms import Rooms
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
-from pb4u.simulation.network_pass import GradientPass, NetworkPass
 from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import SolverRefinement, collision_free_move, past_bodies
@@ -27,6 +27,21 @@ LARGE_DECREASE = 1.5e-3
 
 Less than the 2 mm above the skin at which contact begins.
 """
+
+
+class Pass(Protocol):
+    """What corrects the accelerations of a step: a network, or what stands in its place.
+
+    Attributes:
+        passes: how often it does in a step.
+        further: how often again at most, while a pass lowers the energy much.
+    """
+
+    passes: int
+    further: int
+
+    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        """Accelerations (vertices, 3) [m per step^2] to add to those reached so far, from free flight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +58,7 @@ class StepMethod:
     """
 
     start: BodyMotionWarmStart | None = None
-    network: NetworkPass | GradientPass | None = None
+    network: Pass | None = None
     refinement: SolverRefinement | None = None
     contact: ContactResponse | None = None
     self_contact: CollisionFree | None = None

@@ -32,7 +32,7 @@ from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import start_of
+from pb4u.simulation.step_start import BodyMotionWarmStart, start_of
 from pb4u.simulation.timeline import Timeline
 from pb4u.threads import prefetch
 
@@ -168,6 +168,41 @@ class SolverSimulator(StepwiseSimulator):
 
         refinement = ImplicitSteps(self.iterations, potential=self.potential, watch=note, start=self.start)
         return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
+
+
+class QuickSolver(StepwiseSimulator):
+    """A few solver iterations from where the body carries the garment (`--model quick-solver`).
+
+    Args:
+        refine: iterations after each step at most, which is retried where they fail.
+        contact: pushes out vertices left inside the body; none by default.
+        first_frame: makes frame 0; by default one long step of its own.
+        potential: the energies, and whether cloth feels cloth; the six terms by default.
+
+    Raises:
+        InputError: no iteration.
+    """
+
+    name = "quick-solver"
+
+    def __init__(
+        self,
+        refine: int,
+        contact: ContactResponse | None = None,
+        first_frame: FirstFrame | None = None,
+        potential: IncrementalPotential | None = None,
+    ) -> None:
+        if refine < 1:
+            raise InputError(f"The quick solver is nothing but iterations: it takes 1 or more a step, not {refine}.")
+        self.refine, self.contact = refine, contact
+        self.first_frame, self.potential = first_frame or OneLongStep(), potential or IncrementalPotential()
+
+    def settings(self) -> dict[str, Any]:
+        return {**super().settings(), "refine": self.refine, "device": "cpu"}
+
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
+        refinement, cloth = self.refinement(record), self.potential.self_contact
+        return StepMethod(BodyMotionWarmStart(), None, refinement, self.contact, cloth)
 
 
 class NetworkSimulator(StepwiseSimulator):

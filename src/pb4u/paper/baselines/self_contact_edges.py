@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.enclosures import by_contour
-from pb4u.collision.intersection_contours import ContourFinder
-from pb4u.collision.self_proximity import SelfProximity, nearest_corners
 from pb4u.network.graph.builder import FoundEdges
 from pb4u.network.graph.pins import SeenGarments
+from pb4u.paper.baselines.enclosures import by_contour
+from pb4u.paper.baselines.intersection_contours import ContourFinder
+from pb4u.paper.baselines.self_proximity import SelfProximity, nearest_corners
 from pb4u.scene.packed import PackedGarments
 
 REPULSION, ATTRACTION = "repulsion", "attraction"

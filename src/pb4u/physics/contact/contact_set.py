@@ -181,7 +181,7 @@ def nearest_planes(
         return _of_found(_renewed(pose, garments, x, within, patience), x)
     batch = pose.batch(garments.world_count)
     if batch is None:
-        return _blank(x)
+        return no_planes(x)
     places, _, rows = garments.world_rows
     near = batch.closest(x.detach().to(torch.float64)[places], pose.colliders.rooms)
     return ContactPlanes(
@@ -202,7 +202,7 @@ def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: fl
     """What was found at the pose, brought up to date for `x`; the same object where nothing had to be searched for."""
     points, known, searched = as_float64(x), pose.found.get(garments), 0
     found = Found.nothing(len(points)) if known is None else known.copy()
-    for world, rows in enumerate(_worlds(garments)):
+    for world, rows in enumerate(world_rows(garments)):
         part, surface = found.rows(rows.start, rows.stop), pose.surfaces[world] if world < len(pose.surfaces) else None
         if surface is not None:
             names = pose.colliders.searched_faces[world]
@@ -227,36 +227,13 @@ def _of_found(found: Found, x: Tensor) -> ContactPlanes:
     )
 
 
-def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor) -> ContactPlanes:
-    """Planes of the faces whose centres are nearest, with the distance to the centre: the HOOD family's convention.
-
-    Args:
-        pose: the bodies at one instant, regions left out of contact included.
-        garments: pack whose vertices are queried.
-        x: (vertices, 3) [m].
-    """
-    planes = _blank(x)
-    planes.barycentric.fill_(1.0 / 3.0)
-    for world, (surface, rows) in enumerate(zip(pose.whole_surfaces, _worlds(garments), strict=False)):
-        if surface is None:
-            continue
-        face, distance = surface.nearest_face_centre(x[rows])
-        corners = surface.vertices[torch.from_numpy(surface.surface.faces).to(surface.vertices.device)[face]]
-        cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        planes.points[rows] = corners.mean(1).to(x)
-        planes.normals[rows] = (cross / cross.norm(dim=1, keepdim=True).clamp_min(1e-300)).to(x)
-        planes.distance[rows] = distance
-        planes.touchable[rows] = True
-        planes.triangle[rows] = pose.colliders.world_faces[world][face]
-    return planes
-
-
-def _worlds(garments: PackedGarments) -> list[slice]:
-    """Rows of the vertices of each world."""
+def world_rows(garments: PackedGarments) -> list[slice]:
+    """Rows of the vertices of each world of a pack."""
     return [slice(first, stop) for first, stop in pairwise(garments.world_offsets)]
 
 
-def _blank(x: Tensor) -> ContactPlanes:
+def no_planes(x: Tensor) -> ContactPlanes:
+    """Planes that nothing touches, for each of the vertices `x` (vertices, 3) [m]."""
     normals = torch.zeros_like(x, requires_grad=False)
     return ContactPlanes(
         points=x.detach().clone(),

@@ -234,7 +234,7 @@ class Solver:
         for _ in range(_LOOKS_AHEAD):
             missed = np.zeros_like(slope)
             for tangent in tangents:
-                tangent.follow(solution, stiffness, slope, missed)
+                tangent(solution, stiffness, slope, missed)
             if _norm(missed, mass) <= _MISSED * _norm(gradient.numpy(), mass):
                 break
             solution = solve(_ROUGHLY, solution)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pb4u.collision.intersection_contours import Contours
 from pb4u.geometry.topology import Topology, connected_labels
+from pb4u.paper.baselines.intersection_contours import Contours
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pb4u.collision.box_tree import boxes_of, still_boxes, with_room
-from pb4u.collision.enclosures import CutOff, Enclosures
-from pb4u.collision.intersection_contours import ContourFinder
 from pb4u.collision.jit import compiled
 from pb4u.collision.surface_tree import SurfaceTree
+from pb4u.paper.baselines.enclosures import CutOff, Enclosures
+from pb4u.paper.baselines.intersection_contours import ContourFinder
 
 _ROUNDING = 1e-9
 """What boxes are wider by [m], so that rounding leaves nothing out."""
