@@ -231,6 +231,9 @@ def _header(path: Path) -> dict[str, str]:
 def available_device(name: str) -> str:
     """ "cpu" or "cuda", whichever "auto", "cpu" or "cuda" stands for here.
 
+    Args:
+        name: the device requested: "auto", "cpu" or "cuda".
+
     Raises:
         InputError: a card is asked for, and there is none, or its driver is too old; the sentence says which.
     """

@@ -161,7 +161,12 @@ class StepFeatures:
 
     @torch.no_grad()
     def of(self, step: TimeStep, accelerations: Tensor) -> Mapping[str, Tensor]:
-        """Every feature (vertices, width) by name; arguments as in `scaled`."""
+        """Every feature (vertices, width) by name; arguments as in `scaled`.
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
         return {
             name: self._descent.of(step, accelerations, self._incident_length)
             if name == DESCENT.name

@@ -41,7 +41,12 @@ class Pass(Protocol):
     further: int
 
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] to add to those reached so far, from free flight."""
+        """Accelerations (vertices, 3) [m per step^2] to add to those reached so far, from free flight.
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
 
 
 @dataclass(frozen=True, eq=False)

@@ -228,12 +228,20 @@ def _of_found(found: Found, x: Tensor) -> ContactPlanes:
 
 
 def world_rows(garments: PackedGarments) -> list[slice]:
-    """Rows of the vertices of each world of a pack."""
+    """Rows of the vertices of each world of a pack.
+
+    Args:
+        garments: the packed garments.
+    """
     return [slice(first, stop) for first, stop in pairwise(garments.world_offsets)]
 
 
 def no_planes(x: Tensor) -> ContactPlanes:
-    """Planes that nothing touches, for each of the vertices `x` (vertices, 3) [m]."""
+    """Planes that nothing touches, for each of the vertices `x` (vertices, 3) [m].
+
+    Args:
+        x: (vertices, 3) [m].
+    """
     normals = torch.zeros_like(x, requires_grad=False)
     return ContactPlanes(
         points=x.detach().clone(),
