@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, check_writable, keep_inputs, say, write_json, wrote
+from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, keep_inputs, say, write_json, wrote
 from pb4u.cli.picture_flags import (
     BackgroundFlag,
     ColourFlag,
@@ -23,6 +23,7 @@ from pb4u.cli.picture_flags import (
 from pb4u.cli.run_flags import run_of
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
+from pb4u.io.atomic_file import check_writable
 from pb4u.progress import announced, progress_bar
 from pb4u.run import Run
 

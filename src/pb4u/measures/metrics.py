@@ -165,6 +165,9 @@ def first_diverged(trajectory: Trajectory, skinned: np.ndarray | None = None) ->
 def garments_of(trajectory: Trajectory) -> list[Garment]:
     """The garments of a trajectory, from its own record, in the order of its vertices.
 
+    Args:
+        trajectory: the trajectory.
+
     Raises:
         InputError: the metadata do not say what they are made of.
     """
@@ -176,6 +179,9 @@ def garments_of(trajectory: Trajectory) -> list[Garment]:
 
 def packed_garments(trajectory: Trajectory) -> PackedGarments:
     """The garments of a trajectory in one world, float64.
+
+    Args:
+        trajectory: the trajectory.
 
     Raises:
         InputError: the metadata do not say what they are made of.
@@ -303,7 +309,11 @@ class Ruler:
         self.touched = faces[contact[faces].all(axis=1)]
 
     def frame(self, t: int) -> FrameMetrics:
-        """Metrics of frame t."""
+        """Metrics of frame t.
+
+        Args:
+            t: number of the frame.
+        """
         x = _tensor(self.trajectory.positions[t])
         strains, each_strains = _strains(self.garments, x)
         if not bool(torch.isfinite(x).all()):
@@ -332,7 +342,12 @@ class Ruler:
         return FrameMetrics(metrics, _summed(paper), garments)
 
     def step(self, t: int, x: Tensor) -> TimeStep:
-        """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still."""
+        """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still.
+
+        Args:
+            t: number of the frame.
+            x: (vertices, 3) [m] positions in that frame.
+        """
         state = State(x, torch.zeros_like(x), -1)
         if t:
             positions, velocities = (_tensor(e[t - 1]) for e in (self.trajectory.positions, self.trajectory.velocities))
