@@ -12,8 +12,10 @@ from tests.laws.test_self_contact import OneMethod, methods
 from tests.simulation.ball_scene import sheet
 
 from pb4u.body.animated_body import AnimatedBody
+from pb4u.collision.collision_free import past_obstacles
 from pb4u.collision.crossings import crossings
 from pb4u.garment.dressing import PrescribedPlacement
+from pb4u.physics.contact import self_contact
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -168,3 +170,23 @@ def test_two_bodies_that_close_on_cloth_are_let_through_it() -> None:
     lengths = (states[-1].positions[torch.from_numpy(garment.topology.edges)].diff(dim=1)).norm(dim=2)[:, 0].numpy()
     assert (lengths / garment.edge_lengths).max() < 3.0
     assert np.abs(states[-1].positions.numpy() - garment.vertices).max() < 0.3
+
+
+def test_where_one_move_finds_no_room_smaller_ones_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A spike that leaps by 10 cm, past which no move of 3 cm or more is found, is passed in four."""
+    timeline = Timeline.of(scene_of("spike leaps"))
+    step = timeline.step_from(timeline.skinned_state(0))
+    x, obstacle = step.state.positions, step.obstacle
+    assert obstacle is not None
+
+    def found(tree, before, wanted, masses, known=None, passed=None):
+        if np.abs(wanted - before).max() > 0.03:
+            return wanted, np.ones(len(before), dtype=bool)
+        return past_obstacles(tree, before, wanted, masses, known, passed)
+
+    monkeypatch.setattr(self_contact, "past_obstacles", found)
+    reached, after = FELT.self_contact.carried(timeline.garments, x, x.clone(), obstacle=obstacle)
+    assert after is not None
+    assert not after.passed.any()
+    body, faces = timeline.colliders.faces.numpy(), timeline.garments.faces.numpy()
+    assert len(crossings(reached.numpy(), faces, timeline.body(1).numpy(), body)) == 0
