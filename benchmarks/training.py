@@ -51,7 +51,8 @@ PARTS: tuple[tuple[str, Any, str], ...] = (
 class Stopwatch:
     """Times named parts, each without the parts called inside it."""
 
-    def __init__(self, synchronise: Callable[[], None]) -> None:
+    def __init__(self, synchronise: Callable[[], None], clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock = clock
         self.seconds: dict[str, float] = defaultdict(float)
         self._inside: list[float] = []
         self._synchronise = synchronise
@@ -62,13 +63,13 @@ class Stopwatch:
 
         def timed(*args: Any, **kwargs: Any) -> Any:
             self._synchronise()
-            began = time.perf_counter()
+            began = self._clock()
             self._inside.append(0.0)
             try:
                 return original(*args, **kwargs)
             finally:
                 self._synchronise()
-                took = time.perf_counter() - began
+                took = self._clock() - began
                 self.seconds[name] += took - self._inside.pop()
                 if self._inside:
                     self._inside[-1] += took

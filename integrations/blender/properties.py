@@ -74,7 +74,7 @@ class SceneSettings(bpy.types.PropertyGroup):
         search=_suggested("models"),
         search_options={"SUGGESTION"},
     )
-    self_contact: bpy.props.BoolProperty(name="Self-contact", description="Cloth feels cloth", default=True)
+    self_contact: bpy.props.BoolProperty(name="Self-contact", description="No cloth goes through cloth", default=True)
     lead_in: bpy.props.IntProperty(
         name="Settle", description="Frames for which the first frame is held while the cloth comes to rest", default=30,
         min=0, max=600,

@@ -85,10 +85,11 @@ class WornGarment:
     """One garment of a run.
 
     Args:
-        garment: Built-in garment, a mesh file in metres that fits the body at rest, a sewing pattern (GarmentCode's
-            .json, a .toml of an SVG, or .npz of `pb4u dress`), or FILE.pkl:NAME of a garments dictionary of HOOD's
-            family; in Python a Garment too.
-        material: Built-in material, a JSON file in SI units or a Material. Default: the garment's own, or "default".
+        garment: Built-in garment (`pb4u assets` lists them), a mesh file in metres that fits the body at rest, a sewing
+            pattern (GarmentCode's .json, a .toml of an SVG, or .npz of `pb4u dress`), or FILE.pkl:NAME of a garments
+            dictionary of HOOD's family; in Python a Garment too.
+        material: Built-in material (`pb4u assets`), a JSON file in SI units or a Material. Default: the garment's own,
+            or "default".
         pins: Vertices that follow the body: none, waist (highest border), collar (uppermost 4 cm of a border), hem
             (lowest border), loop:N (border with the N-th most vertices), a file of indices or a list. Default: the
             garment's own.
@@ -142,28 +143,29 @@ class Run:
             family; `pb4u assets` lists the names.
         clip: Clip that a rigged character performs. Default: its first.
         body_parts: Meshes or materials that make the body of a character, separated by commas. Default: all but hair,
-            eyes and clothes, as their names tell.
-        motion: Built-in motion, or .amc, .bvh, AMASS .npz, VTO .pkl, or from a video GVHMR .pt, WHAM .pkl or TRAM
-            .npy (FILE:PERSON of several people). Default: walk, or the body's own.
+            eyes and clothes, by their names.
+        motion: Built-in motion (`pb4u assets`), or .amc, .bvh, AMASS .npz, VTO .pkl, or from a video GVHMR .pt, WHAM
+            .pkl or TRAM .npy (FILE:PERSON of several people). Default: walk, or the body's own.
         crop: Frames A to B-1 of a recording, at its own rate.
         arms_away: Degrees by which hanging arms are held away from the torso. Default: arms of a recording by as much
             as they would go into the body; 0 leaves them as recorded.
         raw_motion: Leave motion from a video as it is, neither smoothed nor its feet held.
-        recorded_fps: Frames per second of a recording. Default: what its file tells, or 30.
+        recorded_fps: Frames per second of a recording. Default: what its file says, or 30.
         lead_in: Frames from the rest pose into the motion, simulated but not written.
         keep_lead_in: Write the lead-in frames as well, before those that --frames counts.
         frames: Frames to write. Default: the whole recording, or 60 of a built-in motion.
         fps: Frames per second; a network runs at its own, and the result is resampled.
         seed: Seed of everything random.
         model: solver, quick-solver (its first iterations alone: fastest for most garments on a processor), skinning, or
-            a network by name, .safetensors file or .pth of the released code. Default: pb4u-wide.
-        refine: Most solver iterations after each step of a network, or of the quick solver. A step that they leave
-            failed is retried.
+            a network by name, .safetensors file or .pth of the released code. Default: pb4u-wide, which is not the
+            paper's network (`pb4u info --model pb4u-wide`).
+        refine: Most solver iterations after each step of a network, 0 for the network only; or of the quick solver. A
+            step that they leave failed is retried.
         contact: Push the garment out of the body after each step; with self_contact also no face or edge of the body
             goes through cloth.
-        self_contact: Cloth feels cloth, within a garment and between garments. Default: on for the solver and
+        self_contact: No cloth goes through cloth, within a garment and between garments. Default: on for the solver and
             networks; skinning cannot.
-        propagation_steps: Propagation steps of a network. Default: as many as the mesh calls for.
+        propagation_steps: Propagation steps of a network. Default: by the mesh's resolution.
         passes: How often a network is evaluated in each step. Default: its own number, and more where a step needs
             it, or 1 with --refine.
         device: Where a network computes; the solver always runs on the CPU. Of several cards the first that

@@ -17,6 +17,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
+    import torch
     from threadpoolctl import ThreadpoolController
 
 Part = TypeVar("Part")
@@ -33,6 +34,16 @@ def thread_count() -> int:
         processors = os.cpu_count() or 1
     wanted = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
     return min(processors, int(wanted)) if wanted.isdecimal() and int(wanted) > 0 else processors
+
+
+def sent(values: torch.Tensor, device: torch.device) -> torch.Tensor:
+    """Copy of `values` (...), from the processor, on `device`; an accelerator goes on meanwhile.
+
+    Args:
+        values: of any shape and unit.
+        device: of the copy.
+    """
+    return (values.pin_memory() if device.type == "cuda" else values).to(device, non_blocking=True)
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from pb4u.cli.application import app
 from pb4u.cli.main import main
 from pb4u.dataset.jobs_file import read_jobs
 from pb4u.pattern.files import read_pattern
-from pb4u.run import Run, tomllib
+from pb4u.run import ENTRIES, Run, tomllib
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
@@ -67,6 +67,11 @@ def commands(block: Block) -> list[list[str]]:
             if words := shlex.split(part, comments=True):
                 found.append(words)
     return found
+
+
+def test_the_guide_names_every_entry_of_a_scene_file() -> None:
+    guide = (ROOT / "docs" / "guides" / "scene_files.md").read_text()
+    assert [name for name in ENTRIES if f"`{name}`" not in guide] == []
 
 
 def test_there_is_something_to_test() -> None:

@@ -130,3 +130,28 @@ def test_what_steps_gave_is_read_once_a_line_of_the_log(in_tensors: None, monkey
 def _not_finite(*args: object, **kwargs: object) -> Energies:
     energies = step_energies(*args, **kwargs)  # type: ignore[arg-type]
     return Energies({name: value * torch.nan for name, value in energies.terms.items()})
+
+
+def test_validation_reads_back_once_a_clip(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And gives the score that a processor gives, which decides in every frame."""
+    monkeypatch.setattr(ContactPlanes, "transported_normals", lambda self, pose: self.normals)
+    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "benchmarks")
+    accelerator = import_module("accelerator")
+    one, other = trainer_of(on_card=False), trainer_of()
+    scores = []
+    for trainer in (one, other):
+        trainer.gather_statistics()
+        sample = trainer.validation.samples[0]
+        scores.append(trainer.validation._rollout(trainer.model.eval(), sample))
+    frames, energy, strain = scores[0]
+    assert frames > 0
+    assert scores[1] == (frames, pytest.approx(energy, rel=1e-4), pytest.approx(strain, rel=1e-4))
+    window = other.loader.load([sample], 2)
+    _ = window.start(0.0, 0.0)
+    moved = accelerator.faked((other.validation, other.model, window), torch.device("meta"))
+    for _ in range(2):
+        # Constants are made by the first.
+        with accelerator.Counted() as counted, torch.no_grad():
+            assert len(list(moved[0]._frames(*moved[1:]))) == other.validation.frames
+    assert sum(counted.launches.values()) > 1000
+    assert not counted.transfers

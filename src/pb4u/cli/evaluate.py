@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 def evaluate(
     protocol: Annotated[
         str,
-        typer.Option(metavar="NAME", help="resolution, unseen, depth, efficiency, ablation, controls or robustness."),
+        typer.Option(
+            metavar="NAME",
+            help="resolution, unseen (garments), depth (propagation steps), efficiency (time and loss), ablation, "
+            "controls (what the network is worth), or robustness (drawn scenes).",
+        ),
     ] = "resolution",
     models: Annotated[
         str | None,
@@ -59,7 +63,7 @@ def evaluate(
     device: Annotated[str, typer.Option(help="Where networks compute: auto, cpu or cuda.")] = "auto",
     floors: Annotated[
         Literal["run", "stored"],
-        typer.Option(help="run the solver on scenes whose floor is not stored, or take what is stored."),
+        typer.Option(help="Reference energies: run the solver on scenes that lack a stored one, or use stored ones."),
     ] = "run",
     measure: Annotated[
         Literal["excess"] | None,
@@ -85,7 +89,8 @@ def evaluate(
 ) -> None:
     """Run a protocol of the paper: tables, plots and one page, beside the paper's own figures.
 
-    Killed at any instant, the same command goes on where it was. Other flags with the same --out narrow or extend it.\f
+    Killed at any instant, the same command goes on where it was. Other flags with the same --out narrow or extend it.
+    The resolution protocol without flags is 512 rollouts, most of a day on two cores.\f
 
     Each argument is described by its `help`.
 

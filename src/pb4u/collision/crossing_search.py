@@ -42,7 +42,7 @@ class CrossingSearch:
         # As wide as for a move from there, which then finds its boxes fitted.
         node_boxes, face_boxes, *_ = tree.fitted(vertices, np.zeros_like(vertices), 0.5 * SMALLEST_GAP)
         shape = tree.boxes.arrays
-        asked = asked_for(shape[:3], faces, tree.edges[:0], own if among is None else among & own)
+        asked = asked_for(shape[:3], faces, own if among is None else among & own)
         pairs = _touching_faces(vertices, faces, node_boxes, face_boxes, shape, False, self._most, asked)
         mixed = pairs[(faces[pairs][:, :, 0] < first).sum(axis=1) == 1]
         found[faces[mixed]] = True
@@ -69,7 +69,7 @@ class CrossingSearch:
         tree = self._tree
         points, face_boxes = still_boxes(vertices, tree.faces, 0.5 * _TOUCHING)
         node_boxes, shape = tree.boxes.fitted(face_boxes), tree.boxes.arrays
-        asked = asked_for(shape[:3], tree.faces, tree.edges[:0], among)
+        asked = asked_for(shape[:3], tree.faces, among)
         return points, _touching_faces(points, tree.faces, node_boxes, face_boxes, shape, sharing, self._most, asked)
 
 
@@ -90,7 +90,7 @@ def _touching_faces(
     count = 0
     # Taken once: an array made for every pair would cost more than its numbers.
     work, side, other_side = np.empty((9, 3)), np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    asked, asked_faces, _ = among
+    asked, asked_faces = among
     leaves = meeting_leaves(node_boxes, children, ranges, asked, np.column_stack((roots, roots)), most)
     for pair in range(len(leaves)):
         a, b = leaves[pair]

@@ -8,9 +8,9 @@ same measure, so that cloth which is carried along by centimetres gives no more 
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from pb4u.threads import parallel_map
 _ROOM = 0.08
 """How far a vertex may go, in mean edge lengths at rest, before what is near it is searched again."""
 
-_MOST_LEAVING = 0.1
+_MOST_LEAVING = 0.3
 """Share of the vertices that may leave their room before the whole surface is searched again."""
 
 _FEW = 4096
@@ -51,7 +51,7 @@ _HALVED = 2
 """How often the surface is halved for the parts that threads search: four pieces, and the three seams between them."""
 
 
-Boxes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Boxes = tuple[np.ndarray, np.ndarray]
 
 
 class _Fitted(NamedTuple):
@@ -62,7 +62,7 @@ class _Fitted(NamedTuple):
         moves: (obstacle vertices, 3) [m].
         margin: what the boxes are wider by [m].
         room: the same at the end of the moves [m].
-        boxes: of nodes, faces, edges and vertices.
+        boxes: of nodes and faces.
     """
 
     obstacles: np.ndarray
@@ -110,10 +110,9 @@ class SurfaceTree:
         centres = self.rest[self.faces].mean(axis=1)
         self.vertex_world = np.asarray(world, dtype=np.int64)[self.part]
         self.boxes = BoxTree.over(centres, face_part, np.asarray(world))
-        self._vertices = np.arange(len(self.rest))[:, None]
         self.first_obstacle = len(self.rest) - obstacles
         own_edges, own_faces = (int((e[:, 0] < self.first_obstacle).sum()) for e in (self.edges, self.faces))
-        self._own_counts = own_faces, own_edges, self.first_obstacle
+        self._own_faces = own_faces
         lengths = np.linalg.norm(self.rest[self.edges[:own_edges, 0]] - self.rest[self.edges[:own_edges, 1]], axis=1)
         self._room = _ROOM * float(lengths.mean()) if len(lengths) else 0.0
         self._owned_vertices, self._owned_edges = _owners(self.faces, self.edges, len(self.rest))
@@ -166,8 +165,8 @@ class SurfaceTree:
                 return self._pairs((stayed, found), neighbourhood)
         if not lasting:
             asked = self._everywhere if among is None else among
-            found = _near(self._search(vertices, moving, 0.5 * reach, asked), vertices, moving, reach)
-            return self._pairs((found,), None)
+            candidates = self._search(vertices, moving, 0.5 * reach, asked)
+            return self._pairs((_near(candidates, vertices, moving, reach),), None)
         candidates = self._search(vertices, moving, 0.5 * reach, self._everywhere, self._room)
         neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reach)
         found = neighbourhood.corners[rows], int(rows[: neighbourhood.vertex_faces].sum())
@@ -192,7 +191,12 @@ class SurfaceTree:
         return ElementPairs(corners, first, rest_distances(self.rest, self.part, corners, first), neighbourhood)
 
     def _search(
-        self, vertices: np.ndarray, moves: np.ndarray, margin: float, among: np.ndarray, room: float = 0.0
+        self,
+        vertices: np.ndarray,
+        moves: np.ndarray,
+        margin: float,
+        among: np.ndarray,
+        room: float = 0.0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
 
@@ -203,17 +207,27 @@ class SurfaceTree:
         boxes = self.fitted(vertices, moves, margin, room)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
         tree = self.boxes.arrays[:3]
-        asked = (among, *asked_for(tree, self.faces, self.edges, among))
+        asked = (among, *asked_for(tree, self.faces, among))
         whole = np.count_nonzero(among) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
-        way = vertices, moves, 2.0 * margin, 2.0 * (margin + room), self.first_obstacle
-        searches = [partial(_search, boxes, tree, elements, asked, part, way) for part in parts]
+        begun, ended = 2.0 * margin, 2.0 * (margin + room)
+        ends = np.concatenate([vertices, vertices + moves], axis=1)
+        way = vertices, moves, begun, ended, self.first_obstacle, ends
+        searches: list[Callable[[], Any]] = [
+            partial(_search, boxes, tree, elements, asked, part, way) for part in parts
+        ]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
-        pieces = zip(*(np.array_split(pairs, _PIECES if whole else 1) for pairs in self._around), strict=True)
-        searches += [partial(_search_around, boxes, elements, asked, *piece) for piece in pieces]
+        pieces = _PIECES if whole else 1
+        around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
+        searches += [partial(_near_around, ends, among, *piece, begun, ended) for piece in around]
         found = parallel_map(lambda search: search(), searches)
-        vertex_faces, edge_edges = (np.concatenate(pairs) for pairs in zip(*found, strict=True))
+        vertex_faces, edge_edges = (
+            np.concatenate(
+                [pairs[kind] for pairs in found[: len(parts)]] + found[len(parts) + kind * pieces :][:pieces]
+            )
+            for kind in (0, 1)
+        )
         if among[self.first_obstacle :].any():
             vertex_faces, edge_edges = (
                 corners[(corners < self.first_obstacle).any(axis=1)] for corners in (vertex_faces, edge_edges)
@@ -221,7 +235,7 @@ class SurfaceTree:
         return vertex_faces, edge_edges
 
     def fitted(self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0) -> Boxes:
-        """Boxes (.., 12) [m] of the nodes, faces, edges and vertices; those of obstacles may be wider than asked for.
+        """Boxes (.., 12) [m] of the nodes and faces; those of obstacles may be wider than asked for.
 
         They hold until the next call in the same thread.
 
@@ -231,20 +245,18 @@ class SurfaceTree:
             margin: what they are wider by on every side [m].
             room: the same at the end of the move [m].
         """
-        elements, first = (self.faces, self.edges, self._vertices), self.first_obstacle
-        if first == len(vertices):
-            made = [boxes_of(vertices, moves, corners, margin, room) for corners in elements]
-            return self.boxes.fitted(made[0]), made[0], made[1], made[2]
+        first = self.first_obstacle
         kept: _Fitted | None = getattr(self._kept, "boxes", None)
-        if kept is None or not kept.serves(vertices[first:], moves[first:], margin, room):
-            made = [boxes_of(vertices, moves, corners, margin, room) for corners in elements]
-            boxes = self.boxes.fitted(made[0]), made[0], made[1], made[2]
+        if first < len(vertices) and kept is not None and kept.serves(vertices[first:], moves[first:], margin, room):
+            nodes, faces = kept.boxes
+            fill_boxes(vertices, moves, self.faces[: self._own_faces], margin, room, faces)
+            fit_nodes(self._own_nodes, faces, *self.boxes.arrays[:3], nodes)
+            return kept.boxes
+        faces = boxes_of(vertices, moves, self.faces, margin, room)
+        boxes = self.boxes.fitted(faces), faces
+        if first < len(vertices):
             self._kept.boxes = _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes)
-            return boxes
-        for corners, own, boxes_of_them in zip(elements, self._own_counts, kept.boxes[1:], strict=True):
-            fill_boxes(vertices, moves, corners[:own], margin, room, boxes_of_them)
-        fit_nodes(self._own_nodes, kept.boxes[1], *self.boxes.arrays[:3], kept.boxes[0])
-        return kept.boxes
+        return boxes
 
     @cached_property
     def _kept(self) -> threading.local:
@@ -309,11 +321,13 @@ def _pairs_around(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of a vertex and a face, and of two edges, without a common vertex, whose faces have one.
 
-    (pairs, 2) int64 each, the second element given by its number; each pair once.
+    Their corners (pairs, 4) int32 each; each pair once.
     """
     by_vertex = np.argsort(faces.reshape(-1), kind="stable")
     starts = np.searchsorted(faces.reshape(-1)[by_vertex], np.arange(vertex_count + 1))
-    return _listed_around(faces, edges, owned_vertices, owned_edges, by_vertex // 3, starts)
+    near_faces, near_edges = _listed_around(faces, edges, owned_vertices, owned_edges, by_vertex // 3, starts)
+    sides = edges[near_edges].reshape(-1, 4)
+    return np.column_stack([near_faces[:, 0], faces[near_faces[:, 1]]]).astype(np.int32), sides.astype(np.int32)
 
 
 @compiled
@@ -338,7 +352,10 @@ def _listed_around(
     ring: np.ndarray,
     starts: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `_pairs_around`; `ring` holds the faces around each vertex, from `starts` (vertices + 1,) of it on."""
+    """As `_pairs_around`, the elements (pairs, 2) int64 by their numbers.
+
+    `ring` holds the faces around each vertex, from `starts` (vertices + 1,) of it on.
+    """
     near_faces, near_edges = np.empty((1024, 2), dtype=np.int64), np.empty((1024, 2), dtype=np.int64)
     face_count, edge_count = 0, 0
     met = np.full(len(faces), -1)
@@ -371,39 +388,28 @@ def _listed_around(
 
 
 @compiled
-def _search_around(
-    boxes: tuple, elements: tuple, asked: tuple, vertex_faces: np.ndarray, edge_edges: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """As `_search`, of the pairs `vertex_faces` and `edge_edges` (pairs, 2) that `_pairs_around` lists."""
-    _, face_boxes, edge_boxes, vertex_boxes = boxes
-    faces, edges = elements[0], elements[1]
-    among, _, asked_faces, asked_edges = asked
-    near_faces, near_edges = np.empty((64, 4), dtype=np.int64), np.empty((64, 4), dtype=np.int64)
-    face_count, edge_count = 0, 0
-    for pair in range(len(vertex_faces)):
-        v, f = vertex_faces[pair, 0], vertex_faces[pair, 1]
-        if (among[v] or asked_faces[f]) and boxes_meet(vertex_boxes, v, face_boxes, f):
-            near_faces = with_room(near_faces, face_count)
-            near_faces[face_count, 0] = v
-            copy_row(faces[f], near_faces[face_count, 1:])
-            face_count += 1
-    for pair in range(len(edge_edges)):
-        p, q = edge_edges[pair, 0], edge_edges[pair, 1]
-        if (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes, p, edge_boxes, q):
-            near_edges = with_room(near_edges, edge_count)
-            copy_row(edges[p], near_edges[edge_count, :2])
-            copy_row(edges[q], near_edges[edge_count, 2:])
-            edge_count += 1
-    return near_faces[:face_count], near_edges[:edge_count]
+def _near_around(
+    ends: np.ndarray, among: np.ndarray, corners: np.ndarray, vertex_face: bool, begun: float, ended: float
+) -> np.ndarray:
+    """Those of the `corners` (pairs, 4) that `_pairs_around` lists with one `among` (vertices,), unless `_apart`."""
+    near, count = np.empty((64, 4), dtype=np.int64), 0
+    for pair in range(len(corners)):
+        a, b, c, d = corners[pair, 0], corners[pair, 1], corners[pair, 2], corners[pair, 3]
+        if not (among[a] or among[b] or among[c] or among[d]):
+            continue
+        one, other = ((a, a, a), (b, c, d)) if vertex_face else ((a, b, b), (c, d, d))
+        if not _apart(ends, one, other, begun, ended):
+            near = with_room(near, count)
+            copy_row(corners[pair], near[count])
+            count += 1
+    return near[:count]
 
 
 @compiled
-def asked_for(
-    tree: tuple, faces: np.ndarray, edges: np.ndarray, among: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which nodes, faces and edges have a vertex `among` (vertices,) those asked for."""
+def asked_for(tree: tuple, faces: np.ndarray, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which nodes and faces have a vertex `among` (vertices,) those asked for."""
     order, children, ranges = tree
-    asked_edges, asked_faces = any_corner(edges, among), any_corner(faces, among)
+    asked_faces = any_corner(faces, among)
     asked_nodes = np.empty(len(children), dtype=np.bool_)
     for node in range(len(children) - 1, -1, -1):
         asked = False
@@ -413,7 +419,7 @@ def asked_for(
             for place in range(ranges[node, 0], ranges[node, 1]):
                 asked = asked or asked_faces[order[place]]
         asked_nodes[node] = asked
-    return asked_nodes, asked_faces, asked_edges
+    return asked_nodes, asked_faces
 
 
 @compiled
@@ -427,8 +433,9 @@ def _search(
     """
     order, children, ranges = tree
     faces, edges, owned_vertices, owned_edges = elements
-    node_boxes, face_boxes, edge_boxes, vertex_boxes = boxes
-    among, asked_nodes, asked_faces, asked_edges = asked
+    node_boxes, face_boxes = boxes
+    among, asked_nodes, asked_faces = asked
+    begun, ended, ends = way[2], way[3], way[5]
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
     leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY)
@@ -446,26 +453,61 @@ def _search(
                     continue
                 if faces[g, 0] >= way[4] and _beside(faces[f], faces[g], way):
                     continue
-                for one, two in ((f, g), (g, f)):
+                one, other = (faces[f, 0], faces[f, 1], faces[f, 2]), (faces[g, 0], faces[g, 1], faces[g, 2])
+                if _apart(ends, one, other, begun, ended):
+                    continue
+                for first, second, corners in ((f, g, other), (g, f, one)):
                     for k in range(3):
-                        v = owned_vertices[one, k]
-                        if v >= 0 and (among[v] or asked_faces[two]) and boxes_meet(vertex_boxes, v, face_boxes, two):
+                        v = owned_vertices[first, k]
+                        if v < 0 or not (among[v] or asked_faces[second]):
+                            continue
+                        if not _apart(ends, (v, v, v), corners, begun, ended):
                             near_faces = with_room(near_faces, face_count)
                             near_faces[face_count, 0] = v
-                            copy_row(faces[two], near_faces[face_count, 1:])
+                            copy_row(faces[second], near_faces[face_count, 1:])
                             face_count += 1
                 for k in range(3):
                     p = owned_edges[f, k]
-                    if p < 0 or not boxes_meet(edge_boxes, p, face_boxes, g):
+                    if p < 0:
+                        continue
+                    side = edges[p, 0], edges[p, 1], edges[p, 1]
+                    if _apart(ends, side, other, begun, ended):
                         continue
                     for m in range(3):
                         q = owned_edges[g, m]
-                        if q >= 0 and (asked_edges[p] or asked_edges[q]) and boxes_meet(edge_boxes, p, edge_boxes, q):
+                        if q < 0:
+                            continue
+                        if not (among[side[0]] or among[side[1]] or among[edges[q, 0]] or among[edges[q, 1]]):
+                            continue
+                        if not _apart(ends, side, (edges[q, 0], edges[q, 1], edges[q, 1]), begun, ended):
                             near_edges = with_room(near_edges, edge_count)
                             copy_row(edges[p], near_edges[edge_count, :2])
                             copy_row(edges[q], near_edges[edge_count, 2:])
                             edge_count += 1
     return near_faces[:face_count], near_edges[:edge_count]
+
+
+@compiled
+def _apart(ends: np.ndarray, one: tuple, other: tuple, begun: float, ended: float) -> bool:
+    """Whether elements with three corners each, or one repeated, are apart along the line between their middles.
+
+    By more than a distance `begun` [m] at the beginning of the moves and `ended` [m] at their end, of which the `ends`
+    (vertices, 6) [m] are; in between by what lies between these, for along a line that stands still all is linear.
+    """
+    x, y, z = 0.0, 0.0, 0.0
+    for v in other:
+        x, y, z = x + ends[v, 0] + ends[v, 3], y + ends[v, 1] + ends[v, 4], z + ends[v, 2] + ends[v, 5]
+    for v in one:
+        x, y, z = x - ends[v, 0] - ends[v, 3], y - ends[v, 1] - ends[v, 4], z - ends[v, 2] - ends[v, 5]
+    far, far_after, near, near_after = -np.inf, -np.inf, np.inf, np.inf
+    for v in one:
+        far = max(far, x * ends[v, 0] + y * ends[v, 1] + z * ends[v, 2])
+        far_after = max(far_after, x * ends[v, 3] + y * ends[v, 4] + z * ends[v, 5])
+    for v in other:
+        near = min(near, x * ends[v, 0] + y * ends[v, 1] + z * ends[v, 2])
+        near_after = min(near_after, x * ends[v, 3] + y * ends[v, 4] + z * ends[v, 5])
+    length = np.sqrt(x * x + y * y + z * z)
+    return near - far > begun * length and near_after - far_after > ended * length
 
 
 @compiled

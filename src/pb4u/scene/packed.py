@@ -28,6 +28,7 @@ from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.triangle_mesh import laid_flat
 from pb4u.scene.scene import STANDARD_GRAVITY
+from pb4u.threads import sent
 
 Formed = TypeVar("Formed")
 
@@ -94,7 +95,7 @@ class PackedGarments:
     @cached_property
     def garment_world(self) -> Tensor:
         """World of each garment, (garments,) int64 index."""
-        return torch.tensor(self.worlds, dtype=torch.int64, device=self.device)
+        return sent(torch.tensor(self.worlds, dtype=torch.int64), self.device)
 
     @cached_property
     def vertex_world(self) -> Tensor:
@@ -109,7 +110,7 @@ class PackedGarments:
     @cached_property
     def garment_vertices(self) -> Tensor:
         """Number of vertices of each garment, (garments,) int64."""
-        return torch.as_tensor(np.diff(self.vertex_offsets), device=self.device)
+        return sent(torch.as_tensor(np.diff(self.vertex_offsets)), self.device)
 
     @cached_property
     def world_rows(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -118,7 +119,7 @@ class PackedGarments:
         Vertex (worlds, rows) int64 of each row, whether it is no repetition (worlds, rows) bool, and the row
         (vertices,) int64 of each vertex among all of them one after the other.
         """
-        offsets = torch.as_tensor(self.world_offsets, device=self.device)
+        offsets = sent(torch.as_tensor(self.world_offsets), self.device)
         rows = torch.arange(int(max(np.diff(self.world_offsets), default=0)), device=self.device)
         filled = rows < offsets.diff()[:, None]
         places = offsets[:-1, None] + torch.minimum(rows, offsets.diff()[:, None] - 1)

@@ -226,6 +226,9 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
     try:
         configuration = configuration_from_json(parse_json(metadata["configuration"]))
         record = training_record_from_json(parse_json(metadata["training_record"]))
+        # Each block has tensors of its own, and to describe thousands takes minutes.
+        if getattr(configuration, "blocks", 0) > len(tensors):
+            raise ValueError(f"it names more blocks than the file has tensors ({len(tensors)})")
         _described(configuration)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
         raise InputError(f"{path} has a header that this pb4u cannot read: {told_error(error)}") from error

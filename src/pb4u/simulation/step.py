@@ -126,16 +126,6 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
         rooms.note("passes", passes + torch.stack(worth).sum())
 
 
-def prediction(step: TimeStep, method: StepMethod, rooms: Rooms | None) -> State:
-    """The last of `predictions`, which are made again where a search had too little room."""
-    while True:
-        last = method.search.last
-        *_, after = predictions(step, method, rooms)
-        if rooms is None or not rooms.grow(*rooms.taken()):
-            return after
-        method.search.last = last
-
-
 def _is_worth_another(step: TimeStep, method: StepMethod, before: list[Tensor]) -> Tensor:
     """Whether () bool another pass is worth its time, and those `before` were."""
     worth = ~(method.search.decrease_height(step.garments) < LARGE_DECREASE)

@@ -14,6 +14,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments, pack, pack_colliders
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
+from pb4u.threads import sent
 
 SETTLING_DT = 1.0 / 3.0
 """Length of a settling step [s]: inertia weighs a hundredth of what it does at 30 fps (reference 1.8)."""
@@ -122,8 +123,7 @@ class Timeline:
 
         def moved(frames: Frames) -> Frames:
             def block(start: int, stop: int) -> Tensor:
-                made = torch.stack([frames[frame] for frame in range(start, stop)])
-                return (made.pin_memory() if device.type == "cuda" else made).to(device, non_blocking=True)
+                return sent(torch.stack([frames[frame] for frame in range(start, stop)]), device)
 
             return BlockedFrames(block, len(frames))
 

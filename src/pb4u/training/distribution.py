@@ -71,7 +71,8 @@ class Workers:
         """Sum of `value` over processes, in its unit; nothing is copied where there is one."""
         if self.count == 1:
             return value
-        return float(self.sum(torch.tensor(value, dtype=torch.float64, device=self.device)))
+        # Processors agree among themselves, while their cards go on.
+        return float(self.sum(torch.tensor(value, dtype=torch.float64)))
 
     def reduce_statistics(self, model: AccelerationModel) -> None:
         """Give every process the statistics that all have gathered."""
@@ -105,7 +106,7 @@ def workers(device: str = "auto") -> Iterator[Workers]:
         place = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         torch.cuda.set_device(place)
     if count > 1:
-        torch_distributed.init_process_group("nccl" if accelerated else "gloo")
+        torch_distributed.init_process_group("cpu:gloo,cuda:nccl" if accelerated else "gloo")
     try:
         yield Workers(rank, count, place)
     finally:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from pb4u.garment.material import MATERIALS
 from pb4u.measures.excess import Reference
@@ -20,14 +23,14 @@ from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
-from pb4u.simulation.step import StepMethod, prediction
+from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.step_start import start_of
 from pb4u.training.configuration import TrainingConfiguration
 from pb4u.training.lost_garment import GarmentWatch, drift_from
 from pb4u.training.objective import REFERENCE_WEIGHT, step_energies
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.wardrobe import Wardrobe
-from pb4u.training.windows import Sample, WindowLoader
+from pb4u.training.windows import Sample, Window, WindowLoader
 
 # An energy [J] that no clip has: cloth that lies still has thousands of times as much.
 _NO_ENERGY = 1e-9
@@ -136,26 +139,37 @@ class Validation:
 
     def _rollout(self, model: AccelerationModel, sample: Sample) -> tuple[int, float, float]:
         """Frames before the garment is lost, and the sums of their energies without gravity [J] and strains."""
-        window = self.loader.load([sample], self.frames)
-        timeline = window.timeline
-        garments = timeline.garments
+        window, rooms = self.loader.load([sample], self.frames), self.loader.wardrobe.rooms
+        while True:
+            rows = torch.stack(list(self._frames(model, window))).tolist()
+            if rooms is None or not rooms.grow(*rooms.taken()):
+                kept = list(takewhile(lambda row: row[0], rows))
+                return len(kept), sum(row[1] for row in kept), sum(row[2] for row in kept)
+
+    def _frames(self, model: AccelerationModel, window: Window) -> Iterator[Tensor]:
+        """Of each frame (3,) float64 whether its garment is not lost, its energy without gravity [J] and its strain.
+
+        A processor ends where it is lost; an accelerator goes on, as it waits for no decision.
+        """
+        timeline, rooms, watch = window.timeline, self.loader.wardrobe.rooms, GarmentWatch()
+        garments, state = timeline.garments, window.start(0.0, self.clearance)
         method = _method(model, garments)
-        state, energy, strain, watch = window.start(0.0, self.clearance), 0.0, 0.0, GarmentWatch()
         for frame in range(self.frames):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
-            after = prediction(step, method, self.loader.wardrobe.rooms)
-            if not bool(torch.isfinite(after.positions).all()):
-                return frame, energy, strain
-            energies = step_energies(step, after.positions, REFERENCE_WEIGHT)
-            collision = energies.terms["collision"].sum().double() / REFERENCE_WEIGHT
-            stretched = strain_percentile(garments, after.positions)
-            state = after if frame else State(after.positions, timeline.skinned_velocity(state.frame), state.frame)
-            drift = drift_from(timeline.skinned(state.frame), garments, after.positions)
-            if bool(watch.is_lost(stretched, drift, collision)):
-                return frame, energy, strain
-            energy += sum(float(term.sum()) for name, term in energies.terms.items() if name != "gravity")
-            strain += float(stretched)
-        return self.frames, energy, strain
+            *_, after = predictions(step, method, rooms)
+            finite = torch.isfinite(after.positions)
+            positions = torch.where(finite, after.positions, state.positions)
+            velocities = after.velocities if frame else timeline.skinned_velocity(state.frame)
+            state = State(positions, velocities, after.frame if frame else state.frame)
+            terms = step_energies(step, positions, REFERENCE_WEIGHT).terms
+            energy = sum(term.sum().double() for name, term in terms.items() if name != "gravity")
+            strain = strain_percentile(garments, positions)
+            drift = drift_from(timeline.skinned(state.frame), garments, positions)
+            lost = watch.is_lost(strain, drift, terms["collision"].sum().double() / REFERENCE_WEIGHT)
+            fine = finite.all() & ~lost
+            yield torch.stack([fine.double(), torch.as_tensor(energy), strain.double()])
+            if rooms is None and not bool(fine):
+                return
 
 
 def _method(model: AccelerationModel, garments: PackedGarments) -> StepMethod:

@@ -54,13 +54,13 @@ class Wardrobe:
         return joined([_in_material(self._outfit(o), m) for o, m in zip(outfits, materials, strict=True)])
 
     def transforms(self, body: int, poses: PoseSequence) -> Tensor:
-        """Rest-to-world transforms (frames, bones, 3, 4) on the device: rotations [1] and translations [m].
+        """Rest-to-world transforms (frames, bones, 3, 4) on the processor: rotations [1] and translations [m].
 
         Args:
             body: index of the body.
             poses: poses of that body.
         """
-        return bone_transforms(self.data.bodies[body].skeleton, poses).to(self.device, self.dtype)
+        return bone_transforms(self.data.bodies[body].skeleton, poses).to(self.dtype)
 
     def body_positions(self, body: int, transforms: Tensor) -> Tensor:
         """Body vertices (frames, vertices, 3) [m].

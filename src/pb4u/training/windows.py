@@ -19,6 +19,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.network_pass import StepFeatures
 from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.timeline import Timeline
+from pb4u.threads import sent
 from pb4u.training.configuration import MaterialSampling, TrainingConfiguration
 from pb4u.training.lost_garment import GarmentWatch
 from pb4u.training.packed_data import TrainingData
@@ -161,7 +162,7 @@ class Window:
                 np.random.default_rng(sample.noise_seed).standard_normal((2, count, 3))
                 for sample, count in zip(self.samples, np.diff(garments.vertex_offsets).tolist(), strict=True)
             ]
-            shifts = noise * torch.as_tensor(np.concatenate(draws, axis=1)).to(now)
+            shifts = noise * sent(torch.as_tensor(np.concatenate(draws, axis=1)).to(now.dtype), now.device)
             now = now + torch.where(garments.pinned[:, None], 0.0, shifts[0])
             before = before + shifts[1]
         planes = nearest_planes(self.timeline.pose(1), garments, now)
@@ -228,7 +229,8 @@ class WindowLoader:
             poses = _frames(clip.poses, sample.start - 1, length + 2)
             transforms = _turned(wardrobe.transforms(clip.body, poses), sample.yaw)
             ground = poses.root_positions[1] * np.array([1.0, 0.0, 1.0])
-            shift = _turn(sample.yaw, transforms) @ torch.as_tensor(ground).to(transforms)
+            shift = sent(_turn(sample.yaw, transforms) @ torch.as_tensor(ground).to(transforms), wardrobe.device)
+            transforms = sent(transforms, wardrobe.device)
             bodies.append(wardrobe.body_positions(clip.body, transforms) - shift)
             skins.append(wardrobe.outfit_positions(sample.outfit, transforms) - shift)
         clips = [self.data.clips[sample.clip] for sample in samples]
@@ -239,7 +241,7 @@ class WindowLoader:
             body,
             torch.cat(skins, dim=1),
             1.0 / clips[0].poses.fps,
-            body.new_tensor((0.0, -STANDARD_GRAVITY, 0.0)),
+            sent(torch.tensor((0.0, -STANDARD_GRAVITY, 0.0), dtype=body.dtype), body.device),
         )
         return Window(tuple(samples), timeline, length)
 
