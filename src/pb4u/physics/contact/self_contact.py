@@ -32,9 +32,6 @@ _PARALLEL = 1e-3
 _BODY_REACH = 5e-4
 """Distance [m] at which elements of cloth and of a body begin to feel each other; vertices do from 2 mm on."""
 
-_PARTS = 4
-"""Moves in which a step is taken past bodies where they find no room in one."""
-
 
 @dataclass(frozen=True, eq=False)
 class ClothPairs:
@@ -254,18 +251,16 @@ class CollisionFree:
             result = past_obstacles(garments.surface_tree, begun, asked, masses, known)[0]
             return wanted if result is asked else torch.from_numpy(result).to(wanted), None
         whole = np.concatenate([asked, obstacle.after])
-        start, firm = np.concatenate([begun, obstacle.before]), np.full(len(obstacle.areas), np.inf)
-        tree, weights, passed = obstacle.tree, np.concatenate([masses, firm]), obstacle.passed
-        result, through = past_obstacles(tree, start, whole, weights, known, passed)
-        if through.sum() > passed.sum():
-            # What is turned aside once may find a way round in smaller moves, each on to where it was to go.
-            x, still = start, passed
-            for left in range(_PARTS, 0, -1):
-                x, still = past_obstacles(tree, x, x + (whole - x) / left, weights, None, still)
-            if still.sum() < through.sum():
-                result, through = x, still
+        result, passed = past_obstacles(
+            obstacle.tree,
+            np.concatenate([begun, obstacle.before]),
+            whole,
+            np.concatenate([masses, np.full(len(obstacle.areas), np.inf)]),
+            known,
+            obstacle.passed,
+        )
         reached = wanted if result is whole else torch.from_numpy(result[: len(asked)].copy()).to(wanted)
-        return reached, obstacle.standing(through)
+        return reached, obstacle.standing(passed)
 
     def shares(self, garments: PackedGarments, cloth: ClothPairs | None, x: Tensor, moves: Tensor) -> Tensor:
         """Shares (worlds,) in [0, 1] of linear `moves` that each world may take.
