@@ -17,7 +17,7 @@ from pb4u.garment.clearance import rest_distances
 from pb4u.garment.library import LEVELS, build_garment, garment_names
 
 HEADER = (
-    "| garment | asked | triangles | vertices | mean edge [mm] | edge variation | smallest angle [deg] "
+    "| garment | requested | triangles | vertices | mean edge [mm] | edge variation | smallest angle [deg] "
     "| boundary loops | vertices inside | least clearance [mm] | build [s] |"
 )
 

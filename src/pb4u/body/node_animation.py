@@ -97,7 +97,11 @@ class NodePoses:
         return len(self.translations)
 
     def matrices(self, node: int) -> np.ndarray:
-        """Transforms (frames, 4, 4) of a node from its parent."""
+        """Transforms (frames, 4, 4) float64 from a node to its parent, translations in the file's unit.
+
+        Args:
+            node: index of the node.
+        """
         result = np.zeros((len(self), 4, 4))
         turns = Rotation.from_quat(self.rotations[:, node][:, [1, 2, 3, 0]]).as_matrix()
         result[:, :3, :3] = turns * self.scales[:, node][:, None, :]

@@ -124,7 +124,12 @@ class ReleasedFile:
         return len(found)
 
     def setting(self, *names: str, default: Any) -> Any:
-        """A number of the settings by its path, "*" for any name; `default` where the file says nothing."""
+        """A number of the settings.
+
+        Args:
+            names: path to it; "*" is the only entry at its level.
+            default: returned where the file says nothing.
+        """
         found: Any = self.settings
         for name in names:
             if isinstance(found, Mapping) and name == "*" and len(found) == 1:

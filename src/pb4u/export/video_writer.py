@@ -38,7 +38,11 @@ class VideoWriter(ABC):
 
     @abstractmethod
     def write(self, picture: np.ndarray) -> None:
-        """Add a picture."""
+        """Add a picture.
+
+        Args:
+            picture: (height, width, 3) uint8 sRGB, as large as the first.
+        """
 
     @abstractmethod
     def __exit__(self, *error: object) -> None:

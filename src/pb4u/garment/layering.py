@@ -72,7 +72,7 @@ def worn_order(garments: Sequence[Garment], tucked: Sequence[bool]) -> list[int]
     """Indices of garments, inner first, once what is tucked in lies beneath what is worn from the waist.
 
     A garment is tucked into the innermost one whose upper edge lies between its own upper and lower edges, at least
-    `_BELOW_TOP` under the upper; the order is otherwise as given.
+    0.15 m under the upper; the order is otherwise as given.
 
     Args:
         garments: in the order given, each where it sits on the resting body.

@@ -173,7 +173,7 @@ class ImplicitSteps(SolverRefinement):
 
 
 class SafeguardedRefinement(SolverRefinement):
-    """Refines a prediction, and retries the step by the solver where that leaves it pierced, or torn out of balance.
+    """Refines a prediction, and retries the step where edges go through a limb or stretched cloth falls.
 
     Cloth that a prediction left on two sides of a limb stays caught there, however many iterations follow. The step is
     then solved from where the body carries the garment, to a rough tolerance.
@@ -225,10 +225,7 @@ def carried(self_contact: CollisionFree | None, step: TimeStep, before: State, w
     if self_contact is None:
         return wanted
     positions, _ = self_contact.carried(step.garments, before.positions, wanted.positions)
-    if positions is wanted.positions:
-        return wanted
-    cut = (positions - wanted.positions) / step.dt
-    return replace(wanted, positions=positions, velocities=wanted.velocities + cut)
+    return _moved_to(positions, wanted, step)
 
 
 def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State) -> State:
@@ -247,6 +244,11 @@ def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: Stat
     if obstacle is not None:
         # What they were not through, nor left no room, need not be looked for again.
         obstacle.reached(step.garments, step.bodies.following, positions)
+    return _moved_to(positions, wanted, step)
+
+
+def _moved_to(positions: Tensor, wanted: State, step: TimeStep) -> State:
+    """`wanted` at other positions, with the velocities that the difference takes away."""
     if positions is wanted.positions:
         return wanted
     cut = (positions - wanted.positions) / step.dt

@@ -1,4 +1,4 @@
-"""One time step, told whole: start, predict, integrate, refine, answer contact.
+"""One whole time step: start, predict, integrate, refine, answer contact.
 
 Simulation takes all of it; training learns from its predictions and refines nothing.
 """
@@ -92,7 +92,7 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
 
     Args:
         step: that is taken.
-        method: whose start and network are asked.
+        method: gives the start and the network.
         rooms: of a step that waits for no decision: passes that are not worth taking are computed, and left out.
     """
     # From free flight, or part of the way that the body moves: (vertices, 3) [m per step^2].

@@ -179,7 +179,8 @@ class NetworkSimulator(StepwiseSimulator):
     Args:
         checkpoint: the trained model; it is never changed or moved, but copied to another device.
         propagation_steps: override of K; None follows the paper's rule.
-        refine: solver iterations after each step, which is retried where they leave it torn; 0 for none.
+        refine: solver iterations after each step, which is retried where edges go through a limb after them, or the
+            cloth is stretched beyond measure and still falling; 0 for none.
         contact: pushes out vertices left inside the body; none by default.
         device: device that the network computes on.
         passes: evaluations of the network in a step; None is its own number.

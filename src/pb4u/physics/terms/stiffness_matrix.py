@@ -106,7 +106,7 @@ class SymmetricBlocks:
     """A sparse symmetric matrix of 3x3 blocks, of which the upper half is held.
 
     Args:
-        starts: (vertices + 1,) int32 first block of each row, which is that of the diagonal; and the total.
+        starts: (vertices + 1,) int32 first block of each row, its diagonal one; the last entry is the number of blocks.
         columns: (blocks,) int32.
         blocks: (blocks, 3, 3) [N/m].
     """
