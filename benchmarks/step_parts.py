@@ -25,7 +25,7 @@ import numpy as np
 
 PARTS: tuple[tuple[str, str, str], ...] = (
     ("search", "pb4u.collision.surface_tree:SurfaceTree", "pairs"),
-    ("stopping", "pb4u.physics.contact.self_contact:CollisionFree", "carried"),
+    ("stopping", "pb4u.physics.contact.self_contact:CollisionFree", "collision_free_move"),
     ("stopping", "pb4u.physics.contact.self_contact:CollisionFree", "shares"),
     ("pairs", "pb4u.physics.contact.self_contact:ClothPairs", "along"),
     ("pairs", "pb4u.physics.contact.self_contact:ClothPairs", "touching"),
@@ -40,7 +40,8 @@ PARTS: tuple[tuple[str, str, str], ...] = (
     ("gradients", "pb4u.physics.incremental_potential:StepPotential", "energies_and_gradient"),
     ("second derivatives", "pb4u.physics.incremental_potential:StepPotential", "stiffness"),
     ("second derivatives", "pb4u.physics.incremental_potential:StepPotential", "pair_stiffness"),
-    ("tangents", "pb4u.physics.terms.energy_term:Tangent", "follow"),
+    ("tangents", "pb4u.physics.terms.collision", "_follow"),
+    ("tangents", "pb4u.physics.terms.friction", "_follow"),
     ("preconditioner", "pb4u.physics.solver.preconditioner:AgeingPreconditioner", "update"),
     ("linear solves", "pb4u.physics.solver.newton_solver", "conjugate_gradient"),
     ("rest of the solver", "pb4u.physics.solver.newton_solver:Solver", "minimise"),

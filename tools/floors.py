@@ -18,10 +18,10 @@ from pb4u.garment.library import LEVELS
 from pb4u.measures.metrics import ENERGIES, measure
 from pb4u.paper.reference_energies import REFERENCE_FILE
 from pb4u.scene.assembly import make_scene
-from pb4u.scene.catalogue import MOTIONS, RECORDINGS, SEEDS, TRAINING_GARMENTS, UNSEEN_GARMENTS
 from pb4u.scene.trajectory import Trajectory
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stepwise_simulator import SolverSimulator
+from pb4u.training.catalogue import MOTIONS, RECORDINGS, SEEDS, TRAINING_GARMENTS, UNSEEN_GARMENTS
 
 
 def scenes(recordings: Path | None) -> dict[str, tuple[str, str, int]]:

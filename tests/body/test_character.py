@@ -102,6 +102,27 @@ def test_a_mirrored_scene_is_turned_outward(tmp_path, woman_file):
     assert np.einsum("fc,fc->", a, np.cross(b, c)) > 0.0
 
 
+@pytest.mark.parametrize(
+    ("scale", "told"), [([-0.01, -0.01, -0.01], "turned upright and to face"), ([0.01, 0.01, -0.01], "turned to face")]
+)
+def test_a_body_mirrored_by_a_negative_scale_stands_and_faces_as_others(tmp_path, woman_file, scale, told):
+    def mirror(document):
+        document["nodes"][0]["scale"] = scale
+
+    body, plain = loaded(rewritten(woman_file, tmp_path / "a.glb", mirror)), loaded(woman_file)
+    assert "mirrored by the scale of a node, so its left and right are swapped" in body.notes[1]
+    assert told in body.notes[2]
+    skeleton, wanted = body.skeleton, plain.skeleton
+    size = body.vertices[:, 1].max() / plain.vertices[:, 1].max()
+    for name in ("left_wrist", "right_ankle", "head"):
+        place = skeleton.joints[skeleton.index(name)] / size
+        np.testing.assert_allclose(place, wanted.joints[wanted.index(name)], atol=1e-4)
+    a, b, c = (body.vertices[body.faces[:, k]] for k in range(3))
+    assert np.einsum("fc,fc->", a, np.cross(b, c)) > 0.0
+    slow = slow_vertices(tmp_path / "a.glb", 0, 0.5, "Body0")
+    assert np.abs(in_file(body, 0.0)[body.source_vertices] - slow).max() < 2e-6 * size
+
+
 def test_holes_are_closed(tmp_path):
     def cut(writer: GltfWriter) -> None:
         faces = writer.document["accessors"][writer.document["meshes"][0]["primitives"][0]["indices"]]

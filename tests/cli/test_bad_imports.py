@@ -41,6 +41,11 @@ def doll(path: Path, change: Callable[[dict[str, Any]], object] = lambda documen
     return rewritten(write_doll(path), path, change)
 
 
+def written(path: Path) -> Path:
+    path.touch()
+    return path
+
+
 def without_skin(document: dict[str, Any]) -> None:
     for node in document["nodes"]:
         node.pop("skin", None)
@@ -88,6 +93,10 @@ CASES: dict[str, tuple[Callable[[Path], list[object]], str]] = {
     ),
     "a texture that is missing": (lambda at: ["--texture", at / "print.png"], "There is no image"),
     "an Alembic file without rights": (lambda at: ["--out", at / "locked/run.abc"], "locked cannot be written to"),
+    "an Alembic file over a protected one": (
+        lambda at: ["--out", written(at / "protected.abc")],
+        "protected.abc is write-protected",
+    ),
     "an Alembic file in a folder that is missing": (lambda at: ["--out", at / "no/run.abc"], "no does not exist; make"),
 }
 
@@ -100,7 +109,8 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(
     flags = arguments(tmp_path)
     # Root, as which tests may run, has rights everywhere.
     (tmp_path / "locked").mkdir()
-    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "locked")
+    closed = ("locked", "protected.abc")
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK or Path(path).name not in closed)
     (tmp_path / "there").mkdir()
     monkeypatch.chdir(tmp_path / "there")
     ended = pb4u("simulate", "--frames", 1, "--lead-in", 0, "--model", "skinning", *flags)

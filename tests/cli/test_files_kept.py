@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import pytest
 from filelock import FileLock
 from tests.garment.cloth_shapes import quad_tube, saved
 
+from pb4u.body.vertex_sequence import write_vertex_sequence
 from pb4u.errors import Interrupted
 from pb4u.io.atomic_file import MARK, replace_file, sweep, working_folder
 from pb4u.run import Run
@@ -38,15 +40,26 @@ input()
 FRAMES = ("--model", "skinning", "--lead-in", 0, "--frames", 2)
 
 
-@pytest.fixture
-def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pb4u: Callable) -> Path:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with one of every kind of input."""
+    folder = tmp_path_factory.mktemp("made")
+    saved(folder, quad_tube(), "my.obj")
+    (folder / "m.json").write_text('{"density": 0.2, "lame_mu": 2e4, "lame_lambda": 3e4, "bending": 1e-5}')
+    (folder / "pins.txt").write_text("0 1 2")
+    run = Run().with_entries({"triangles": 1000, "model": "skinning", "lead_in": 0, "frames": 2}, Path())
+    run.save(folder / "s.toml")
+    clip = run.simulate()
+    clip.save(folder / "t.npz")
+    write_vertex_sequence(folder / "b.npz", clip.body_positions, clip.header.body_faces, clip.fps)
+    return folder
+
+
+@pytest.fixture
+def files(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of `made`."""
     monkeypatch.chdir(tmp_path)
-    saved(tmp_path, quad_tube(), "my.obj")
-    (tmp_path / "m.json").write_text('{"density": 0.2, "lame_mu": 2e4, "lame_lambda": 3e4, "bending": 1e-5}')
-    (tmp_path / "pins.txt").write_text("0 1 2")
-    assert pb4u("assets", "write", "walk", "b.npz", "--frames", 3).code == 0
-    assert pb4u("simulate", "--triangles", 1000, *FRAMES, "--out", "t.npz", "--save-scene", "s.toml").code == 0
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 
@@ -227,13 +240,33 @@ def test_an_interrupt_while_modules_are_loaded_is_one(pb4u: Callable, monkeypatc
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_leaves_the_frames_and_nothing_else(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_signal_leaves_the_frames(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
     if signal.getsignal(number) is signal.SIG_IGN:
-        pytest.skip(f"whoever started these tests has {number.name} ignored, as nohup does, and so has what they start")
+        pytest.skip(f"whoever started these tests has {number.name} ignored, as nohup does")
+
+    class Signalled(SkinningSimulator):
+        def rollout(self, scene: Scene, record: RunRecord) -> Iterator[State]:
+            for state in super().rollout(scene, record):
+                if state.frame == 4:
+                    os.kill(os.getpid(), number)
+                yield state
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pb4u.simulation.models.simulator_of", lambda _: Signalled())
+    ended = pb4u("simulate", "--triangles", 1000, "--lead-in", 0, "--frames", 9, "--out", "a.npz")
+    assert ended.code == 128 + number
+    assert ended.err.splitlines()[-1] == "pb4u: interrupted; the first 4 frames are in a.interrupted.npz."
+    assert [p.name for p in tmp_path.iterdir()] == ["a.interrupted.npz"]
+
+
+def test_a_process_that_is_ended_leaves_the_frames_and_nothing_else(tmp_path: Path) -> None:
+    number = signal.SIGTERM
     flags = ["simulate", "--triangles", "1000", "--lead-in", "0", "--frames", "5000", "--model", "skinning"]
     run = subprocess.Popen([*PB4U, *flags, "--out", "a.npz"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     raw = None
-    while run.poll() is None and (raw is None or raw.stat().st_size < 1 << 21):
+    while run.poll() is None and (raw is None or raw.stat().st_size < 1 << 18):
         time.sleep(0.01)
         raw = next(tmp_path.glob(f".a.npz.*{MARK}/positions"), None)
     run.send_signal(number)
@@ -246,27 +279,33 @@ def test_a_signal_leaves_the_frames_and_nothing_else(tmp_path: Path, number: sig
     assert [p.name for p in tmp_path.iterdir()] == ["a.interrupted.npz"]
 
 
-def test_what_a_kill_leaves_the_next_run_sweeps(tmp_path: Path) -> None:
+def test_what_a_kill_leaves_the_next_run_sweeps(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     flags = ["simulate", "--triangles", "1000", "--lead-in", "0", "--model", "skinning", "--out", "a.npz"]
-    command = [*PB4U, *flags]
-    run = subprocess.Popen([*command, "--frames", "5000"], cwd=tmp_path)
+    run = subprocess.Popen([*PB4U, *flags, "--frames", "5000"])
     while run.poll() is None and not any(tmp_path.glob(f".a.npz.*{MARK}/positions")):
         time.sleep(0.01)
     run.kill()
     run.wait()
     assert any(tmp_path.iterdir())
-    subprocess.run([*command, "--frames", "1"], cwd=tmp_path, check=True, capture_output=True)
+    assert pb4u(*flags, "--frames", 1).code == 0
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+@pytest.fixture(scope="module")
+def long_clip() -> Trajectory:
+    return SkinningSimulator().simulate(make_scene("tshirt", triangles=1000, frames=90, lead_in=0))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_conversion_that_is_ended_leaves_no_part_of_a_file(
-    tmp_path: Path, pb4u: Callable, number: signal.Signals
+    tmp_path: Path, pb4u: Callable, long_clip: Trajectory, number: signal.Signals
 ) -> None:
     if signal.getsignal(number) is signal.SIG_IGN:
         pytest.skip("the tests were started where this signal is ignored")
-    clip = SkinningSimulator().simulate(make_scene("tshirt", triangles=1000, frames=90, lead_in=0))
-    before = clip.save(tmp_path / "t.npz").read_bytes()
+    before = long_clip.save(tmp_path / "t.npz").read_bytes()
     for _ in range(3):
         (tmp_path / "t.gif").write_text("an earlier one")
         run = subprocess.Popen([*PB4U, "convert", "t.npz", "t.gif"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)

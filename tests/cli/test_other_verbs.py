@@ -245,7 +245,7 @@ def test_check_of_a_built_in_garment_finds_nothing_refusable(pb4u: Callable) -> 
 
 
 def test_check_of_an_outfit_says_what_crosses_as_made_and_as_worn(pb4u: Callable, tmp_path: Path) -> None:
-    outfit = ("--garment", "tanktop", "--garment", "cardigan", "--triangles", 1000)
+    outfit = ("--garment", "tanktop", "--garment", "cardigan", "--triangles", 600)
     ended = pb4u("check", *outfit, "--json", tmp_path / "r.json")
     assert ended.code == 0, ended.err
     report = json.loads((tmp_path / "r.json").read_text())
@@ -257,7 +257,7 @@ def test_check_of_an_outfit_says_what_crosses_as_made_and_as_worn(pb4u: Callable
     assert report["crossings"]["as_worn"] == []
     assert "they cross nowhere" in ended.out
 
-    ended = pb4u("check", "--garment", "dress", "--garment", "trousers", "--triangles", 1000, "--json", "-")
+    ended = pb4u("check", "--garment", "dress", "--garment", "trousers", "--triangles", 500, "--json", "-")
     assert ended.code == 1
     assert json.loads(ended.out)["crossings"]["as_worn"][0]["garments"] == ["dress", "trousers"]
     assert "dress with trousers would be refused" in ended.err

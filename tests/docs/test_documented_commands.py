@@ -21,6 +21,7 @@ import pb4u
 from pb4u.cli.application import app
 from pb4u.cli.main import main
 from pb4u.dataset.jobs_file import read_jobs
+from pb4u.garment.library import garment_names
 from pb4u.pattern.files import read_pattern
 from pb4u.run import ENTRIES, Run, tomllib
 
@@ -137,6 +138,8 @@ def made_small(words: list[str]) -> list[str]:
     verb, rest = words[1], list(words[2:])
     if verb == "check" and has_built_in_garment(rest):
         return [*words, "--triangles", SMALL["--triangles"]]
+    if verb == "assets" and rest[:1] == ["write"] and rest[1] in garment_names() and "--triangles" not in rest:
+        return [*words, "--triangles", "1000"]  # fewer are refused as a file of one's own
     if verb != "simulate":
         return words
     for flag, value in SMALL.items():

@@ -130,7 +130,7 @@ def test_a_move_goes_past_a_body_that_moves_the_other_way() -> None:
     x, obstacle = step.state.positions, step.obstacle
     assert obstacle is not None
     assert not obstacle.passed.any()
-    reached, after = FELT.self_contact.carried(timeline.garments, x, x.clone(), obstacle=obstacle)
+    reached, after = FELT.self_contact.collision_free_move(timeline.garments, x, x.clone(), obstacle=obstacle)
     assert after is not None
     assert not after.passed.any()
     assert float((reached - x)[:, 1].max()) > 0.02
@@ -148,7 +148,7 @@ def test_what_bodies_are_through_is_known_and_let_through() -> None:
     assert obstacle is not None
     assert 0 < obstacle.passed.sum() < 9
     away = x + torch.tensor([0.0, 0.1, 0.0], dtype=torch.float64)
-    reached, _ = FELT.self_contact.carried(timeline.garments, x, away, obstacle=obstacle)
+    reached, _ = FELT.self_contact.collision_free_move(timeline.garments, x, away, obstacle=obstacle)
     torch.testing.assert_close(reached, away, rtol=0.0, atol=1e-12)
 
 
@@ -186,7 +186,7 @@ def test_where_one_move_finds_no_room_smaller_ones_are_made(monkeypatch: pytest.
         return in_one(tree, before, wanted, masses, known, passed, began)
 
     monkeypatch.setattr(collision_free, "_in_one_move", found)
-    reached, after = FELT.self_contact.carried(timeline.garments, x, x.clone(), obstacle=obstacle)
+    reached, after = FELT.self_contact.collision_free_move(timeline.garments, x, x.clone(), obstacle=obstacle)
     assert after is not None
     assert not after.passed.any()
     body, faces = timeline.colliders.faces.numpy(), timeline.garments.faces.numpy()

@@ -22,6 +22,7 @@ from tests.physics.shapes import (
 )  # fmt: skip
 from tests.readable_stiffness import readable_stiffness
 
+from pb4u.measures.released_energies import released_potential
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.terms.collision import REFERENCE_AREA
 from pb4u.physics.terms.energy_term import EnergyTerm
@@ -177,7 +178,7 @@ def crumpled(seed: int = 0) -> tuple[StepPotential, torch.Tensor]:
 @pytest.mark.parametrize("name", NAMES)
 def test_gradient_by_hand_is_that_of_autograd(name: str, convention: str) -> None:
     step, x = crumpled()
-    potential = IncrementalPotential() if convention == "project" else IncrementalPotential.paper_release()
+    potential = IncrementalPotential() if convention == "project" else released_potential()
     term = potential.term(name)
     frozen = step.with_contact_at(x)
     variable = x.clone().requires_grad_(True)
@@ -299,7 +300,7 @@ def test_released_collision_counts_every_vertex_alike() -> None:
     garments = packed(sheet(4, 4))
     x = garments.rest_positions[:, [0, 2, 1]] - vector(0.5, 0.0, 0.5)
     body = collider(FLOOR, FLOOR_FACES)
-    step = potential_of(garments, at_rest(garments, x), body, IncrementalPotential.paper_release())
+    step = potential_of(garments, at_rest(garments, x), body, released_potential())
     assert value(step, x, "collision") == pytest.approx(25 * 5e3 * 8e-9, rel=1e-10)
 
 

@@ -14,8 +14,8 @@ from pb4u.measures.metrics import measure
 from pb4u.measures.run_report import run_report
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
+from pb4u.paper.controls import GRADIENT_DESCENT, WARM_START, ControlSimulator
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.control_simulator import GRADIENT_DESCENT, WARM_START, ControlSimulator
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stepwise_simulator import SolverSimulator
 from pb4u.simulation.timeline import Timeline

@@ -11,15 +11,15 @@ import torch
 from tests.paper.scenes import dented, tree_of, two_sheets
 from tests.simulation.golden_scenes import GoldenScene, predicted
 
-from pb4u.collision.enclosures import by_side
-from pb4u.collision.intersection_contours import ContourFinder
-from pb4u.collision.self_proximity import facing_pairs
 from pb4u.compat.released_weights import read_released
 from pb4u.garment.garment import Garment
 from pb4u.network.graph.builder import FoundEdges
 from pb4u.network.graph.pins import SeenGarments
 from pb4u.paper.baselines.directed_self_contact import DirectedProximityEdges
+from pb4u.paper.baselines.enclosures import by_side
+from pb4u.paper.baselines.intersection_contours import ContourFinder
 from pb4u.paper.baselines.self_contact_edges import ATTRACTION, REPULSION
+from pb4u.paper.baselines.self_proximity import facing_pairs
 from pb4u.scene.packed import pack
 
 Edges = dict[str, Counter]

@@ -9,10 +9,9 @@ from tests.network_scenes import sheet
 from tests.paper import readable_contours as readable
 from tests.paper.scenes import dented, tree_of, two_sheets
 
-from pb4u.collision.enclosures import by_contour
-from pb4u.collision.intersection_contours import ContourFinder
-from pb4u.collision.self_proximity import SelfProximity, facing_pairs
 from pb4u.garment.garment import Garment
+from pb4u.paper.baselines.enclosures import by_contour
+from pb4u.paper.baselines.intersection_contours import ContourFinder
 from pb4u.paper.baselines.self_contact_edges import (
     ATTRACTION,
     REPULSION,
@@ -24,6 +23,7 @@ from pb4u.paper.baselines.self_contact_edges import (
     own_proximity,
     squared_segment_lengths,
 )
+from pb4u.paper.baselines.self_proximity import SelfProximity, facing_pairs
 from pb4u.scene.packed import PackedGarments, pack
 
 

@@ -344,7 +344,7 @@ def test_tangents_have_the_force_of_where_a_step_leads() -> None:
     for _ in range(8):
         missed = np.zeros_like(slope)
         for tangent in tangents:
-            tangent.follow(moves.numpy(), stiffness, slope, missed)
+            tangent(moves.numpy(), stiffness, slope, missed)
         assert np.allclose(model + missed, true, rtol=0.0, atol=1e-9 * np.abs(true).max())
         model = slope + stiffness.matrix() @ moves.numpy()
         wrong.append(np.abs(missed).max())

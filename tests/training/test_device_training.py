@@ -12,6 +12,7 @@ from tests.training.ball_data import TINY, ball_data
 from tests.training.listening import ALONE, Listener
 
 from pb4u.collision.rooms import Rooms
+from pb4u.errors import InputError
 from pb4u.paper.network_presets import pb4u_small_conjugate
 from pb4u.physics.contact.contact_set import ContactPlanes
 from pb4u.physics.incremental_potential import Energies
@@ -155,3 +156,11 @@ def test_validation_reads_back_once_a_clip(in_tensors: None, monkeypatch: pytest
             assert len(list(moved[0]._frames(*moved[1:]))) == other.validation.frames
     assert sum(counted.launches.values()) > 1000
     assert not counted.transfers
+
+
+def test_data_that_a_card_has_no_room_for_is_refused_before_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = trainer_of()
+    monkeypatch.setattr("torch.cuda.mem_get_info", lambda device: (10**4, 10**11))
+    with pytest.raises(InputError, match=r"a step of training takes about .* garments of \d+ triangles in all would"):
+        trainer.run()
+    assert trainer.counters.window == 0

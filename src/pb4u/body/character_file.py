@@ -36,6 +36,7 @@ _SIZES = {1.0: (0.1, 10.0), 0.01: (10.0, 1000.0), 0.001: (1000.0, 1e4)}
 _MOST_TRIANGLES, _MOST_BONES = 1_000_000, 2000
 # Rays with which it is seen whether cloth can reach a vertex: a tenth of a millisecond each vertex.
 _RAYS = 32
+_OTHER_SIDE = re.compile("left|right")
 _HANDS = ("left_wrist", "right_wrist")
 
 
@@ -111,7 +112,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     binds = np.stack(matrices)[order]
     ranked = np.array(bones)[order]
     surface = surface.renumbered(rank)
-    world, more = _world(path, surface.vertices, names, binds)
+    world, names, more = _world(path, surface.vertices, names, binds)
     notes = (
         [*more] if not left else [f"{path.name}: left out of the body: {', '.join(left)}; --body-parts chooses.", *more]
     )
@@ -154,7 +155,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
 def _merged_bones(
     path: Path, nodes: Mapping[int, list[int]], inverses: Mapping[int, np.ndarray], places: Mapping[int, np.ndarray]
 ) -> tuple[list[int], list[np.ndarray], dict[tuple[int, int], int]]:
-    """Node and bind transform (4, 4) of each bone, and the bone of each (skin, joint): skins share alike ones."""
+    """Node and bind transform (4, 4) of each bone, and the bone of each (skin, joint); equal bones of skins are one."""
     bones: list[int] = []
     matrices: list[np.ndarray] = []
     bone_of: dict[tuple[int, int], int] = {}
@@ -374,16 +375,20 @@ def _bind_spaces(
 def _upright(place: np.ndarray) -> np.ndarray:
     """A transform with its turn rounded to the nearest of the axes'."""
     left, stretch, right = np.linalg.svd(place[:3, :3])
-    turn = left @ right
+    result = np.eye(4)
+    result[:3, :3] = _nearest_axes(left @ right) * np.exp(np.log(stretch).mean())
+    return result
+
+
+def _nearest_axes(turn: np.ndarray) -> np.ndarray:
+    """The turn (3, 3) that takes axes to axes and is nearest to one."""
     axes = np.zeros((3, 3))
     free = np.abs(turn)
     for _ in range(3):
         row, column = np.unravel_index(free.argmax(), free.shape)
         axes[row, column] = np.sign(turn[row, column])
         free[row], free[:, column] = -1.0, -1.0
-    result = np.eye(4)
-    result[:3, :3] = axes * np.exp(np.log(stretch).mean())
-    return result
+    return axes
 
 
 def _ordered(file: GltfFile, tree: NodeTree, bones: list[int]) -> tuple[np.ndarray, list[str], list[int]]:
@@ -430,8 +435,13 @@ def _vrm_bones(file: GltfFile) -> dict[str, int]:
     return listed | {str(name): int(each["node"]) for name, each in new.items()}
 
 
-def _world(path: Path, vertices: np.ndarray, names: list[str], binds: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Transform (4, 4) of the scene to the world: metres, facing +Z, the hips over the origin and the feet at y = 0."""
+def _world(
+    path: Path, vertices: np.ndarray, names: list[str], binds: np.ndarray
+) -> tuple[np.ndarray, list[str], list[str]]:
+    """Transform (4, 4) of the scene to the world, names of the bones in it, and notes.
+
+    In metres, upright and facing +Z, the hips over the origin and the feet at y = 0.
+    """
     size = float(np.ptp(vertices, axis=0).max())
     unit = next((unit for unit, (low, high) in _SIZES.items() if low <= size < high), None)
     if unit is None:
@@ -441,21 +451,30 @@ def _world(path: Path, vertices: np.ndarray, names: list[str], binds: np.ndarray
         notes.append(
             f"{path.name}: {size:.0f} m tall, so it is taken to be in {'centi' if unit == 0.01 else 'milli'}metres."
         )
-    turn = np.eye(3)
-    places = binds[:, :3, 3]
+    turn, places = np.eye(3), binds[:, :3, 3]
     if "pelvis" in names:
-        left = places[names.index("left_hip")] - places[names.index("right_hip")]
-        quarter = round(np.arctan2(left[2], left[0]) / (np.pi / 2.0))
-        if quarter % 4:
-            c, s = round(np.cos(quarter * np.pi / 2)), round(np.sin(quarter * np.pi / 2))
-            turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-            notes.append(f"{path.name}: turned to face +Z, by where its left side is.")
+        pelvis, head, ankle, *hips = (
+            places[names.index(name)] for name in ("pelvis", "head", "left_ankle", "left_hip", "right_hip")
+        )
+        left, up = hips[0] - hips[1], head - pelvis
+        up = up - left * (up @ left) / (left @ left)
+        axes = np.stack([each / np.linalg.norm(each) for each in (left, up, np.cross(left, up))])
+        turn = _nearest_axes(axes)
+        standing = (vertices - ankle) @ turn.T
+        if standing[standing[:, 1] < 0.0, 2].sum() < 0.0:
+            # Its toes point backwards: a mirror has made its left side its right.
+            turn = np.diag([-1.0, 1.0, -1.0]) @ turn
+            names = [_OTHER_SIDE.sub(lambda side: "right" if side[0] == "left" else "left", name) for name in names]
+            notes.append(f"{path.name}: mirrored by the scale of a node, so its left and right are swapped.")
+        if not np.array_equal(turn, np.eye(3)):
+            upright = "" if turn[1, 1] == 1.0 else "upright and "
+            notes.append(f"{path.name}: turned {upright}to face +Z, by its hips, head and feet.")
     world = np.eye(4)
     world[:3, :3] = unit * turn
     moved = vertices @ world[:3, :3].T
     middle = world[:3, :3] @ places[0] if "pelvis" in names else 0.5 * (moved.min(axis=0) + moved.max(axis=0))
     world[:3, 3] = -np.array([middle[0], moved[:, 1].min(), middle[2]])
-    return world, notes
+    return world, names, notes
 
 
 def _completed(

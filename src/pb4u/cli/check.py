@@ -15,11 +15,11 @@ from pb4u.cli.console import (
     JsonFlag,
     ShapeFlag,
     check_json_target,
-    check_writable,
     keep_inputs,
     write_json,
 )
 from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name
+from pb4u.io.atomic_file import check_writable
 
 
 def check(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ import typer
 from pb4u.errors import InputError
 from pb4u.export.registry import formats_help, is_same_file, would_overwrite, written_files
 from pb4u.garment.dictionary_entry import DictionaryEntry
-from pb4u.io.atomic_file import json_text, replace_file
+from pb4u.io.atomic_file import check_writable, json_text, replace_file
 from pb4u.run import with_companions
 
 Switch: TypeAlias = Literal["on", "off"]
@@ -69,24 +68,6 @@ def check_json_target(target: str | None) -> None:
     """
     if target and target != "-":
         check_writable(Path(target), "--json")
-
-
-def check_writable(path: Path, flag: str) -> None:
-    """Refuse a file that cannot be written; called before any work is done.
-
-    Args:
-        path: file to write.
-        flag: the flag that names it, for the message.
-
-    Raises:
-        InputError: its folder is absent or read-only, or its name is taken by a folder.
-    """
-    if not path.parent.is_dir():
-        raise InputError(f"The folder {path.parent} for {flag} does not exist; make it first.")
-    if path.is_dir():
-        raise InputError(f"{path} for {flag} is a folder; give the name of a file.")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"The folder {path.parent} for {flag} cannot be written to.")
 
 
 def keep_inputs(

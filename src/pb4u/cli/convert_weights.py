@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, check_writable, write_json
+from pb4u.cli.console import JsonFlag, check_json_target, write_json
 from pb4u.errors import InputError
+from pb4u.io.atomic_file import check_writable
 
 
 def convert_weights(
@@ -27,7 +28,7 @@ def convert_weights(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Network preset that it is of, such as release_hood. Default: told by its settings and keys.",
+            help="Network preset of the checkpoint, such as release_hood. Default: found from its settings and keys.",
         ),
     ] = None,
     licence: Annotated[

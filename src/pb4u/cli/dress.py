@@ -13,12 +13,12 @@ from pb4u.cli.console import (
     JsonFlag,
     ShapeFlag,
     check_json_target,
-    check_writable,
     keep_inputs,
     say,
     write_json,
 )
 from pb4u.errors import InputError
+from pb4u.io.atomic_file import check_writable
 
 _KINDS = (".npz", ".obj", ".json", ".svg", ".png")
 

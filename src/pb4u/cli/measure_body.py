@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import BodyShape, ShapeFlag, check_writable, keep_inputs, say
+from pb4u.cli.console import BodyShape, ShapeFlag, keep_inputs, say
 from pb4u.errors import InputError
+from pb4u.io.atomic_file import check_writable
 
 
 def measure_body(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, check_writable, keep_inputs, say, write_json, wrote
+from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, keep_inputs, say, write_json, wrote
 from pb4u.cli.picture_flags import (
     BackgroundFlag,
     ColourFlag,
@@ -23,6 +23,7 @@ from pb4u.cli.picture_flags import (
 from pb4u.cli.run_flags import run_of
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
+from pb4u.io.atomic_file import check_writable
 from pb4u.progress import announced, progress_bar
 from pb4u.run import Run
 
@@ -117,8 +118,8 @@ def simulate(
     _refuse_useless(str(run.model), flags)
     if (measure or reference) and not json:
         raise InputError("--measure and --reference add to the report of --json; give --json FILE too.")
-    keep_inputs([scene, reference], [("--save-scene", save_scene), ("--json", json)])
     targets = list(out) if out else _default_targets(run)
+    keep_inputs([scene, reference, *run.files], [("--save-scene", save_scene), ("--json", json)], targets)
     for target in targets:
         check_target(target)
     baked = [target for target in targets if target.suffix.lower() == ".glb"]
@@ -161,6 +162,7 @@ def _simulate(
     bones: int | None,
 ) -> None:
     from pb4u.export.live_caches import check_live_folder
+    from pb4u.scene.trajectory import interrupted_path
     from pb4u.simulation.models import simulator_of
     from pb4u.simulation.run_simulation import scene_for
     from pb4u.simulation.simulator import RunRecord
@@ -170,7 +172,6 @@ def _simulate(
         check_writable(save_scene, "--save-scene")
     if live is not None:
         check_live_folder(live)
-    keep_inputs([*run.files, reference], [("--save-scene", save_scene), ("--json", json)], targets)
     simulator = simulator_of(run)
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
         _warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
@@ -179,9 +180,10 @@ def _simulate(
     if save_scene is not None:
         run.save(save_scene)
     record = RunRecord()
-    left = list(targets)
-    trajectory, watched = _trajectory(run, simulator, scene, left, live, record)
-    _export(trajectory, left, next((target for target in targets if target not in left), None), view, bones)
+    file = next((target for target in targets if target.suffix.lower() == ".npz"), None)
+    kept = interrupted_path(file or targets[0])
+    trajectory, watched = _trajectory(run, simulator, scene, file, kept, live, record)
+    _export(trajectory, [target for target in targets if target is not file], file, view, bones)
     if json != "-":
         print(wrote(targets, trajectory.frame_count))
     diverged, through = None, None
@@ -198,10 +200,17 @@ def _simulate(
 
         diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
         through = watched.found(trajectory)
-    if record.failed_at is not None:
+    _say_how_it_ended(simulator.name, trajectory.frame_count, record.failed_at, diverged, through)
+
+
+def _say_how_it_ended(
+    model: str, frames: int, failed_at: int | None, diverged: int | None, through: list[dict[str, Any]] | None
+) -> None:
+    """Refuse a run that was lost, and warn where it diverged or limbs came through cloth."""
+    if failed_at is not None:
         raise Pb4uError(
-            f"The state stopped being finite at frame {record.failed_at}; the {trajectory.frame_count} frames "
-            f"before it were written; {_advice(simulator.name)}."
+            f"The state stopped being finite at frame {failed_at}; the {frames} frames before it were written; "
+            f"{_advice(model)}."
         )
     if diverged == 0:
         raise Pb4uError(
@@ -212,12 +221,12 @@ def _simulate(
     if diverged is not None:
         _warn(
             f"The run diverged at frame {diverged}: the cloth is stretched by more than 60 %, or over 0.5 m from where "
-            f"the body carries it; {_advice(simulator.name)}."
+            f"the body carries it; {_advice(model)}."
         )
     if through:
         from pb4u.measures.limbs import limbs_sentence
 
-        _warn(f"{limbs_sentence(through, trajectory.frame_count)}")
+        _warn(f"{limbs_sentence(through, frames)}")
 
 
 def _reference(path: Path | None, run: Run, simulator: Simulator, scene: Scene) -> Trajectory | None:
@@ -247,19 +256,15 @@ def _trajectory(
     run: Run,
     simulator: Simulator,
     scene: Scene,
-    targets: list[Path],
+    file: Path | None,
+    kept: Path,
     live: Path | None,
     record: RunRecord,
 ) -> tuple[Trajectory, _LimbWarnings]:
-    """Simulate into the first .npz asked for, which is taken off `targets`, else into memory; `live` as frames come."""
+    """Simulate into `file`, else into memory, of which an interrupt leaves what there is in `kept`."""
     from pb4u.export.live_caches import LiveCaches
-    from pb4u.scene.trajectory import interrupted_path
     from pb4u.simulation.run_simulation import roll_out
 
-    file = next((target for target in targets if target.suffix.lower() == ".npz"), None)
-    kept = interrupted_path(file or targets[0])
-    if file is not None:
-        targets.remove(file)
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with ExitStack() as opened:
         told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say))

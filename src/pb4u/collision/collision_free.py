@@ -192,7 +192,7 @@ def _met(
 
     Pairs of vertices that have not `changed` (vertices,) their moves since they were known free may be left out too.
     """
-    # The push out of the body and the lift move few vertices; what stands still meets nothing that does.
+    # The penetration response and the clean-up move few vertices; what stands still meets nothing that does.
     if known is not None and known.neighbourhood is not None:
         pairs = tree.pairs(before, SMALLEST_GAP, moves, known)
     else:

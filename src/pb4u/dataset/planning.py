@@ -41,11 +41,19 @@ def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> t
         try:
             jobs.append(planner.job(run, keep="half" if half else "full"))
         except InputError as error:
-            raise InputError(f"clip {number} ({RunJob(run)}): {error}") from None
+            raise InputError(f"clip {number} ({_named(run)}): {error}") from None
     unique = {job.key: job for job in jobs}
     if len(unique) < len(jobs):
         say(f"{len(jobs) - len(unique)} of {len(jobs)} clips are described twice; each is made once.")
     return tuple(unique.values())
+
+
+def _named(run: Run) -> str:
+    """What a clip that cannot be planned was described by, defaults left out."""
+    garments = (f"{each.name} in {each.material}" if each.material else each.name for each in run.garments)
+    others = {name: getattr(run, name) for name in ("body", "motion", "crop", "clip", "model", "seed")}
+    told = (f"{name} = {value}" for name, value in others.items() if value != getattr(Run(), name))
+    return ", ".join(["+".join(garments), *told])
 
 
 def footprints(jobs: Iterable[RunJob]) -> list[int]:

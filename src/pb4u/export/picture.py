@@ -194,6 +194,9 @@ class StillRenderer:
     def draw(self, t: int) -> np.ndarray:
         """Picture of frame t, (height, width, 3) uint8 sRGB [0 to 255].
 
+        Args:
+            t: number of the frame.
+
         Raises:
             Pb4uError: the renderer returns no picture.
         """

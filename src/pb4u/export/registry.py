@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError
-from pb4u.io.atomic_file import move_into_place, working_folder
+from pb4u.io.atomic_file import check_writable, move_into_place, working_folder
 from pb4u.progress import Progress, no_progress
 
 if TYPE_CHECKING:
@@ -134,20 +133,14 @@ def check_target(path: Path) -> None:
         path: file to write.
 
     Raises:
-        InputError: an unknown suffix, a folder that is absent or read-only, or a name that is taken by a folder.
+        InputError: an unknown suffix, or what `check_writable` refuses.
         MissingExtraError: the format needs an extra.
     """
     form = WRITERS.get(path.suffix.lower())
     if form is None:
         what = f"{path.suffix} is not a format that is written" if path.suffix else f"{path} has no suffix"
         raise InputError(f"{what}; end the name of the file in one of {', '.join(WRITERS)}.")
-    folder = path.parent
-    if not folder.is_dir():
-        raise InputError(f"The folder {folder} does not exist; make it first.")
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"The folder {folder} cannot be written to.")
-    if path.is_dir():
-        raise InputError(f"{path} is a folder; choose another name.")
+    check_writable(path)
     if form.check:
         _function(form.check)(path)
 
@@ -185,12 +178,21 @@ _COUNTED_FRAMES = 3
 
 
 def is_same_file(one: Path, other: Path) -> bool:
-    """Whether two paths are of one file, be it there already or not."""
+    """Whether two paths are of one file, be it there already or not.
+
+    Args:
+        one: a path.
+        other: another path.
+    """
     return one.samefile(other) if one.exists() and other.exists() else one.resolve() == other.resolve()
 
 
 def is_drawn(path: Path) -> bool:
-    """Whether a file shows pictures; its suffix is one of `WRITERS`."""
+    """Whether a file shows pictures; its suffix is one of `WRITERS`.
+
+    Args:
+        path: path with a suffix of `WRITERS`.
+    """
     return WRITERS[path.suffix.lower()].drawn
 
 

@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import self_crossings
-from pb4u.collision.untangling import untangle
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.coarseness import Coarseness
 from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_inside_out
@@ -23,6 +22,7 @@ from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import Fault, SourceSurface, first_of, surface_faults
 from pb4u.garment.support import find_holder, held_by, is_held_up, loose_straps, slide
 from pb4u.garment.tangles import tangles
+from pb4u.garment.untangling import untangle
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths
 

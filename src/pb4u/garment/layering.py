@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
-from pb4u.collision.untangling import untangle
 from pb4u.errors import InputError
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
+from pb4u.garment.untangling import untangle
 from pb4u.geometry.topology import neighbour_mean
 from pb4u.geometry.triangle_mesh import area_weighted_normals
 

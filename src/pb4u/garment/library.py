@@ -36,7 +36,7 @@ def garment_names() -> tuple[str, ...]:
 def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) -> Garment:
     """A built-in garment fitted to the resting `body`, with about `triangles` triangles of even size.
 
-    Every count approximates the same smooth surface. The smooth surface is kept as long as the body lives.
+    Every count approximates the same smooth surface. Surface and garment are kept as long as the body lives.
 
     Args:
         name: one of `garment_names()`.
@@ -54,7 +54,10 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
         raise InputError(
             f"A built-in garment has between {FEWEST_TRIANGLES} and {MOST_TRIANGLES} triangles, not {triangles}."
         )
-    return _meshed(name, PATTERNS[name], _surface(name, body), body, triangles)
+    return body.kept(
+        f"{name} of {triangles} triangles",
+        lambda body: _meshed(name, PATTERNS[name], _surface(name, body), body, triangles),
+    )
 
 
 def cut_garment(name: str, pattern: Pattern, body: ShapedBody, triangles: int) -> Garment:

@@ -10,9 +10,9 @@ import numpy as np
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import self_crossings
-from pb4u.collision.untangling import untangle
 from pb4u.garment.fit import UNITS, UPRIGHT, RestBody, find_fit, is_inside_out
 from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.untangling import untangle
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology, neighbour_mean
 

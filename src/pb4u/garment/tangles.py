@@ -10,11 +10,11 @@ import numpy as np
 
 from pb4u.collision.crossings import self_crossings
 from pb4u.collision.surface_tree import SurfaceTree
-from pb4u.collision.untangling import untangle
 from pb4u.errors import InputError
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.layering import layered, mobility_of
+from pb4u.garment.untangling import untangle
 
 
 @dataclass(frozen=True)

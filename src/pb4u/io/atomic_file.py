@@ -21,6 +21,8 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
+from pb4u.errors import InputError
+
 MARK = ".pb4u"
 """End of the name of what is not finished."""
 _LOCK = ".lock"
@@ -92,6 +94,27 @@ def _is_alive(process: str) -> bool:
     except OSError:
         return True
     return True
+
+
+def check_writable(path: Path, flag: str | None = None) -> None:
+    """Refuse a file that cannot be written; called before any work is done.
+
+    Args:
+        path: file to write.
+        flag: the flag that names it, for the message.
+
+    Raises:
+        InputError: its folder is absent or read-only, it is read-only itself, or its name is taken by a folder.
+    """
+    named = f" for {flag}" if flag else ""
+    if not path.parent.is_dir():
+        raise InputError(f"The folder {path.parent}{named} does not exist; make it first.")
+    if path.is_dir():
+        raise InputError(f"{path}{named} is a folder; give the name of a file.")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"The folder {path.parent}{named} cannot be written to.")
+    if path.exists() and not os.access(path, os.W_OK):
+        raise InputError(f"{path}{named} is write-protected; give another name, or take the protection off.")
 
 
 def move_into_place(written: Path, path: Path) -> None:

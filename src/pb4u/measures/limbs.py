@@ -22,8 +22,8 @@ from pb4u.body.body_model import PosedBody
 from pb4u.body.limb_bones import limb_bones
 from pb4u.collision.crossings import crossings, segments_through_faces
 from pb4u.collision.nearest_surface import TriangleSurface
-from pb4u.collision.overlaps import overlapping_faces
 from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas, vertex_areas
+from pb4u.measures.overlaps import overlapping_faces
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader

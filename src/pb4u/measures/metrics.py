@@ -12,7 +12,6 @@ from torch import Tensor
 
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.collision.nearest_surface import TriangleSurface
-from pb4u.collision.overlaps import overlapping_faces
 from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
@@ -21,6 +20,8 @@ from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
 from pb4u.measures.divergence import first_lost
 from pb4u.measures.limbs import Bones, limbs_through_cloth, watched
+from pb4u.measures.overlaps import overlapping_faces
+from pb4u.measures.released_energies import released_potential
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
@@ -164,6 +165,9 @@ def first_diverged(trajectory: Trajectory, skinned: np.ndarray | None = None) ->
 def garments_of(trajectory: Trajectory) -> list[Garment]:
     """The garments of a trajectory, from its own record, in the order of its vertices.
 
+    Args:
+        trajectory: the trajectory.
+
     Raises:
         InputError: the metadata do not say what they are made of.
     """
@@ -175,6 +179,9 @@ def garments_of(trajectory: Trajectory) -> list[Garment]:
 
 def packed_garments(trajectory: Trajectory) -> PackedGarments:
     """The garments of a trajectory in one world, float64.
+
+    Args:
+        trajectory: the trajectory.
 
     Raises:
         InputError: the metadata do not say what they are made of.
@@ -284,7 +291,7 @@ class Ruler:
     def __init__(self, trajectory: Trajectory) -> None:
         header = trajectory.header
         self.trajectory = trajectory
-        self.potentials = IncrementalPotential(), IncrementalPotential.paper_release()
+        self.potentials = IncrementalPotential(), released_potential()
         self.dt = 1.0 / trajectory.fps
         gravity = header.metadata.get("gravity", [0.0, -STANDARD_GRAVITY, 0.0])
         self.gravity = torch.tensor(gravity, dtype=torch.float64)
@@ -302,7 +309,11 @@ class Ruler:
         self.touched = faces[contact[faces].all(axis=1)]
 
     def frame(self, t: int) -> FrameMetrics:
-        """Metrics of frame t."""
+        """Metrics of frame t.
+
+        Args:
+            t: number of the frame.
+        """
         x = _tensor(self.trajectory.positions[t])
         strains, each_strains = _strains(self.garments, x)
         if not bool(torch.isfinite(x).all()):
@@ -331,7 +342,12 @@ class Ruler:
         return FrameMetrics(metrics, _summed(paper), garments)
 
     def step(self, t: int, x: Tensor) -> TimeStep:
-        """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still."""
+        """The step that led to frame t and `x` (vertices, 3) [m]; frame 0 is judged standing still.
+
+        Args:
+            t: number of the frame.
+            x: (vertices, 3) [m] positions in that frame.
+        """
         state = State(x, torch.zeros_like(x), -1)
         if t:
             positions, velocities = (_tensor(e[t - 1]) for e in (self.trajectory.positions, self.trajectory.velocities))

@@ -109,7 +109,11 @@ _AS_THEY_ARE = (
 
 
 def attempt(job: RunJob) -> Made | Failure:
-    """Do a job; whatever goes wrong comes back as a `Failure` with a sentence."""
+    """Do a job; whatever goes wrong comes back as a `Failure` with a sentence.
+
+    Args:
+        job: the job.
+    """
     return attempted(make, job)
 
 

@@ -1,4 +1,4 @@
-"""What is told of one run: counts, timing and metrics, for `pb4u simulate --json` and for every clip of a dataset."""
+"""Report of one run: counts, timing and metrics, for `pb4u simulate --json` and for every clip of a dataset."""
 
 from __future__ import annotations
 

@@ -113,7 +113,8 @@ class Propagation(nn.Module):
     def _after(self, steps: int, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
         """State after `steps` steps of the garments that all `inflows` end in."""
         message, norm = self.message, self.norm
-        if records(state, message.first.weight) and self.form.norm == "messages" and not self.form.message_norm:
+        recorded = records(state, message.first.weight, *(inflow.receivers for inflow in inflows))
+        if recorded and self.form.norm == "messages" and not self.form.message_norm:
             constants = [inflow.features for inflow in inflows]
             ends = [Ends(i.senders if i.sender_set == GARMENT else None, i.receivers) for i in inflows]
             weights, layers = (

@@ -41,21 +41,23 @@ class Ends:
     receivers: Incidence
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Number of the sender of each edge, 0 where there is none, and the first edge of each receiver."""
+        """Sender (edges,) int64 of each edge, 0 where there is none, and first edge (nodes + 1,) of each receiver."""
         index = self.receivers.index
         senders = torch.zeros_like(index) if self.senders is None else self.senders.index
         return senders.numpy(), self.receivers.offsets.numpy()
 
 
-def records(values: Tensor, weight: Tensor) -> bool:
+def records(values: Tensor, weight: Tensor, *receivers: Incidence) -> bool:
     """Whether these passes take `values`: gradients are recorded, and a processor computes in float32 or float64.
 
     Args:
         values: (rows, columns) that enter.
         weight: of the layers that they meet, of any shape.
+        receivers: of the edges that they pass over; the kernels have no row for edges that are only room.
     """
     return (
         torch.is_grad_enabled()
+        and not any(end.spare for end in receivers)
         and values.device.type == "cpu"
         and values.dtype == weight.dtype
         and values.dtype in (torch.float32, torch.float64)

@@ -28,6 +28,9 @@ def description(checkpoint: Checkpoint) -> dict[str, Any]:
     """
     configuration, record = checkpoint.configuration, checkpoint.record
     layout, details = configuration.layout, record.details
+    stages = [details]
+    while before := stages[-1].get("before"):
+        stages.append(before)
     triangles = details.get("triangles") or []
     return {
         "width": configuration.width,
@@ -43,7 +46,7 @@ def description(checkpoint: Checkpoint) -> dict[str, Any]:
         "search": "joined passes, by a line search on the energies" if configuration.conjugate else "none",
         "trained": {
             "optimiser_steps": record.optimiser_steps,
-            "hours": details.get("hours"),
+            "hours": round(sum(stage.get("hours") or 0.0 for stage in stages), 2),
             "garments": details.get("garments", []),
             "triangles": [min(triangles), max(triangles)] if triangles else [],
             "propagation_steps": list(record.propagation_steps),

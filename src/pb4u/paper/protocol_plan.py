@@ -22,10 +22,10 @@ from pb4u.motion.library import motion_names, recording_file
 from pb4u.paper.protocols import PROTOCOLS, Protocol
 from pb4u.paper.reference_energies import REFERENCE_LEAD_IN, stored_reference
 from pb4u.run import Run, WornGarment
-from pb4u.scene.catalogue import SEEDS
 from pb4u.simulation.checkpoint import weights_name
-from pb4u.simulation.control_simulator import QUICK_SOLVER
 from pb4u.simulation.models import looks_at, model_descriptions
+from pb4u.simulation.stepwise_simulator import QuickSolver
+from pb4u.training.catalogue import SEEDS
 
 FPS = 30.0
 """Frames per second of every protocol."""
@@ -264,9 +264,9 @@ class _Planning:
         return self._solver_on(scene, self.protocol.excess) if self.request.floors else None
 
     def _options(self, model: str) -> dict[str, Any]:
-        """What is asked for, where a model looks at it."""
+        """What is requested, where a model uses it."""
         asked = {"refine": self.request.refine, "contact": self.request.contact}
-        if model == QUICK_SOLVER:
+        if model == QuickSolver.name:
             asked["refine"] = self.request.refine or REFINE
         return {name: value for name, value in asked.items() if looks_at(model, name)}
 
@@ -296,7 +296,7 @@ def _ways(model: str) -> list[tuple[str, dict[str, Any]]]:
     if not looks_at(model, "contact"):
         return [("", {})]
     by_default = {**BY_DEFAULT, "refine": REFINE if looks_at(model, "refine") else 0}
-    return [*([] if model == QUICK_SOLVER else [(", alone", {})]), (", by default", by_default)]
+    return [*([] if model == QuickSolver.name else [(", alone", {})]), (", by default", by_default)]
 
 
 def _check_numbers(request: EvaluationRequest) -> None:

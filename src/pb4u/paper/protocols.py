@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pb4u.garment.material import MATERIALS
 from pb4u.garment.patterns import PATTERNS
-from pb4u.scene.catalogue import MOTIONS, RECORDINGS, TRAINING_GARMENTS, UNSEEN_GARMENTS
+from pb4u.training.catalogue import MOTIONS, RECORDINGS, TRAINING_GARMENTS, UNSEEN_GARMENTS
 
 _NETWORKS = (
     "pb4u",

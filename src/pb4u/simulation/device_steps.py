@@ -11,7 +11,8 @@ from torch import Tensor
 from pb4u.collision.batched_surface import GROUP
 from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError
-from pb4u.scene.packed import PackedGarments
+from pb4u.network.acceleration_model import GraphNetwork
+from pb4u.network.interaction_block import InteractionBlock
 from pb4u.scene.state import State
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.step_graph import StepGraph
@@ -57,25 +58,39 @@ class _Taken:
         return State(self.copies[0], self.copies[1], self.begun.frame + 1)
 
 
-def require_memory(garments: PackedGarments, body_faces: int, width: int, free: int) -> None:
-    """Refuse a scene that a card has no room for, before its first step.
+def bytes_a_vertex(network: GraphNetwork, body_faces: int, recorded: int | None = None) -> int:
+    """Bytes that a step takes on a card for each vertex of the garments, roughly.
 
     Args:
-        garments: of the scene.
-        body_faces: number of faces of its bodies.
-        width: columns of the network's latents.
-        free: bytes that the card has left.
+        network: that is evaluated.
+        body_faces: number of faces of the bodies.
+        recorded: propagation steps K where gradients are recorded, so that all layers are kept; None without gradients.
+    """
+    width = max(weights.shape[0] for weights in network.parameters())
+    # Of six directed edges a vertex five arrays live at a time; kept are some 40 arrays a vertex in a block and 15 in a
+    # propagation step, half as many again for edges to bodies.
+    blocks = sum(isinstance(module, InteractionBlock) for module in network.modules())
+    arrays = 30 if recorded is None else 30 + 60 * blocks + 22 * recorded
+    return 4 * width * arrays + 4 * 8 * -(-body_faces // GROUP)
+
+
+def require_memory(what: str, vertices: int, each: int, device: torch.device) -> None:
+    """Refuse what a card has no room for, before its first step.
+
+    Args:
+        what: takes the memory, as the subject of a sentence.
+        vertices: number of the garments' vertices.
+        each: bytes a vertex.
+        device: the card.
 
     Raises:
         InputError: it is too large; a number of triangles that would fit is named.
     """
-    # Six directed edges a vertex, some five arrays of latents each; and a few numbers for each group of the bodies.
-    each = 6 * 5 * 4 * width + 4 * 8 * -(-body_faces // GROUP)
-    needed = each * garments.vertex_count
-    if needed > free:
+    free, _ = torch.cuda.mem_get_info(device)
+    if each * vertices > free:
         raise InputError(
-            f"The card has {free / 1e9:.1f} GB left, and the scene takes about {needed / 1e9:.1f} GB; garments of "
-            f"{2 * free // each:,} triangles in all would fit."
+            f"The card has {free / 1e9:.1f} GB left, and {what} takes about {each * vertices / 1e9:.1f} GB; garments "
+            f"of {2 * free // each:,} triangles in all would fit."
         )
 
 

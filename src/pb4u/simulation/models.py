@@ -101,11 +101,10 @@ def simulator_of(run: Run) -> Simulator:
     """
     from pb4u.physics.incremental_potential import IncrementalPotential
     from pb4u.physics.solver.implicit_steps import free_flight
-    from pb4u.simulation.control_simulator import GRADIENT_DESCENT, QUICK_SOLVER, WARM_START, ControlSimulator
     from pb4u.simulation.penetration_response import ContactResponse
     from pb4u.simulation.simulator import SkinningSimulator
     from pb4u.simulation.step_start import BodyMotionWarmStart
-    from pb4u.simulation.stepwise_simulator import NetworkSimulator, SolverSimulator
+    from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolver, SolverSimulator
 
     model = default_model() if str(run.model) == "auto" else str(run.model)
     _require_possible(run, model)
@@ -122,14 +121,15 @@ def simulator_of(run: Run) -> Simulator:
         # Where cloth stops cloth, what free flight leaves behind a fast limb would stay caught on it.
         start = free_flight if run.self_contact is False else BodyMotionWarmStart().positions
         return SolverSimulator(contact=contact, first_frame=first_frame, potential=potential, start=start)
-    if model == QUICK_SOLVER:
-        return ControlSimulator(model, None, run.refine, contact, None, first_frame, potential)
+    if model == "quick-solver":
+        return QuickSolver(run.refine, contact, first_frame, potential)
     # Where the solver refines, it improves a state more than a further pass does.
     passes = 1 if run.passes is None and run.refine else run.passes
-    if model in (GRADIENT_DESCENT, WARM_START):
+    if model in OPTIONS:
         like = load_checkpoint_of(_shipped_network(model)).model.network
-        return ControlSimulator(model, like, run.refine, contact, passes, first_frame, potential)
-    device = _device(run.device)
+        control: type[Simulator] = resolve_name("pb4u.paper.controls:ControlSimulator")
+        return control(model, like, run.refine, contact, passes, first_frame, potential)  # type: ignore[call-arg]
+    device = available_device(run.device)
     precision = _precision(run.precision, device, run.refine)
     checkpoint = load_checkpoint_of(model)
     return NetworkSimulator(
@@ -228,7 +228,15 @@ def _header(path: Path) -> dict[str, str]:
         return {}
 
 
-def _device(name: str) -> str:
+def available_device(name: str) -> str:
+    """ "cpu" or "cuda", whichever "auto", "cpu" or "cuda" stands for here.
+
+    Args:
+        name: the device requested: "auto", "cpu" or "cuda".
+
+    Raises:
+        InputError: a card is asked for, and there is none, or its driver is too old; the sentence says which.
+    """
     import torch
 
     if name == "cuda" and not torch.cuda.is_available():
@@ -253,7 +261,11 @@ def _precision(name: str, device: str, refine: int) -> torch.dtype:
 
 
 def has_bfloat16_units(device: str) -> bool:
-    """Whether a device, "cpu" or "cuda", multiplies matrices in bfloat16 faster than in float32."""
+    """Whether a device, "cpu" or "cuda", multiplies matrices in bfloat16 faster than in float32.
+
+    Args:
+        device: "cpu" or "cuda".
+    """
     import torch
 
     if device == "cuda":

@@ -1,19 +1,17 @@
-"""What a network is asked in a time step: its graph, the node features that need the step's physics, and its passes."""
+"""The network in a time step: its graph, the node features that need the step's physics, and its passes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import PreparedGarments
-from pb4u.network.graph.features import ADVANCE, DESCENT, Feature
-from pb4u.network.graph.garment_graph import incident_lengths
+from pb4u.network.graph.features import ADVANCE, DESCENT
 from pb4u.network.graph.graph import Graph
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.descent import JacobiDescent
@@ -24,7 +22,7 @@ _ORIGIN_GRID = 1.0 / 16.0
 """Grid of a step's origin [m], coarse in binary, so that float32 differences of positions stay exact."""
 
 _LINEAR_UP_TO = 0.05
-"""Share of an edge up to which descent is shown as it is."""
+"""Share of an edge up to which the gradient feature is left as it is."""
 
 _SMALLEST_DESCENT = 1e-6
 """Root mean square of a descent, in edge lengths, that is no longer shown larger: cloth at rest in single precision."""
@@ -36,10 +34,10 @@ class NetworkPass:
     Args:
         network: called with a graph and the prepared garments; the model itself, or what distributes it.
         prepared: what it derived once from the garments, with the propagation steps of this step.
-        passes: how often it is asked in a step.
+        passes: how often it is evaluated in a step.
         features: node features of the garments, where they are already made.
         mode: entered while the network computes; no gradient by default, `nullcontext` in training.
-        further: how often it is asked again at most, while a pass frees much energy.
+        further: how often it is evaluated again at most, while a pass lowers the energy much.
     """
 
     def __init__(
@@ -69,7 +67,12 @@ class NetworkPass:
             return scale * self.network(self._graph(step, extra), self.prepared).to(accelerations)
 
     def graph(self, step: TimeStep, accelerations: Tensor) -> Graph:
-        """What the network sees after `accelerations` (vertices, 3) [m per step^2]."""
+        """What the network sees after `accelerations` (vertices, 3) [m per step^2].
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
         return self._graph(step, self.features.scaled(step, accelerations)[0])
 
     def _graph(self, step: TimeStep, made: Mapping[str, Tensor]) -> Graph:
@@ -96,22 +99,13 @@ class NetworkPass:
 
 
 def local_origin(collider: ColliderFrame) -> Tensor:
-    """(3,) [m] middle of the bodies, rounded so that float32 differences of positions stay exact."""
+    """(3,) [m] middle of the bodies, rounded so that float32 differences of positions stay exact.
+
+    Args:
+        collider: the bodies during the step.
+    """
     middle = collider.now.positions.mean(0)
     return (middle / _ORIGIN_GRID).round() * _ORIGIN_GRID
-
-
-class StepFeature(Protocol):
-    """One node feature."""
-
-    def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
-        """(vertices, width).
-
-        Args:
-            step: that is taken.
-            accelerations: (vertices, 3) from free flight to where the pass starts [m per step^2].
-            incident_length: (vertices,) mean rest length of the edges at each vertex [m].
-        """
 
 
 class DescentFeature:
@@ -126,6 +120,13 @@ class DescentFeature:
         self._made: tuple[PackedGarments, float, JacobiDescent] | None = None
 
     def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
+        """Descent (vertices, 3) [edge lengths].
+
+        Args:
+            step: that is taken.
+            accelerations: (vertices, 3) from free flight to where the pass starts [m per step^2].
+            incident_length: (vertices,) mean rest length of the edges at each vertex [m].
+        """
         x = integrate(step, accelerations).positions
         strain = self._descent(step).at(self._potential.of(step).undifferentiated(), x) / incident_length.to(x)[:, None]
         size = strain.norm(dim=1, keepdim=True) / _LINEAR_UP_TO
@@ -135,37 +136,6 @@ class DescentFeature:
         if self._made is None or self._made[0] is not step.garments or self._made[1] != step.dt:
             self._made = step.garments, step.dt, JacobiDescent(step.garments, step.dt)
         return self._made[2]
-
-
-class AdvanceFeature:
-    """The accelerations from free flight to where the pass starts."""
-
-    def of(self, step: TimeStep, accelerations: Tensor, incident_length: Tensor) -> Tensor:
-        return 100.0 * accelerations
-
-
-_MAKERS: dict[Feature, Callable[[], StepFeature]] = {DESCENT: DescentFeature, ADVANCE: AdvanceFeature}
-
-
-class GradientPass:
-    """The gradient feature itself as the pass: what a network adds is judged against it.
-
-    Args:
-        garments: garments of the steps, float64 on the CPU.
-        passes: number of gradients in a step.
-        further: most gradients beyond those, while a pass frees much energy.
-    """
-
-    def __init__(self, garments: PackedGarments, passes: int = 1, further: int = 0) -> None:
-        self.passes, self.further = passes, further
-        self._feature = DescentFeature()
-        self._incident_length = incident_lengths(garments)
-
-    @torch.no_grad()
-    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] to add; see `NetworkPass.correction`."""
-        length = self._incident_length
-        return length[:, None] * self._feature.of(step, accelerations, length)
 
 
 class StepFeatures:
@@ -181,27 +151,35 @@ class StepFeatures:
     def __init__(self, prepared: PreparedGarments) -> None:
         self._incident_length = prepared.builder.static.incident_length
         self._descent_size = prepared.descent_size
-        self._features: dict[str, StepFeature] = {}
+        self._descent = DescentFeature()
+        self._names = [feature.name for feature in prepared.builder.layout.extra]
         for feature in prepared.builder.layout.extra:
-            if feature not in _MAKERS:
+            if feature not in (DESCENT, ADVANCE):
                 raise InputError(
                     f"The network reads the node feature {feature.name!r}, which this version cannot make."
                 )
-            self._features[feature.name] = _MAKERS[feature]()
 
     @torch.no_grad()
     def of(self, step: TimeStep, accelerations: Tensor) -> Mapping[str, Tensor]:
-        """Every feature (vertices, width) by name; arguments as in `StepFeature.of`."""
+        """Every feature (vertices, width) by name; arguments as in `scaled`.
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
         return {
-            name: feature.of(step, accelerations, self._incident_length) for name, feature in self._features.items()
+            name: self._descent.of(step, accelerations, self._incident_length)
+            if name == DESCENT.name
+            else 100.0 * accelerations
+            for name in self._names
         }
 
     @torch.no_grad()
     def scaled(self, step: TimeStep, accelerations: Tensor) -> tuple[Mapping[str, Tensor], Tensor]:
         """Features as the network sees them, and the factors (vertices, 1) on what it predicts from them.
 
-        Where it asks for a size of the descent, each garment's is shown at that root mean square, and the prediction
-        scaled as it was: near the minimum then looks like far from it, as it does to Newton's method.
+        Where the network has a `descent_size`, each garment's gradient feature is normalised to that RMS, and the
+        prediction scaled as it was: near the minimum then looks like far from it, as it does to Newton's method.
 
         Args:
             step: that is taken.

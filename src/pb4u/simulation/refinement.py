@@ -20,7 +20,7 @@ from pb4u.simulation.pierced_edges import newly_pierced
 from pb4u.simulation.step_start import BodyMotionWarmStart
 
 _BALANCED = 20.0
-"""Residual [standard gravity] above which a refined step may be made again.
+"""Residual [standard gravity] above which a refined step may be retried.
 
 Iterations leave 0.5 to 13 of garments that walk, jump, squat or run; of steps in which a running body caught a dress
 or a cardigan, 65 to 300.
@@ -31,27 +31,28 @@ _NEAR_BALANCE = 1.0
 and five leave no more than half a percent less energy."""
 
 _SETTLED = 5e-4
-"""Height [m] to which the energy that an iteration freed would lift the garment: it is the last one then.
+"""Energy decrease of an iteration, as the height [m] to which it would lift the garment, below which it is the last.
 
 The iterations after it would lower the energy by a third of that: half a percent of a walking T-shirt's elastic one.
 """
 
 _STILL_FALLING = 1e-3
-"""Height [m] to which the energy that the last iteration freed would lift the garment, from which on such a step may be
-made again.
+"""Energy decrease of the last iteration, as the height [m] to which it would lift the garment, from which on such a
+step may be retried.
 
 Where a limb has caught a dress or a cardigan it is 1.2 mm to half a metre. Where a tight shirt is strained in every
-step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the step made again has 0.1 percent less energy.
+step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the retried step has 0.1 percent less energy.
 """
 
-_TORN = 0.6
-"""Strain of a face from which on it is: contact between layers leaves such residuals too, with nothing caught."""
+_FAILED_STRAIN = 0.6
+"""Strain of a face from which on a step has failed: contact between layers leaves such residuals too, with nothing
+caught."""
 
 _ROUGH_TOLERANCE = 1.0
-"""Residual [standard gravity] to which such a step is solved: no more than steps that are refined as usual may have."""
+"""Residual [standard gravity] to which a retry solves the step: no more than steps refined as usual may have."""
 
-_MOST_ANEW = 60
-"""Iterations at which that ends; 8 to 31 were needed by a running dress."""
+_MOST_RETRY_ITERATIONS = 60
+"""Iterations at which a retry ends; a running dress needed 8 to 31."""
 
 _LEFT_INSIDE = 1e-3
 """Depth [m] from which on a vertex that the response leaves inside the body is pushed out."""
@@ -75,7 +76,6 @@ class SolverRefinement:
         iterations: at most this many a step; None goes to the solver's tolerance.
         solver: computes in float64 on the CPU.
         potential: the energies.
-        watch: called with every solution.
     """
 
     def __init__(
@@ -83,12 +83,10 @@ class SolverRefinement:
         iterations: int | None = None,
         solver: Solver | None = None,
         potential: IncrementalPotential | None = None,
-        watch: Callable[[Solution], None] | None = None,
     ) -> None:
         self.iterations = iterations
         self.solver = solver or Solver()
         self.potential = potential or IncrementalPotential()
-        self.watch = watch
         self._pressing = Solver(_NEAR_BALANCE, _MOST_PRESSING, settled=_SETTLED)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
@@ -98,10 +96,9 @@ class SolverRefinement:
             step: the time step.
             predicted: state at its end that the method predicts.
         """
-        solution = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
-        if self.watch:
-            self.watch(solution)
-        return step.reached(solution.positions)
+        return step.reached(
+            self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations).positions
+        )
 
     def respond_with_cloth(self, step: TimeStep, state: State, contact: ContactResponse) -> State:
         """`state` with what is inside the body pushed out of it, as far as that succeeds; its velocity stays.
@@ -158,8 +155,8 @@ class ImplicitSteps(SolverRefinement):
         watch: Callable[[Solution], None] | None = None,
         start: Callable[[TimeStep], Tensor] = free_flight,
     ) -> None:
-        super().__init__(iterations, solver, potential, watch)
-        self.start = start
+        super().__init__(iterations, solver, potential)
+        self.watch, self.start = watch, start
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         state, solution = self.solved(step)
@@ -168,7 +165,11 @@ class ImplicitSteps(SolverRefinement):
         return state
 
     def solved(self, step: TimeStep) -> tuple[State, Solution]:
-        """State at the end of `step`, and what `implicit_steps` tells of its solution."""
+        """State at the end of `step`, and what `implicit_steps` tells of its solution.
+
+        Args:
+            step: the time step.
+        """
         return implicit_steps(self.potential, self.solver, step, self.iterations, self.start)
 
 
@@ -192,16 +193,16 @@ class SafeguardedRefinement(SolverRefinement):
     ) -> None:
         super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential)
         self.retried = retried
-        rough = Solver(_ROUGH_TOLERANCE, _MOST_ANEW)
-        self.anew = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart().positions)
+        rough = Solver(_ROUGH_TOLERANCE, _MOST_RETRY_ITERATIONS)
+        self.retry = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart().positions)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
         pierced = newly_pierced(step, refined.positions)
-        falling = refined.residual > _BALANCED and refined.freed > _STILL_FALLING
+        falling = refined.residual > _BALANCED and refined.decrease > _STILL_FALLING
         if not pierced and not (falling and _has_failed(step, refined.positions)):
             return step.reached(refined.positions)
-        state, solved = self.anew.solved(step)
+        state, solved = self.retry.solved(step)
         if self.retried:
             self.retried()
         better = (newly_pierced(step, state.positions), solved.residual) < (pierced, refined.residual)
@@ -210,11 +211,12 @@ class SafeguardedRefinement(SolverRefinement):
 
 def _has_failed(step: TimeStep, x: Tensor) -> bool:
     garments = step.garments
-    return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _TORN).any())
+    return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _FAILED_STRAIN).any())
 
 
-def carried(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
-    """`wanted` as far as it is reached from `before` without cloth passing through cloth, at the speed it then has.
+def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
+    """As far from `before` towards `wanted` as cloth can move without passing through cloth; velocities follow the
+    positions.
 
     Args:
         self_contact: keeps cloth from passing through cloth; None where it may.
@@ -224,12 +226,13 @@ def carried(self_contact: CollisionFree | None, step: TimeStep, before: State, w
     """
     if self_contact is None:
         return wanted
-    positions, _ = self_contact.carried(step.garments, before.positions, wanted.positions)
+    positions, _ = self_contact.collision_free_move(step.garments, before.positions, wanted.positions)
     return _moved_to(positions, wanted, step)
 
 
 def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State) -> State:
-    """`wanted` as far as it is reached from the step's start past the moving bodies, at the speed it then has.
+    """As far from the step's start towards `wanted` as cloth can move past the moving bodies; velocities follow the
+    positions.
 
     Args:
         self_contact: keeps cloth from passing through bodies; None where it may.
@@ -238,7 +241,7 @@ def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: Stat
     """
     if self_contact is None or not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
         return wanted
-    positions, obstacle = self_contact.carried(
+    positions, obstacle = self_contact.collision_free_move(
         step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle
     )
     if obstacle is not None:

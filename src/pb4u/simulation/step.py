@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -15,18 +16,37 @@ from pb4u.collision.rooms import Rooms
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
-from pb4u.simulation.network_pass import GradientPass, NetworkPass
 from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.penetration_response import ContactResponse
-from pb4u.simulation.refinement import SolverRefinement, carried, past_bodies
+from pb4u.simulation.refinement import SolverRefinement, collision_free_move, past_bodies
 from pb4u.simulation.step_start import BodyMotionWarmStart, begun
 from pb4u.threads import one_torch_thread
 
 LARGE_DECREASE = 1.5e-3
-"""Height [m] to which the energy that a pass freed would lift the garments, from which on another pass is asked for.
+"""Energy decrease of a pass, as the height [m] to which it would lift the garments, from which on another pass is made.
 
 Less than the 2 mm above the skin at which contact begins.
 """
+
+
+class Pass(Protocol):
+    """What corrects the accelerations of a step: a network, or what stands in its place.
+
+    Attributes:
+        passes: how often it does in a step.
+        further: how often again at most, while a pass lowers the energy much.
+    """
+
+    passes: int
+    further: int
+
+    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        """Accelerations (vertices, 3) [m per step^2] to add to those reached so far, from free flight.
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +63,7 @@ class StepMethod:
     """
 
     start: BodyMotionWarmStart | None = None
-    network: NetworkPass | GradientPass | None = None
+    network: Pass | None = None
     refinement: SolverRefinement | None = None
     contact: ContactResponse | None = None
     self_contact: CollisionFree | None = None
@@ -68,13 +88,13 @@ def take(step: TimeStep, method: StepMethod) -> State:
         *_, predicted = predictions(step, method)
         require_finite(predicted)
         if refinement is None:
-            state = carried(cloth, step, step.state, predicted)
+            state = collision_free_move(cloth, step, step.state, predicted)
         else:
             # A few iterations of the solver, or all of them, lower the energies that the network was trained on.
             state = refinement.refine(step, predicted)
         if contact is not None:
             # Vertices still inside the body are pushed out, without gaining speed, and no further than to other cloth.
-            state = carried(cloth, step, state, contact.respond(step, state))
+            state = collision_free_move(cloth, step, state, contact.respond(step, state))
             if refinement is not None:
                 # What cloth around it kept inside the body is pushed out together with that cloth.
                 state = refinement.respond_with_cloth(step, state, contact)

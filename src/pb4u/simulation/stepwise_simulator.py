@@ -24,7 +24,7 @@ from pb4u.scene.packed import ColliderPose, PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
-from pb4u.simulation.device_steps import require_memory, states_after
+from pb4u.simulation.device_steps import bytes_a_vertex, require_memory, states_after
 from pb4u.simulation.first_frame import AsPlaced, FirstFrame, OneLongStep, Settled
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.pass_search import search_of
@@ -32,7 +32,7 @@ from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import ImplicitSteps, SafeguardedRefinement
 from pb4u.simulation.simulator import RunRecord, Simulator
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import start_of
+from pb4u.simulation.step_start import BodyMotionWarmStart, start_of
 from pb4u.simulation.timeline import Timeline
 from pb4u.threads import prefetch
 
@@ -83,7 +83,7 @@ class StepwiseSimulator(Simulator):
             state, pose = made
             if state.frame < scene.lead_in or method.contact is None:
                 return state
-            # As it is written: lifted off the skin, as far as cloth can go there.
+            # As it is written: moved off the skin, as far as cloth can go there.
             return method.contact.present(timeline.garments, state, pose, method.self_contact)
 
         # A frame is made ready for writing while the step from it is taken.
@@ -92,7 +92,7 @@ class StepwiseSimulator(Simulator):
     def _states(
         self, scene: Scene, timeline: Timeline, method: StepMethod, record: RunRecord
     ) -> Iterator[tuple[State, ColliderPose]]:
-        """The states of a run, with the bodies there; ends where one is not finite, and notes it."""
+        """The states of a run with the bodies of each frame; where a state is not finite, it adds a note and ends."""
         made = 0
         try:
             for state in islice(self._moved(timeline, method, scene.total_frames), scene.total_frames):
@@ -170,6 +170,41 @@ class SolverSimulator(StepwiseSimulator):
         return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
 
 
+class QuickSolver(StepwiseSimulator):
+    """A few solver iterations from where the body carries the garment (`--model quick-solver`).
+
+    Args:
+        refine: iterations after each step at most, which is retried where they fail.
+        contact: pushes out vertices left inside the body; none by default.
+        first_frame: makes frame 0; by default one long step of its own.
+        potential: the energies, and whether cloth feels cloth; the six terms by default.
+
+    Raises:
+        InputError: no iteration.
+    """
+
+    name = "quick-solver"
+
+    def __init__(
+        self,
+        refine: int,
+        contact: ContactResponse | None = None,
+        first_frame: FirstFrame | None = None,
+        potential: IncrementalPotential | None = None,
+    ) -> None:
+        if refine < 1:
+            raise InputError(f"The quick solver is nothing but iterations: it takes 1 or more a step, not {refine}.")
+        self.refine, self.contact = refine, contact
+        self.first_frame, self.potential = first_frame or OneLongStep(), potential or IncrementalPotential()
+
+    def settings(self) -> dict[str, Any]:
+        return {**super().settings(), "refine": self.refine, "device": "cpu"}
+
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
+        refinement, cloth = self.refinement(record), self.potential.self_contact
+        return StepMethod(BodyMotionWarmStart(), None, refinement, self.contact, cloth)
+
+
 class NetworkSimulator(StepwiseSimulator):
     """A trained network, with the solver and contact response in the loop where asked for.
 
@@ -189,7 +224,7 @@ class NetworkSimulator(StepwiseSimulator):
         precision: data type of the network's products.
 
     Raises:
-        InputError: less than 1 pass, or more than 1 of a network that cannot tell one pass from the next, and for a
+        InputError: less than 1 pass, or more than 1 of a network that does not distinguish passes, and for a
             number of propagation steps out of range.
     """
 
@@ -241,18 +276,17 @@ class NetworkSimulator(StepwiseSimulator):
 
     def timeline(self, scene: Scene) -> Timeline:
         host = super().timeline(scene)
-        if not self._on_card:
+        if not self.on_card:
             return host
-        free, _ = torch.cuda.mem_get_info(self.device)
-        width = max(weights.shape[0] for weights in self.checkpoint.model.network.parameters())
-        require_memory(host.garments, len(host.colliders.faces), width, free)
+        each = bytes_a_vertex(self.checkpoint.model.network, len(host.colliders.faces))
+        require_memory("the scene", host.garments.vertex_count, each, self.device)
         return host.to(self.device, Rooms())
 
     def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
-        return (states_after if self._on_card else super().steps)(timeline, method, state, frames)
+        return (states_after if self.on_card else super().steps)(timeline, method, state, frames)
 
     @property
-    def _on_card(self) -> bool:
+    def on_card(self) -> bool:
         """Whether all of a step is computed on an accelerator: nothing follows the network's passes."""
         return (
             self.device.type != "cpu"
@@ -263,7 +297,11 @@ class NetworkSimulator(StepwiseSimulator):
         )
 
     def propagation_steps(self, scene: Scene) -> int | None:
-        """Number K of propagation steps of the finest garment, which takes the most."""
+        """Number K of propagation steps of the finest garment, which takes the most.
+
+        Args:
+            scene: the scene.
+        """
         network = self.checkpoint.model.network
         if not network.propagates:
             return None

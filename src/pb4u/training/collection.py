@@ -18,7 +18,7 @@ from pb4u.motion.motion import Motion
 from pb4u.progress import Progress, no_progress
 from pb4u.run import WornGarment
 from pb4u.scene.assembly import load_garment
-from pb4u.scene.catalogue import RECORDINGS, SEEDS
+from pb4u.training.catalogue import RECORDINGS, SEEDS
 from pb4u.training.configuration import DataSelection
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
 from pb4u.training.variation import CAPE, before_refining, cape, uneven, varied_garment

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from pb4u.collision.enclosures import by_side
-from pb4u.collision.self_proximity import SelfProximity, facing_pairs, nearest_corners
 from pb4u.network.graph.builder import FoundEdges
 from pb4u.network.graph.incidence import incidence
 from pb4u.network.graph.pins import SeenGarments
+from pb4u.paper.baselines.enclosures import by_side
 from pb4u.paper.baselines.self_contact_edges import ATTRACTION, REPULSION, as_points
+from pb4u.paper.baselines.self_proximity import SelfProximity, facing_pairs, nearest_corners
 from pb4u.scene.packed import PackedGarments
 
 

@@ -49,11 +49,20 @@ class ContactPlanes:
         return ((x - self.points) * self.normals).sum(-1)
 
     def raised(self, heights: Tensor) -> ContactPlanes:
-        """These planes raised by `heights` (vertices,) [m] along their normals."""
+        """These planes raised by `heights` (vertices,) [m] along their normals.
+
+        Args:
+            heights: (vertices,) [m].
+        """
         return replace(self, points=self.points + heights[:, None] * self.normals, distance=self.distance - heights)
 
     def where(self, rows: Tensor, otherwise: ContactPlanes) -> ContactPlanes:
-        """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest."""
+        """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest.
+
+        Args:
+            rows: (vertices,) bool.
+            otherwise: planes for the other vertices.
+        """
         return ContactPlanes(
             **{
                 name: torch.where(rows.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(otherwise, name))
@@ -62,7 +71,11 @@ class ContactPlanes:
         )
 
     def transported(self, pose: ColliderPose) -> Tensor:
-        """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`."""
+        """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`.
+
+        Args:
+            pose: pose that the bodies take.
+        """
         return self.interpolated(pose.positions, pose.colliders.contact_faces)
 
     def interpolated(self, values: Tensor, faces: Tensor) -> Tensor:
@@ -76,7 +89,11 @@ class ContactPlanes:
         return (self.barycentric[:, :, None] * corners).sum(1)
 
     def transported_normals(self, pose: ColliderPose) -> Tensor:
-        """Dimensionless unit normals (vertices, 3) of the faces of the nearest points when the bodies take `pose`."""
+        """Dimensionless unit normals (vertices, 3) of the faces of the nearest points when the bodies take `pose`.
+
+        Args:
+            pose: pose that the bodies take.
+        """
         corners = pose.positions.to(self.normals.dtype)[pose.colliders.contact_faces[self.triangle]]
         cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
@@ -86,7 +103,7 @@ class ContactPlanes:
 class ContactSet:
     """Contacts of one time step, as the energies see them.
 
-    The solver looks up contacts at frame t once a step, and those at t+1 anew for vertices that moved.
+    The solver looks up contacts at frame t once a step, and those at t+1 again for vertices that moved.
 
     Args:
         now: for each vertex at frame t, the plane of the body that it may slide on, or None.
@@ -164,7 +181,7 @@ def nearest_planes(
         return _of_found(_renewed(pose, garments, x, within, patience), x)
     batch = pose.batch(garments.world_count)
     if batch is None:
-        return _blank(x)
+        return no_planes(x)
     places, _, rows = garments.world_rows
     near = batch.closest(x.detach().to(torch.float64)[places], pose.colliders.rooms)
     return ContactPlanes(
@@ -185,7 +202,7 @@ def _renewed(pose: ColliderPose, garments: PackedGarments, x: Tensor, within: fl
     """What was found at the pose, brought up to date for `x`; the same object where nothing had to be searched for."""
     points, known, searched = as_float64(x), pose.found.get(garments), 0
     found = Found.nothing(len(points)) if known is None else known.copy()
-    for world, rows in enumerate(_worlds(garments)):
+    for world, rows in enumerate(world_rows(garments)):
         part, surface = found.rows(rows.start, rows.stop), pose.surfaces[world] if world < len(pose.surfaces) else None
         if surface is not None:
             names = pose.colliders.searched_faces[world]
@@ -210,36 +227,21 @@ def _of_found(found: Found, x: Tensor) -> ContactPlanes:
     )
 
 
-def nearest_face_centres(pose: ColliderPose, garments: PackedGarments, x: Tensor) -> ContactPlanes:
-    """Planes of the faces whose centres are nearest, with the distance to the centre: the HOOD family's convention.
+def world_rows(garments: PackedGarments) -> list[slice]:
+    """Rows of the vertices of each world of a pack.
 
     Args:
-        pose: the bodies at one instant, regions left out of contact included.
-        garments: pack whose vertices are queried.
-        x: (vertices, 3) [m].
+        garments: the packed garments.
     """
-    planes = _blank(x)
-    planes.barycentric.fill_(1.0 / 3.0)
-    for world, (surface, rows) in enumerate(zip(pose.whole_surfaces, _worlds(garments), strict=False)):
-        if surface is None:
-            continue
-        face, distance = surface.nearest_face_centre(x[rows])
-        corners = surface.vertices[torch.from_numpy(surface.surface.faces).to(surface.vertices.device)[face]]
-        cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        planes.points[rows] = corners.mean(1).to(x)
-        planes.normals[rows] = (cross / cross.norm(dim=1, keepdim=True).clamp_min(1e-300)).to(x)
-        planes.distance[rows] = distance
-        planes.touchable[rows] = True
-        planes.triangle[rows] = pose.colliders.world_faces[world][face]
-    return planes
-
-
-def _worlds(garments: PackedGarments) -> list[slice]:
-    """Rows of the vertices of each world."""
     return [slice(first, stop) for first, stop in pairwise(garments.world_offsets)]
 
 
-def _blank(x: Tensor) -> ContactPlanes:
+def no_planes(x: Tensor) -> ContactPlanes:
+    """Planes that nothing touches, for each of the vertices `x` (vertices, 3) [m].
+
+    Args:
+        x: (vertices, 3) [m].
+    """
     normals = torch.zeros_like(x, requires_grad=False)
     return ContactPlanes(
         points=x.detach().clone(),

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.jit import as_float64, compiled_with_fused_products
+from pb4u.collision.jit import compiled_with_fused_products
 from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.energy_term import EnergyTerm, columns, dot, sum_by_garment, sum_by_vertex
+from pb4u.physics.terms.energy_term import CompiledTerm, EnergyTerm, columns, dot, sum_by_garment, sum_by_vertex
 from pb4u.physics.terms.stiffness_matrix import Stiffness
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
@@ -73,7 +73,7 @@ class Bending(EnergyTerm):
         return length * angle, [by_x0, by_x1, -length * m0, -length * m1]
 
 
-class CompiledBending(Bending):
+class CompiledBending(CompiledTerm, Bending):
     """`Bending` compiled, with Gauss-Newton second derivatives: k times the outer product of d(l (theta - theta0))/dx.
 
     Args:
@@ -83,26 +83,16 @@ class CompiledBending(Bending):
 
     def __init__(self, garments: PackedGarments, rest_angles: bool) -> None:
         super().__init__(rest_angles)
-        self._garment_count = garments.garment_count
         self._hinges, self._garment = garments.hinges.numpy(), garments.hinge_garment.numpy()
         rest = self._rest(garments)
         angles = np.zeros(len(self._hinges)) if isinstance(rest, float) else rest.numpy()
         self._law = (angles, _stiffness(garments).numpy())
 
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        energies = np.zeros(self._garment_count)
-        _add_energies(as_float64(x), self._hinges, *self._law, self._garment, energies)
-        return torch.from_numpy(energies)
+    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
+        _add_gradient(x, self._hinges, *self._law, self._garment, energies, gradient)
 
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        energies, gradient = np.zeros(self._garment_count), np.zeros((len(x), 3))
-        _add_gradient(as_float64(x), self._hinges, *self._law, self._garment, energies, gradient)
-        return torch.from_numpy(energies), torch.from_numpy(gradient)
-
-    def add_stiffness(
-        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
-    ) -> None:
-        _add_stiffness(as_float64(x), self._hinges, *self._law, slots, stiffness.positive)
+    def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
+        _add_stiffness(x, self._hinges, *self._law, slots, stiffness.positive)
 
 
 def dihedral_angles(x: Tensor, hinges: Tensor) -> Tensor:
@@ -171,21 +161,6 @@ def _bend_derivative(
 
 
 @compiled_with_fused_products
-def _add_energies(
-    vertices: np.ndarray,
-    hinges: np.ndarray,
-    rest: np.ndarray,
-    stiffness: np.ndarray,
-    garment: np.ndarray,
-    energies: np.ndarray,
-) -> None:
-    """Add to the `energies` (garments,) [J]; `rest` (hinges,) [rad], `stiffness` (hinges,) [J/m^2]."""
-    for hinge in range(len(hinges)):
-        bend = _bend(vertices, hinges, hinge, rest[hinge])
-        energies[garment[hinge]] += 0.5 * stiffness[hinge] * (bend[0] * bend[1]) ** 2
-
-
-@compiled_with_fused_products
 def _add_gradient(
     vertices: np.ndarray,
     hinges: np.ndarray,
@@ -195,9 +170,16 @@ def _add_gradient(
     energies: np.ndarray,
     gradient: np.ndarray,
 ) -> None:
-    """As `_add_energies`, and to their `gradient` (vertices, 3) [N]."""
+    """Add to the `energies` (garments,) [J], and to their `gradient` (vertices, 3) [N] where it has rows.
+
+    `rest` is in (hinges,) [rad], `stiffness` (hinges,) in [J/m^2].
+    """
     derivative = np.empty((4, 3))
     for hinge in range(len(hinges)):
+        if not len(gradient):
+            length, angle = _bend(vertices, hinges, hinge, rest[hinge])[:2]
+            energies[garment[hinge]] += 0.5 * stiffness[hinge] * (length * angle) ** 2
+            continue
         bend = _bend_derivative(vertices, hinges, hinge, rest[hinge], derivative)
         energies[garment[hinge]] += 0.5 * stiffness[hinge] * bend * bend
         for corner in range(4):

@@ -12,11 +12,10 @@ from torch import Tensor
 from pb4u.collision.jit import as_float64, compiled
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.energy_term import (
+    CompiledTerm,
     EnergyTerm,
-    MeasuredTerm,
     Tangent,
     constant,
-    dot,
     sum_by_garment,
     vertex_elements,
 )
@@ -92,7 +91,7 @@ class Collision(EnergyTerm):
             yield (self.clearance - (x[:, 1] - step.ground_height)).clamp_min(0.0), up
 
 
-class CompiledCollision(Collision):
+class CompiledCollision(CompiledTerm, Collision):
     """`Collision` compiled for one step, with its second derivative: exact to half a millimetre's depth, softer beyond.
 
     Softer, so that one Newton step brings a deep vertex to the surface instead of half way.
@@ -105,34 +104,27 @@ class CompiledCollision(Collision):
     def __init__(self, term: Collision, step: TimeStep) -> None:
         super().__init__(term.weight, term.clearance)
         self._weight = self._vertex_weight(step).numpy()
-        self._garment, self._garment_count = step.garments.vertex_garment.numpy(), step.garments.garment_count
+        self._garment = step.garments.vertex_garment.numpy()
         self._ground: _Planes | None = None
         if step.ground_height is not None:
             up = np.broadcast_to(np.array(UP), (len(self._weight), 3))
             everywhere = np.ones(len(self._weight), dtype=bool)
             self._ground = (step.ground_height * up, np.ascontiguousarray(up), everywhere)
 
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        return self.energies_and_gradient(step, contacts, x)[0]
-
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        energies, gradient = np.zeros(self._garment_count), np.zeros((len(x), 3))
+    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
         for planes in self._planes(contacts):
-            _add_gradient(as_float64(x), *planes, self._weight, self.clearance, self._garment, energies, gradient)
-        return torch.from_numpy(energies), torch.from_numpy(gradient)
+            _add_gradient(x, *planes, self._weight, self.clearance, self._garment, energies, gradient)
 
-    def add_stiffness(
-        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
-    ) -> None:
+    def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
         for planes in self._planes(contacts):
-            _add_stiffness(as_float64(x), *planes, self._weight, self.clearance, slots, stiffness.positive)
+            _add_stiffness(x, *planes, self._weight, self.clearance, slots, stiffness.positive)
 
-    def tangents(self, step: TimeStep, contacts: ContactSet, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
+    def tangents(self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern) -> list[Tangent]:
         loads = _TWICE * STANDARD_GRAVITY * step.garments.vertex_masses.numpy()
         bearing = np.sqrt(loads / np.maximum(3.0 * self._weight, 1e-300))
         slots = pattern.slots[self.name][:, 0]
         return [
-            _CollisionTangent(as_float64(x), planes, self._weight * pattern.free, self.clearance, bearing, slots)
+            _tangent(x, planes, self._weight * pattern.free, self.clearance, bearing, slots)
             for planes in self._planes(contacts)
         ]
 
@@ -145,60 +137,21 @@ class CompiledCollision(Collision):
             yield self._ground
 
 
-class _CollisionTangent(Tangent):
-    """Contact of each vertex with one plane.
-
-    Args:
-        vertices: (vertices, 3) [m] where the step begins.
-        planes: as in `CompiledCollision`.
-        weight: (vertices,) [J/m^3], 0 where a vertex does not move.
-        clearance: distance at which contact begins [m].
-        bearing: (vertices,) [m] depths to which contacts that begin are taken to go at first.
-        slots: (vertices,) block of each vertex in the stiffness.
-    """
-
-    def __init__(
-        self,
-        vertices: np.ndarray,
-        planes: _Planes,
-        weight: np.ndarray,
-        clearance: float,
-        bearing: np.ndarray,
-        slots: np.ndarray,
-    ) -> None:
-        points, normals, counts = planes
-        depths = clearance - np.einsum("vi,vi->v", vertices - points, normals)
-        self._law = np.where(counts, weight, 0.0), normals, depths, bearing, slots
-        self._laid = np.maximum(depths, 0.0)
-        self._stiffness = 3.0 * weight * (self._laid + np.minimum(self._laid, _EXACT_DEPTH))
-
-    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
-        _follow(moves, *self._law, self._laid, self._stiffness, stiffness.positive, gradient, missed)
-
-
-@dataclass(frozen=True)
-class ReleasedCollision(MeasuredTerm):
-    """The family's released collision, for tables: w max(eps - d_i, 0)^3 summed over vertices, without area or ground.
-
-    d_i is the height over the plane, at t+1, of the face whose centre was nearest at t.
-
-    Args:
-        weight: w [J/m^3].
-        clearance: eps, the distance at which it begins [m].
-    """
-
-    weight: float = 5e3
-    clearance: float = 2e-3
-    name = "collision"
-
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        garments, planes, normal = step.garments, contacts.now, contacts.transported_normals
-        if planes is None or step.bodies is None or normal is None:
-            return x.new_zeros(garments.garment_count)
-        centre = planes.transported(step.bodies.following).to(x)
-        depth = (self.clearance - dot(x - centre, normal)).clamp_min(0.0)
-        energy = torch.where(planes.touchable, self.weight * depth**3, 0.0)
-        return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
+def _tangent(
+    vertices: np.ndarray,
+    planes: _Planes,
+    weight: np.ndarray,
+    clearance: float,
+    bearing: np.ndarray,
+    slots: np.ndarray,
+) -> Tangent:
+    """Contact of each of the `vertices` (vertices, 3) [m] with one plane, as in `_follow`."""
+    points, normals, counts = planes
+    depths = clearance - np.einsum("vi,vi->v", vertices - points, normals)
+    law = np.where(counts, weight, 0.0), normals, depths, bearing, slots
+    laid = np.maximum(depths, 0.0)
+    stiffnesses = 3.0 * weight * (laid + np.minimum(laid, _EXACT_DEPTH))
+    return lambda moves, stiffness, *forces: _follow(moves, *law, laid, stiffnesses, stiffness.positive, *forces)
 
 
 @compiled
@@ -213,7 +166,7 @@ def _add_gradient(
     energies: np.ndarray,
     gradient: np.ndarray,
 ) -> None:
-    """Add to the `energies` (garments,) [J] and to their `gradient` (vertices, 3) [N].
+    """Add to the `energies` (garments,) [J], and to their `gradient` (vertices, 3) [N] where it has rows.
 
     Each of the `vertices` (vertices, 3) [m] has a plane through `points` (vertices, 3) [m] with `normals` (vertices, 3)
     where it `counts` (vertices,), and a `weight` (vertices,) [J/m^3].
@@ -226,7 +179,7 @@ def _add_gradient(
             depth -= (vertices[row, axis] - points[row, axis]) * normals[row, axis]
         if depth > 0.0:
             energies[garment[row]] += weight[row] * depth**3
-            for axis in range(3):
+            for axis in range(3 if len(gradient) else 0):
                 gradient[row, axis] -= 3.0 * weight[row] * depth * depth * normals[row, axis]
 
 

@@ -3,36 +3,28 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pb4u.collision.jit import as_float64
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.pair_stiffness import PairStiffness
 from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
 
+Tangent = Callable[[np.ndarray, Stiffness, np.ndarray, np.ndarray], None]
+"""A term's part of the quadratic model of a Newton step, which is relinearised where the step leads.
 
-class Tangent(ABC):
-    """A term's part of the quadratic model of a Newton step, which can be relinearised where the step leads.
-
-    Contact that begins, and friction that holds, change their force within a step far more than their second derivative
-    where it begins can tell.
-    """
-
-    @abstractmethod
-    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
-        """Lay the tangent where `moves` lead.
-
-        Args:
-            moves: (vertices, 3) [m] of the step.
-            stiffness: of the model; changed.
-            gradient: (vertices, 3) [N] of the model where the step begins; changed.
-            missed: (vertices, 3) [N] to which is added by how much the model was wrong where `moves` lead.
-        """
+Contact that begins, and friction that holds, change their force within a step far more than their second derivative
+where it begins can tell. Called with the moves (vertices, 3) [m] of the step, the stiffness and the gradient
+(vertices, 3) [N] of the model, both changed, and forces (vertices, 3) [N] to which is added by how much the model was
+wrong where the moves lead.
+"""
 
 
 class EnergyTerm(ABC):
@@ -82,31 +74,6 @@ class EnergyTerm(ABC):
         """
         return self
 
-    def add_stiffness(
-        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
-    ) -> None:
-        """Add the second derivative, or one near it, to the `stiffness`; asked of a compiled term that has `elements`.
-
-        Args:
-            step: the time step.
-            contacts: contacts of the step.
-            x: (vertices, 3) [m] next positions.
-            slots: (elements, corner pairs) int32 where the `corner_pairs` of the `elements` are in it.
-            stiffness: added to.
-        """
-        raise NotImplementedError(f"{self.name} couples no vertices")
-
-    def tangents(self, step: TimeStep, contacts: ContactSet, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
-        """Its parts of the model of a Newton step that can be relinearised; of a compiled term that has `elements`.
-
-        Args:
-            step: the time step.
-            contacts: contacts of the step.
-            x: (vertices, 3) [m] where the step begins.
-            pattern: of the stiffness.
-        """
-        return []
-
     def pair_stiffness(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> PairStiffness | None:
         """Positive semi-definite second derivative over pairs of cloth elements that change with `x`; None where zero.
 
@@ -118,17 +85,51 @@ class EnergyTerm(ABC):
         return None
 
 
-class MeasuredTerm(EnergyTerm):
-    """A term that is measured rather than minimised: its gradient comes from autograd, and it has no curvature."""
+class CompiledTerm(EnergyTerm):
+    """A term as the solver evaluates it: compiled for the step that it was made for, in float64, without autograd."""
+
+    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
+        return self._evaluated(step, contacts, x, 0)[0]
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        with torch.enable_grad():
-            variable = x.detach().requires_grad_(True)
-            energies = self.energies(step, contacts, variable)
-            if not energies.requires_grad:
-                return energies, torch.zeros_like(x)
-            (gradient,) = torch.autograd.grad(energies.sum(), variable)
-        return energies.detach(), gradient
+        return self._evaluated(step, contacts, x, len(x))
+
+    def _evaluated(self, step: TimeStep, contacts: ContactSet, x: Tensor, rows: int) -> tuple[Tensor, Tensor]:
+        energies, gradient = np.zeros(step.garments.garment_count), np.zeros((rows, 3))
+        self.add(contacts, as_float64(x), energies, gradient)
+        return torch.from_numpy(energies), torch.from_numpy(gradient)
+
+    @abstractmethod
+    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
+        """Add to energies that are 0, and to their gradient.
+
+        Args:
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+            energies: (garments,) [J].
+            gradient: (vertices, 3) [N], dE/dx; without rows where the energies alone are wanted.
+        """
+
+    def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
+        """Add the second derivative, or one near it; a term without `elements` has none.
+
+        Args:
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] next positions.
+            slots: (elements, corner pairs) int32 where the `corner_pairs` of the `elements` are in the stiffness.
+            stiffness: added to.
+        """
+
+    def tangents(self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern) -> list[Tangent]:
+        """Its parts of the model of a Newton step that can be relinearised.
+
+        Args:
+            step: the time step.
+            contacts: contacts of the step.
+            x: (vertices, 3) [m] where the step begins.
+            pattern: of the stiffness.
+        """
+        return []
 
 
 @lru_cache
@@ -179,7 +180,11 @@ def columns(x: Tensor, index: Tensor) -> Tensor:
 
 
 def vertex_elements(garments: PackedGarments) -> Tensor:
-    """Indices (vertices, 1) int64 of every vertex as an element of its own, for terms that couple no two vertices."""
+    """Indices (vertices, 1) int64 of every vertex as an element of its own, for terms that couple no two vertices.
+
+    Args:
+        garments: the packed garments.
+    """
     return torch.arange(garments.vertex_count, device=garments.device)[:, None]
 
 

@@ -12,8 +12,8 @@ from pb4u.collision.jit import as_float64, compiled
 from pb4u.physics.contact.contact_set import ContactSet
 from pb4u.physics.terms.collision import REFERENCE_AREA, Collision
 from pb4u.physics.terms.energy_term import (
+    CompiledTerm,
     EnergyTerm,
-    MeasuredTerm,
     Tangent,
     constant,
     dot,
@@ -24,14 +24,11 @@ from pb4u.physics.terms.stiffness_matrix import Stiffness, StiffnessPattern
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 
-_FLOOR = 1e-4
+SLIDING_DOWN = 1e-4
 """Share of the squared slip that always counts, so that sliding straight down costs a little (reference 2.6)."""
 
 _SOFTENING = 0.8
 """Share of the softening along the slip that the curvature has: with all of it, steps overshoot where slipping ends."""
-
-
-_Law = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class Friction(EnergyTerm):
     the body's normal. c^2 = 1 - cos^2(s, up) + 1e-4 makes slipping sideways cost and sliding down nearly free.
     e = `smoothing` dt [m]. A vertex touches when its true distance to the body (or to the ground) at the step's start
     is below `radius`; so the set is known before the step and the energy is convex. Source: HOOD (Grigorev et al.
-    2023); its released gate and its third axis for up are in `ReleasedFriction`.
+    2023); its released form is in `measures/released_energies.py`.
 
     Args:
         coefficient: mu.
@@ -60,12 +57,12 @@ class Friction(EnergyTerm):
 
     def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
         limit, anchor, normal = self._sliding(step, contacts)
-        magnitude = self._magnitude(step, _slip(x, anchor, normal))
+        magnitude = self._magnitude(step, slip_across(x, anchor, normal))
         return self._sum(step, limit, magnitude)
 
     def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
         limit, anchor, normal = self._sliding(step, contacts)
-        slip = _slip(x, anchor, normal)
+        slip = slip_across(x, anchor, normal)
         magnitude = self._magnitude(step, slip)
         pull = slip * _directional(x) * (limit / magnitude)[:, None]
         return self._sum(step, limit, magnitude), pull - dot(pull, normal)[:, None] * normal
@@ -108,7 +105,7 @@ class Friction(EnergyTerm):
         return torch.where(touching, self.coefficient * force, 0.0), anchor, normal
 
 
-class CompiledFriction(Friction):
+class CompiledFriction(CompiledTerm, Friction):
     """`Friction` compiled for one step, with its second derivative, a little stiffer than exact along the slip.
 
     Positive, because the smoothed norm is convex.
@@ -129,92 +126,34 @@ class CompiledFriction(Friction):
             as_float64(_directional(limit)),
             self.smoothing * step.dt,
         )
-        self._garment, self._garment_count = step.garments.vertex_garment.numpy(), step.garments.garment_count
+        self._garment = step.garments.vertex_garment.numpy()
 
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        return self.energies_and_gradient(step, contacts, x)[0]
+    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
+        _add_gradient(x, *self._law, self._garment, energies, gradient)
 
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        energies, gradient = np.zeros(self._garment_count), np.zeros((len(x), 3))
-        _add_gradient(as_float64(x), *self._law, self._garment, energies, gradient)
-        return torch.from_numpy(energies), torch.from_numpy(gradient)
+    def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
+        _add_stiffness(x, *self._law, _SOFTENING, slots, stiffness.positive)
 
-    def add_stiffness(
-        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
-    ) -> None:
-        _add_stiffness(as_float64(x), *self._law, _SOFTENING, slots, stiffness.positive)
-
-    def tangents(self, step: TimeStep, contacts: ContactSet, x: Tensor, pattern: StiffnessPattern) -> list[Tangent]:
-        limit, *others = self._law
-        return [_FrictionTangent(as_float64(x), (limit * pattern.free, *others), pattern.slots[self.name][:, 0])]
-
-
-class _FrictionTangent(Tangent):
-    """Friction of each vertex with the pull of the slip where the step leads, which holds what stops there.
-
-    Args:
-        vertices: (vertices, 3) [m] where the step begins.
-        law: as in `CompiledFriction`, its limits 0 where a vertex does not move.
-        slots: (vertices,) block of each vertex in the stiffness.
-    """
-
-    def __init__(self, vertices: np.ndarray, law: _Law, slots: np.ndarray) -> None:
-        self._vertices, self._law, self._slots = vertices, law, slots
-        self._lengths = np.zeros(len(vertices))
-
-    def follow(self, moves: np.ndarray, stiffness: Stiffness, gradient: np.ndarray, missed: np.ndarray) -> None:
-        _follow(
-            self._vertices,
-            moves,
-            *self._law,
-            _SOFTENING,
-            self._slots,
-            self._lengths,
-            stiffness.positive,
-            gradient,
-            missed,
-        )
-
-
-@dataclass(frozen=True)
-class ReleasedFriction(MeasuredTerm):
-    """The family's released friction, for tables: not smoothed, gates on squared distances, the third axis as up.
-
-    Sum of mu m g c |s| over vertices whose nearest face centres before and after the step both lie within
-    sqrt(3e-3) m, s projected off the mean of the two normals, c^2 = 1 - cos^2(s, +Z) + 1e-4.
-
-    Args:
-        coefficient: mu.
-        squared_radius: square of the distance within which a vertex touches [m^2].
-    """
-
-    coefficient: float = 0.5
-    squared_radius: float = 3e-3
-    name = "friction"
-
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        garments, now, following = step.garments, contacts.now, contacts.next
-        if now is None or following is None or contacts.transported is None:
-            return x.new_zeros(garments.garment_count)
-        mean = now.normals + following.normals
-        slip = _slip(
-            x, contacts.transported, mean / mean.norm(dim=1, keepdim=True).clamp_min(torch.finfo(x.dtype).tiny)
-        )
-        squared = dot(slip, slip)
-        safe = squared.clamp_min(torch.finfo(x.dtype).tiny)
-        length = torch.where(squared > 0, (safe * (1.0 + _FLOOR) - slip[:, 2] ** 2).clamp_min(0.0).sqrt(), 0.0)
-        near = (now.distance**2 < self.squared_radius) & (following.distance**2 < self.squared_radius)
-        limit = self.coefficient * STANDARD_GRAVITY * garments.vertex_masses
-        energy = torch.where(near & now.touchable & following.touchable, limit * length, 0.0)
-        return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
+    def tangents(self, step: TimeStep, contacts: ContactSet, x: np.ndarray, pattern: StiffnessPattern) -> list[Tangent]:
+        limit, anchor, normal, weights, rest = self._law
+        slots, lengths = pattern.slots[self.name][:, 0], np.zeros(len(x))
+        law = limit * pattern.free, anchor, normal, weights, rest, _SOFTENING, slots, lengths
+        return [lambda moves, stiffness, *forces: _follow(x, moves, *law, stiffness.positive, *forces)]
 
 
 def _directional(x: Tensor) -> Tensor:
     """(3,) weights of the squared slip along each axis: |s|^2 c^2 = s . W s."""
-    return constant((1.0 + _FLOOR, _FLOOR, 1.0 + _FLOOR), x.dtype, x.device)
+    return constant((1.0 + SLIDING_DOWN, SLIDING_DOWN, 1.0 + SLIDING_DOWN), x.dtype, x.device)
 
 
-def _slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
+def slip_across(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
+    """Ways (vertices, 3) [m] from `anchor` to `x` (vertices, 3) [m] without their parts along unit `normal`s.
+
+    Args:
+        x: (vertices, 3) [m].
+        anchor: (vertices, 3) [m] where each vertex would be if it did not slip.
+        normal: (vertices, 3) of the surface that it slips on.
+    """
     moved = x - anchor
     return moved - dot(moved, normal)[:, None] * normal
 
@@ -243,7 +182,7 @@ def _add_gradient(
     energies: np.ndarray,
     gradient: np.ndarray,
 ) -> None:
-    """Add to the `energies` (garments,) [J] and to their `gradient` (vertices, 3) [N].
+    """Add to the `energies` (garments,) [J], and to their `gradient` (vertices, 3) [N] where it has rows.
 
     Each of the `vertices` (vertices, 3) [m] has a `limit` (vertices,) [N], an `anchor` (vertices, 3) [m] and a `normal`
     (vertices, 3); the `weights` (3,) are those of `_directional`, `rest` [m] smooths.
@@ -253,6 +192,8 @@ def _add_gradient(
             continue
         s0, s1, s2, magnitude = _slip_at(vertices, anchor, normal, weights, rest, row)
         energies[garment[row]] += limit[row] * (magnitude - rest)
+        if not len(gradient):
+            continue
         pull = limit[row] / magnitude
         p0, p1, p2 = pull * weights[0] * s0, pull * weights[1] * s1, pull * weights[2] * s2
         inward = p0 * normal[row, 0] + p1 * normal[row, 1] + p2 * normal[row, 2]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from pb4u.collision.jit import as_float64, compiled
+from pb4u.collision.jit import compiled
 from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.energy_term import EnergyTerm, dot, sum_by_garment, vertex_elements
+from pb4u.physics.terms.energy_term import CompiledTerm, EnergyTerm, dot, sum_by_garment, vertex_elements
 from pb4u.physics.terms.stiffness_matrix import Stiffness
 from pb4u.physics.time_step import TimeStep
 
@@ -44,7 +43,7 @@ class Inertia(EnergyTerm):
         return sum_by_garment(energy, garments.vertex_garment, garments.garment_count)
 
 
-class CompiledInertia(Inertia):
+class CompiledInertia(CompiledTerm, Inertia):
     """`Inertia` compiled for one step.
 
     Args:
@@ -55,25 +54,18 @@ class CompiledInertia(Inertia):
         garments = step.garments
         self._kept = (step.state.positions + step.dt * step.state.velocities).numpy()
         self._stiffness = (garments.vertex_masses / step.dt**2).numpy()
-        self._garment, self._garment_count = garments.vertex_garment.numpy(), garments.garment_count
+        self._garment = garments.vertex_garment.numpy()
 
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        return self.energies_and_gradient(step, contacts, x)[0]
+    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
+        _add_gradient(x, self._kept, self._stiffness, self._garment, energies, gradient)
 
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        energies, gradient = np.zeros(self._garment_count), np.empty((len(x), 3))
-        _fill_gradient(as_float64(x), self._kept, self._stiffness, self._garment, energies, gradient)
-        return torch.from_numpy(energies), torch.from_numpy(gradient)
-
-    def add_stiffness(
-        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
-    ) -> None:
+    def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
         for axis in range(3):
             stiffness.positive[slots[:, 0], axis, axis] += self._stiffness
 
 
 @compiled
-def _fill_gradient(
+def _add_gradient(
     vertices: np.ndarray,
     kept: np.ndarray,
     stiffness: np.ndarray,
@@ -81,7 +73,7 @@ def _fill_gradient(
     energies: np.ndarray,
     gradient: np.ndarray,
 ) -> None:
-    """Add to the `energies` (garments,) [J] and fill their `gradient` (vertices, 3) [N].
+    """Add to the `energies` (garments,) [J] and to their `gradient` (vertices, 3) [N] where it has rows.
 
     `vertices` (vertices, 3) [m] are `kept` (vertices, 3) [m] where they keep their velocity; `stiffness` (vertices,) is
     mass over squared time step [N/m].
@@ -90,6 +82,7 @@ def _fill_gradient(
         squared = 0.0
         for axis in range(3):
             change = vertices[row, axis] - kept[row, axis]
-            gradient[row, axis] = stiffness[row] * change
+            if len(gradient):
+                gradient[row, axis] += stiffness[row] * change
             squared += change * change
         energies[garment[row]] += 0.5 * stiffness[row] * squared

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.jit import as_float64, compiled_with_fused_products
+from pb4u.collision.jit import compiled_with_fused_products
 from pb4u.physics.contact.contact_set import ContactSet
-from pb4u.physics.terms.energy_term import EnergyTerm, columns, sum_by_garment, sum_by_vertex
+from pb4u.physics.terms.energy_term import CompiledTerm, EnergyTerm, columns, sum_by_garment, sum_by_vertex
 from pb4u.physics.terms.stiffness_matrix import Stiffness
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
@@ -46,7 +46,7 @@ class Stretch(EnergyTerm):
         return CompiledStretch(step.garments)
 
 
-class CompiledStretch(Stretch):
+class CompiledStretch(CompiledTerm, Stretch):
     """`Stretch` compiled, with its second derivative: exact where the stress is tensile.
 
     What the compressive part of the stress adds is negative, and multiples of the identity.
@@ -57,7 +57,6 @@ class CompiledStretch(Stretch):
 
     def __init__(self, garments: PackedGarments) -> None:
         weight = garments.face_areas * garments.thickness
-        self._garment_count = garments.garment_count
         self._faces, self._garment = garments.faces.numpy(), garments.face_garment.numpy()
         self._law = (
             garments.inverse_rest_shape.numpy(),
@@ -65,20 +64,11 @@ class CompiledStretch(Stretch):
             (weight * garments.lame_lambda).numpy(),
         )
 
-    def energies(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> Tensor:
-        energies = np.zeros(self._garment_count)
-        _add_energies(as_float64(x), self._faces, *self._law, self._garment, energies)
-        return torch.from_numpy(energies)
+    def add(self, contacts: ContactSet, x: np.ndarray, energies: np.ndarray, gradient: np.ndarray) -> None:
+        _add_gradient(x, self._faces, *self._law, self._garment, energies, gradient)
 
-    def energies_and_gradient(self, step: TimeStep, contacts: ContactSet, x: Tensor) -> tuple[Tensor, Tensor]:
-        energies, gradient = np.zeros(self._garment_count), np.zeros((len(x), 3))
-        _add_gradient(as_float64(x), self._faces, *self._law, self._garment, energies, gradient)
-        return torch.from_numpy(energies), torch.from_numpy(gradient)
-
-    def add_stiffness(
-        self, step: TimeStep, contacts: ContactSet, x: Tensor, slots: np.ndarray, stiffness: Stiffness
-    ) -> None:
-        _add_stiffness(as_float64(x), self._faces, *self._law, slots, stiffness.positive, stiffness.compressive)
+    def add_stiffness(self, contacts: ContactSet, x: np.ndarray, slots: np.ndarray, stiffness: Stiffness) -> None:
+        _add_stiffness(x, self._faces, *self._law, slots, stiffness.positive, stiffness.compressive)
 
 
 def _deformation(garments: PackedGarments, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -128,25 +118,6 @@ def _deformation_at(
 
 
 @compiled_with_fused_products
-def _add_energies(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    inverse: np.ndarray,
-    mu: np.ndarray,
-    lam: np.ndarray,
-    garment: np.ndarray,
-    energies: np.ndarray,
-) -> None:
-    """Add to the `energies` (garments,) [J]; `mu` and `lam` (faces,) [J] are the Lame parameters times A h."""
-    for face in range(len(faces)):
-        u0, u1, u2, v0, v1, v2 = _deformation_at(vertices, faces, inverse, face)
-        g11, g22 = 0.5 * (u0 * u0 + u1 * u1 + u2 * u2 - 1.0), 0.5 * (v0 * v0 + v1 * v1 + v2 * v2 - 1.0)
-        g12 = 0.5 * (u0 * v0 + u1 * v1 + u2 * v2)
-        squared, trace = g11 * g11 + g22 * g22 + 2.0 * g12 * g12, g11 + g22
-        energies[garment[face]] += mu[face] * squared + 0.5 * lam[face] * trace * trace
-
-
-@compiled_with_fused_products
 def _add_gradient(
     vertices: np.ndarray,
     faces: np.ndarray,
@@ -157,13 +128,18 @@ def _add_gradient(
     energies: np.ndarray,
     gradient: np.ndarray,
 ) -> None:
-    """As `_add_energies`, and to their `gradient` (vertices, 3) [N]."""
+    """Add to the `energies` (garments,) [J], and to their `gradient` (vertices, 3) [N] where it has rows.
+
+    `mu` and `lam` (faces,) [J] are the Lame parameters times A h.
+    """
     for face in range(len(faces)):
         u0, u1, u2, v0, v1, v2 = _deformation_at(vertices, faces, inverse, face)
         g11, g22 = 0.5 * (u0 * u0 + u1 * u1 + u2 * u2 - 1.0), 0.5 * (v0 * v0 + v1 * v1 + v2 * v2 - 1.0)
         g12 = 0.5 * (u0 * v0 + u1 * v1 + u2 * v2)
         squared, trace = g11 * g11 + g22 * g22 + 2.0 * g12 * g12, g11 + g22
         energies[garment[face]] += mu[face] * squared + 0.5 * lam[face] * trace * trace
+        if not len(gradient):
+            continue
         pressure = lam[face] * trace
         s11, s22, s12 = 2.0 * mu[face] * g11 + pressure, 2.0 * mu[face] * g22 + pressure, 2.0 * mu[face] * g12
         # How far the two columns move with corner b, and with corner c.

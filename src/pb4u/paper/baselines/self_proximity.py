@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pb4u.collision.box_tree import boxes_of, still_boxes, with_room
-from pb4u.collision.enclosures import CutOff, Enclosures
-from pb4u.collision.intersection_contours import ContourFinder
 from pb4u.collision.jit import compiled
 from pb4u.collision.surface_tree import SurfaceTree
+from pb4u.paper.baselines.enclosures import CutOff, Enclosures
+from pb4u.paper.baselines.intersection_contours import ContourFinder
 
 _ROUNDING = 1e-9
 """What boxes are wider by [m], so that rounding leaves nothing out."""
@@ -112,7 +112,11 @@ class SelfProximity:
         return FacingPairs(vertex[kept], face[kept], height[kept], passed[kept])
 
     def enclosures(self, vertices: np.ndarray) -> Enclosures:
-        """What has passed through at `vertices` (vertices, 3) [m]."""
+        """What has passed through at `vertices` (vertices, 3) [m].
+
+        Args:
+            vertices: (vertices, 3) [m].
+        """
         return self._cut_off(self.contours.find(vertices), self.contours.topology)
 
 

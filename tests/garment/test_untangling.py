@@ -10,7 +10,7 @@ from tests.paper import readable_contours as readable
 from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.collision.crossings import piercings, self_crossings
 from pb4u.collision.surface_tree import SurfaceTree
-from pb4u.collision.untangling import FARTHEST, untangle
+from pb4u.garment.untangling import FARTHEST, untangle
 from pb4u.geometry.topology import Topology
 
 

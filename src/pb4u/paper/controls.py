@@ -1,0 +1,98 @@
+"""Controls: what a network does around its predictions, without the network."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pb4u.network.acceleration_model import GraphNetwork
+from pb4u.network.graph.garment_graph import incident_lengths
+from pb4u.physics.incremental_potential import IncrementalPotential
+from pb4u.physics.time_step import TimeStep
+from pb4u.scene.packed import PackedGarments
+from pb4u.simulation.first_frame import FirstFrame, OneLongStep
+from pb4u.simulation.network_pass import DescentFeature
+from pb4u.simulation.pass_search import search_of
+from pb4u.simulation.penetration_response import ContactResponse
+from pb4u.simulation.simulator import RunRecord
+from pb4u.simulation.step import StepMethod
+from pb4u.simulation.step_start import start_of
+from pb4u.simulation.stepwise_simulator import StepwiseSimulator
+from pb4u.simulation.timeline import Timeline
+
+GRADIENT_DESCENT, WARM_START = "gradient-descent", "warm-start"
+
+
+class ControlSimulator(StepwiseSimulator):
+    """The start, search and passes of a network, with gradient descent in its place, or with nothing.
+
+    `--model gradient-descent` takes the network's own input feature, Jacobi descent of the potential, for its
+    prediction; `--model warm-start` leaves the step where it starts. What a network is better by is its own.
+
+    Args:
+        name: one of the two.
+        like: network whose start, search and number of passes are taken.
+        refine: solver iterations after each step, which is retried where they fail; 0 for none.
+        contact: pushes out vertices left inside the body; none by default.
+        passes: gradients in a step; None is the number of the network.
+        first_frame: makes frame 0; by default one long step of the method's own.
+        potential: energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        like: GraphNetwork,
+        refine: int = 0,
+        contact: ContactResponse | None = None,
+        passes: int | None = None,
+        first_frame: FirstFrame | None = None,
+        potential: IncrementalPotential | None = None,
+    ) -> None:
+        self.name, self.like, self.refine = name, like, refine
+        self.contact, self.first_frame = contact, first_frame or OneLongStep()
+        self.potential = potential or IncrementalPotential()
+        self.passes, self.further = (like.passes, like.further_passes) if passes is None else (passes, 0)
+        if name != GRADIENT_DESCENT:
+            self.passes = self.further = 0
+
+    def settings(self) -> dict[str, Any]:
+        return {**super().settings(), "refine": self.refine, "device": "cpu", "passes": self.passes}
+
+    def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
+        return StepMethod(
+            start_of(self.like),
+            GradientPass(timeline.garments, self.passes, self.further) if self.passes else None,
+            self.refinement(record),
+            self.contact,
+            self.potential.self_contact,
+            search_of(self.like),
+        )
+
+
+class GradientPass:
+    """The gradient feature itself as the pass: what a network adds is judged against it.
+
+    Args:
+        garments: garments of the steps, float64 on the CPU.
+        passes: number of gradients in a step.
+        further: most gradients beyond those, while a pass lowers the energy much.
+    """
+
+    def __init__(self, garments: PackedGarments, passes: int = 1, further: int = 0) -> None:
+        self.passes, self.further = passes, further
+        self._feature = DescentFeature()
+        self._incident_length = incident_lengths(garments)
+
+    @torch.no_grad()
+    def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
+        """Accelerations (vertices, 3) [m per step^2] to add; see `NetworkPass.correction`.
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
+        length = self._incident_length
+        return length[:, None] * self._feature.of(step, accelerations, length)
