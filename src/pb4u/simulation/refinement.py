@@ -115,7 +115,7 @@ class SolverRefinement:
         pressed = self._pressing.minimise(firm.of(step), state.positions).positions
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
-    def past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
+    def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
         """`state` as far as it is reached past the moving bodies, at rest with them where they turned it aside.
 
         Args:

@@ -99,7 +99,11 @@ def take(step: TimeStep, method: StepMethod) -> State:
                 # What cloth around it kept inside the body is pushed out together with that cloth.
                 state = refinement.respond_with_cloth(step, state, contact)
         # Between vertices too no face or edge of a body comes through.
-        kept = past_bodies(cloth, step, state) if refinement is None else refinement.past_bodies(step, state, cloth)
+        kept = (
+            past_bodies(cloth, step, state)
+            if refinement is None
+            else refinement.pressed_past_bodies(step, state, cloth)
+        )
         # Where one is through cloth already, no energy leads it back.
         return kept if contact is None else contact.cleared(step, kept, cloth)
 
@@ -119,34 +123,49 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
     accelerations = begun(method.start, step)
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
     yield integrate(step, accelerations)
-    network = method.network
-    if network is None:
-        return
-    passes, most = network.passes, network.passes + network.further
-    made = most if rooms is None else rooms.repeats("passes", most)
+    if method.network is not None:
+        moved = _decided(step, method, method.network, accelerations)
+        if rooms is not None:
+            moved = _masked(step, method, method.network, accelerations, rooms)
+        yield from (integrate(step, each) for each in moved)
+
+
+def _decided(step: TimeStep, method: StepMethod, network: Pass, accelerations: Tensor) -> Iterator[Tensor]:
+    """Accelerations after each pass of the network, up to the first that is not worth its time."""
+    for number in range(network.passes + network.further):
+        if number >= network.passes and not bool(_is_worth_another(step, method)):
+            return
+        reached = accelerations.detach()
+        if not bool(torch.isfinite(reached).all()):
+            return
+        method.search.worth = None
+        accelerations = reached + method.search.move(step, reached, network.correction(step, reached))
+        yield accelerations
+
+
+def _masked(step: TimeStep, method: StepMethod, network: Pass, accelerations: Tensor, rooms: Rooms) -> Iterator[Tensor]:
+    """The same without a decision: as many passes as there is room for, those not worth their time left out."""
+    search, passes, most = method.search, network.passes, network.passes + network.further
+    made = rooms.repeats("passes", most)
     worth: list[Tensor] = []
     for number in range(min(made + 1, most)):
         if number >= passes:
-            worth.append(_is_worth_another(step, method, worth))
-            if rooms is None and not bool(worth[-1]):
-                return
+            another = _is_worth_another(step, method)
+            worth.append(another & worth[-1] if worth else another)
         if number == made:
             break
-        reached, last = accelerations.detach(), method.search.last
-        if rooms is None and not bool(torch.isfinite(reached).all()):
-            return
-        move = method.search.move(step, reached, network.correction(step, reached))
-        method.search.worth = worth[-1] if worth and rooms is not None else None
-        if rooms is not None and worth and last is not None and method.search.last is not None:
+        reached, last = accelerations.detach(), search.last
+        move = search.move(step, reached, network.correction(step, reached))
+        search.worth = worth[-1] if worth else None
+        if worth and last is not None and search.last is not None:
             move = torch.where(worth[-1], move, 0.0)
-            method.search.last = torch.where(worth[-1], method.search.last, last)
+            search.last = torch.where(worth[-1], search.last, last)
         accelerations = reached + move
-        yield integrate(step, accelerations)
-    if rooms is not None and most > passes:
+        yield accelerations
+    if most > passes:
         rooms.note("passes", passes + torch.stack(worth).sum())
 
 
-def _is_worth_another(step: TimeStep, method: StepMethod, before: list[Tensor]) -> Tensor:
-    """Whether () bool another pass is worth its time, and those `before` were."""
-    worth = ~(method.search.decrease_height(step.garments) < LARGE_DECREASE)
-    return worth & before[-1] if before else worth
+def _is_worth_another(step: TimeStep, method: StepMethod) -> Tensor:
+    """Whether () bool another pass is worth its time."""
+    return ~(method.search.decrease_height(step.garments) < LARGE_DECREASE)
