@@ -25,7 +25,7 @@ import numpy as np
 
 PARTS: tuple[tuple[str, str, str], ...] = (
     ("search", "pb4u.collision.surface_tree:SurfaceTree", "pairs"),
-    ("stopping", "pb4u.physics.contact.self_contact:CollisionFree", "carried"),
+    ("stopping", "pb4u.physics.contact.self_contact:CollisionFree", "collision_free_move"),
     ("stopping", "pb4u.physics.contact.self_contact:CollisionFree", "shares"),
     ("pairs", "pb4u.physics.contact.self_contact:ClothPairs", "along"),
     ("pairs", "pb4u.physics.contact.self_contact:ClothPairs", "touching"),

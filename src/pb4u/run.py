@@ -391,7 +391,11 @@ class Entry:
 
 @lru_cache
 def described(record: type) -> Mapping[str, Entry]:
-    """The fields of `Run` or `WornGarment` that have a flag, by name."""
+    """The fields of `Run` or `WornGarment` that have a flag, by name.
+
+    Args:
+        record: `Run` or `WornGarment`.
+    """
     texts, hints = _texts(record), get_type_hints(record, include_extras=True)
     found = {}
     for each in fields(record):
@@ -411,7 +415,11 @@ _KINDS = {bool: "switch", int: "whole", float: "number", str: "name"}
 
 
 def entries(section: str) -> tuple[str, ...]:
-    """Names of the entries of a section of a scene file: "garments", "scene" or "run"."""
+    """Names of the entries of a section of a scene file: "garments", "scene" or "run".
+
+    Args:
+        section: "garments", "scene" or "run".
+    """
     if section == "garments":
         return tuple(described(WornGarment))
     return tuple(name for name, entry in described(Run).items() if entry.flag.section == section)

@@ -216,7 +216,7 @@ def test_worlds_do_not_feel_each_other() -> None:
         energies = PAIRED.of(time_step(garments, State(x, torch.zeros_like(x), 0))).energies(x)
         assert bool((energies.terms["self_contact"] > 0).all()) is felt
         passed = x + torch.from_numpy((surface.part == 0)[:, None] * np.array([0.0, 0.02, 0.0]))
-        free, _ = PAIRED.self_contact.carried(garments, x, passed)
+        free, _ = PAIRED.self_contact.collision_free_move(garments, x, passed)
         assert (free is passed) is not felt
 
 
@@ -225,8 +225,8 @@ def test_what_is_held_gives_way_to_nothing() -> None:
     x, garments = torch.from_numpy(surface.before), garments_of(surface, (0, 0))
     upper = torch.from_numpy(surface.part == 1)
     wanted = x + ~upper[:, None] * torch.tensor([0.0, 0.02, 0.0], dtype=x.dtype)
-    pushed, _ = PAIRED.self_contact.carried(garments, x, wanted)
-    held, _ = PAIRED.self_contact.carried(garments, x, wanted, held=upper)
+    pushed, _ = PAIRED.self_contact.collision_free_move(garments, x, wanted)
+    held, _ = PAIRED.self_contact.collision_free_move(garments, x, wanted, held=upper)
     assert bool((pushed[upper, 1] > x[upper, 1] + 1e-3).all())
     assert torch.equal(held[upper], x[upper])
     assert surface.crossing(held.numpy()) == 0

@@ -147,7 +147,7 @@ class HalfTheWay:
     def __init__(self, stopped: int, inside: torch.Tensor) -> None:
         self.stopped, self.inside = stopped, inside
 
-    def carried(self, garments, before, wanted, cloth=None, held=None, obstacle=None):
+    def collision_free_move(self, garments, before, wanted, cloth=None, held=None, obstacle=None):
         reached = wanted.clone()
         if not torch.equal(wanted[self.stopped], before[self.stopped]):
             reached[self.stopped] = self.inside
@@ -157,7 +157,7 @@ class HalfTheWay:
 class PushedAside(HalfTheWay):
     """Pushes one vertex into the ball, as cloth that is lifted beside it may, unless it gives way to nothing."""
 
-    def carried(self, garments, before, wanted, cloth=None, held=None, obstacle=None):
+    def collision_free_move(self, garments, before, wanted, cloth=None, held=None, obstacle=None):
         reached = wanted.clone()
         if not held[self.stopped]:
             reached[self.stopped] = self.inside

@@ -102,13 +102,13 @@ def weight(step: TimeStep) -> float:
 
 
 class Freeing(PassSearch):
-    """Says that the passes of a step freed the energies of some heights [m]."""
+    """Says that the passes of a step decrease the energies of some heights [m]."""
 
     def __init__(self, *heights: float) -> None:
         self.heights = iter(heights)
 
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
-        self.freed = correction.new_tensor([next(self.heights) * weight(step)])
+        self.decrease = correction.new_tensor([next(self.heights) * weight(step)])
         return correction
 
 

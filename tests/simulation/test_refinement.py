@@ -68,7 +68,7 @@ def test_strained_cloth_that_iterations_free_of_nothing_is_left(
     made: list[int] = []
     step = first_step(speed=4.0)
     refining = SafeguardedRefinement(1, POTENTIAL, lambda: made.append(1))
-    torn = replace(refining.solver.minimise(POTENTIAL.of(step), left_behind(step).positions, 1), freed=freed)
+    torn = replace(refining.solver.minimise(POTENTIAL.of(step), left_behind(step).positions, 1), decrease=freed)
     assert torn.residual > refinement._BALANCED
     monkeypatch.setattr(refining.solver, "minimise", lambda *_: torn)
     refining.refine(step, left_behind(step))

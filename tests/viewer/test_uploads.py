@@ -54,7 +54,7 @@ def test_what_is_no_such_file_or_too_large_is_refused(monkeypatch: pytest.Monkey
     with pytest.raises(InputError, match=r"a\.obj has 2 MB, and 1 MB are the most"):
         files.keep("garment", "a.obj", b"x" * 2**21)
     files.keep("garment", "a.obj", b"x" * 2**20)
-    with pytest.raises(InputError, match="more than 1 MB; open it anew"):
+    with pytest.raises(InputError, match="more than 1 MB; reload it"):
         files.keep("garment", "b.obj", b"x" * 200)
     assert [path.name for path in files.files] == ["a.obj"]
     assert set(KINDS) == {"garment", "body", "motion"}

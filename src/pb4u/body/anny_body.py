@@ -29,7 +29,11 @@ _RANGES = {
 
 
 def to_world_axes(points: np.ndarray) -> np.ndarray:
-    """Points (..., 3) [m] turned from Anny's axes (Z up, facing -Y) to the world's (Y up, facing +Z): (x, z, -y)."""
+    """Points (..., 3) [m] turned from Anny's axes (Z up, facing -Y) to the world's (Y up, facing +Z): (x, z, -y).
+
+    Args:
+        points: (..., 3) [m] in Anny's axes.
+    """
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
 
 

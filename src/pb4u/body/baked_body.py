@@ -114,7 +114,11 @@ class BakedBody(BodyModel):
     @staticmethod
     @lru_cache(maxsize=len(BUILT_IN))
     def built_in(name: str) -> BakedBody:
-        """The body of the package called `name`, one of `BUILT_IN`."""
+        """The body of the package called `name`, one of `BUILT_IN`.
+
+        Args:
+            name: one of `BUILT_IN`.
+        """
         with as_file(files("pb4u.body").joinpath("data", f"{name}.npz")) as path:
             return BakedBody(path)
 

@@ -159,11 +159,19 @@ class ShapedBody:
         return cast(Kept, self._kept[name])
 
     def posed(self, poses: PoseSequence) -> PosedBody:
-        """The body moving through `poses`."""
+        """The body moving through `poses`.
+
+        Args:
+            poses: world rotations and places, frame by frame.
+        """
         return PosedBody(self, poses)
 
     def with_contact(self, contact: np.ndarray) -> ShapedBody:
-        """The same body with other vertices left out of contact: `contact` (vertices,) bool is False there."""
+        """The same body with other vertices left out of contact: `contact` (vertices,) bool is False there.
+
+        Args:
+            contact: (vertices,) bool, False where a vertex is left out.
+        """
         return replace(self, contact=contact)
 
     @property

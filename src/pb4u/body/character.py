@@ -77,7 +77,11 @@ class Character(ShapedBody):
         return "pelvis" in self.skeleton.names
 
     def available_frames(self, fps: float) -> int:
-        """Number of frames of its clip at `fps` frames per second."""
+        """Number of frames of its clip at `fps` frames per second.
+
+        Args:
+            fps: frames per second.
+        """
         return 1 if self.clip is None else int(self.clip.duration * fps + 1e-6) + 1
 
     def clip_poses(self, fps: float, frames: int) -> NodePoses:

@@ -155,7 +155,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
 def _merged_bones(
     path: Path, nodes: Mapping[int, list[int]], inverses: Mapping[int, np.ndarray], places: Mapping[int, np.ndarray]
 ) -> tuple[list[int], list[np.ndarray], dict[tuple[int, int], int]]:
-    """Node and bind transform (4, 4) of each bone, and the bone of each (skin, joint): skins share alike ones."""
+    """Node and bind transform (4, 4) of each bone, and the bone of each (skin, joint); equal bones of skins are one."""
     bones: list[int] = []
     matrices: list[np.ndarray] = []
     bone_of: dict[tuple[int, int], int] = {}

@@ -33,7 +33,11 @@ class Channel:
     interpolation: str = "LINEAR"
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """Values (frames, numbers) at `times` (frames,) [s], held before the first and after the last key."""
+        """Values (frames, numbers) at `times` (frames,) [s], held before the first and after the last key.
+
+        Args:
+            times: (frames,) [s].
+        """
         keys = self.times
         after = np.clip(np.searchsorted(keys, times, side="right"), 1, max(len(keys) - 1, 1))
         before, after = after - 1, np.minimum(after, len(keys) - 1)
@@ -110,7 +114,11 @@ class NodePoses:
         return result
 
     def joined(self, following: NodePoses) -> NodePoses:
-        """These poses and then others."""
+        """These poses and then others.
+
+        Args:
+            following: poses of the same nodes, which come after these.
+        """
         weights = {node: np.concatenate([self.weights[node], w]) for node, w in following.weights.items()}
         return NodePoses(
             np.concatenate([self.translations, following.translations]),
@@ -160,7 +168,11 @@ class NodeTree:
         return NodePoses(parts["translations"], parts["rotations"], parts["scales"], weights)
 
     def globals(self, poses: NodePoses) -> np.ndarray:
-        """Transforms (frames, nodes, 4, 4) of the nodes to the world [m]."""
+        """Transforms (frames, nodes, 4, 4) of the nodes to the world [m].
+
+        Args:
+            poses: local poses of the nodes.
+        """
         result = np.zeros((len(poses), len(self.parents), 4, 4))
         world = self.world.copy()
         world[1, 3] += poses.rise
@@ -172,6 +184,9 @@ class NodeTree:
 
 def parted(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Translation (3,), rotation (4,) as quaternion wxyz and scale (3,) of a transform (4, 4) without shear.
+
+    Args:
+        matrix: (4, 4), translation [m].
 
     Raises:
         ValueError: it is sheared, or flat.

@@ -27,7 +27,11 @@ _MESHES = (".ply", ".obj")
 
 
 def is_sam3d_folder(folder: Path) -> bool:
-    """Whether a folder holds .npz files, the first of which has such vertices."""
+    """Whether a folder holds .npz files, the first of which has such vertices.
+
+    Args:
+        folder: any folder.
+    """
     first = next(iter(sorted(folder.glob("*.npz"))), None)
     return first is not None and VERTICES in member_names(first)
 

@@ -30,6 +30,9 @@ class Skeleton:
     def index(self, name: str) -> int:
         """Index of the bone called `name`.
 
+        Args:
+            name: of the bone.
+
         Raises:
             ValueError: there is none.
         """

@@ -121,7 +121,11 @@ class SkinnedSurface:
         )
 
     def positions(self, transforms: Tensor) -> Tensor:
-        """Vertices (frames, vertices, 3) float32 [m] under `transforms` (frames, bones, 3, 4)."""
+        """Vertices (frames, vertices, 3) float32 [m] under `transforms` (frames, bones, 3, 4).
+
+        Args:
+            transforms: (frames, bones, 3, 4), see `bone_transforms`.
+        """
         stacked = transforms.to(torch.float32).numpy().transpose(1, 3, 0, 2)
         result = np.empty((len(transforms), self._matrix.shape[0], 3), dtype=np.float32)
         for start in range(0, len(result), self.CHUNK):

@@ -118,7 +118,11 @@ class VertexSequence(AnimatedBody):
         return self._with(fps=fps, held_start=round(self.held_start * fps / self.fps))
 
     def smoothed(self, cutoff: float) -> VertexSequence:
-        """The same motion without what is faster than `cutoff` [Hz], by a low-pass that delays nothing."""
+        """The same motion without what is faster than `cutoff` [Hz], by a low-pass that delays nothing.
+
+        Args:
+            cutoff: frequency from which on motion is taken out [Hz].
+        """
         from scipy.signal import butter, sosfiltfilt
 
         count = len(self.vertices)
@@ -130,11 +134,19 @@ class VertexSequence(AnimatedBody):
         return self._with(vertices=calm, rest_vertices=np.asarray(calm[0], dtype=np.float64), from_video=False)
 
     def with_contact(self, contact: np.ndarray) -> VertexSequence:
-        """The same motion with other vertices left out of contact: `contact` (vertices,) bool is False there."""
+        """The same motion with other vertices left out of contact: `contact` (vertices,) bool is False there.
+
+        Args:
+            contact: (vertices,) bool, False where a vertex is left out.
+        """
         return self._with(contact=contact)
 
     def with_held_start(self, frames: int) -> VertexSequence:
-        """The same motion after `frames` more frames of its first one."""
+        """The same motion after `frames` more frames of its first one.
+
+        Args:
+            frames: number of frames to add.
+        """
         return self._with(held_start=self.held_start + frames)
 
     def _with(self, **changed: Any) -> VertexSequence:
@@ -179,7 +191,7 @@ def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSe
 
     Args:
         path: the file or folder; of an OBJ and its cache, either.
-        fps: frames per second of the file, over what the file says; 30 where neither tells.
+        fps: frames per second of the file, over what the file says; 30 where neither gives any.
 
     Raises:
         InputError: the file cannot be used.
@@ -353,7 +365,7 @@ def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | No
 
 
 def _read_pc2(path: Path) -> tuple[np.ndarray, float | None]:
-    """Positions (frames, points, 3) float32, mapped from the file, and frames per second where it tells."""
+    """Positions (frames, points, 3) float32, mapped from the file, and frames per second where it states them."""
     with path.open("rb") as file:
         header = file.read(_PC2_HEADER.size)
     if len(header) < _PC2_HEADER.size or not header.startswith(_PC2_MAGIC):
@@ -388,7 +400,8 @@ def _map_points(path: Path, offset: int, frames: int, points: int, dtype: str) -
 
 
 _CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
-"""Readers of positions (frames, points, 3) and, where the file tells, frames per second; the faces are in an OBJ."""
+"""Readers of positions (frames, points, 3) and, where the file states them, frames per second; the faces are in an
+OBJ."""
 
 SUFFIXES = (*_MESH_SUFFIXES, *_CACHES)
 

@@ -118,7 +118,7 @@ def write(
     Each argument is described by its `help`.
 
     Raises:
-        InputError: there is no such asset, or the file cannot be written or ends otherwise than its kind.
+        InputError: there is no such asset, or the file cannot be written or has the wrong suffix for its kind.
     """
     from pb4u.body.body_model import ShapedBody
     from pb4u.body.library import body_names, load_body

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from pb4u.jobs.worker_pool import WorkerPool
 
 _FAILURES_TOLD = 10
-"""Failures that are told one by one; the index has all."""
+"""Failures that are printed one by one; the index has all."""
 _NOTES_TOLD = 5
-"""Sentences of the clips that are told, the most frequent first; the index has all."""
+"""Notes of the clips that are printed, the most frequent first; the index has all."""
 
 
 def batch(
@@ -53,7 +53,8 @@ def batch(
 ) -> None:
     """Make a dataset: many clips with an index of every label and metric.
 
-    Killed at any instant, the same command goes on where it was. A longer jobs file with the same --out adds to it.\f
+    A command that was killed at any instant goes on where it stopped when it is given again. A longer jobs file with
+    the same --out adds to it.\f
 
     Each argument is described by its `help`.
 

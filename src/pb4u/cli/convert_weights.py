@@ -28,7 +28,7 @@ def convert_weights(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Network preset that it is of, such as release_hood. Default: told by its settings and keys.",
+            help="Network preset of the checkpoint, such as release_hood. Default: found from its settings and keys.",
         ),
     ] = None,
     licence: Annotated[

@@ -89,8 +89,8 @@ def evaluate(
 ) -> None:
     """Run a protocol of the paper: tables, plots and one page, beside the paper's own figures.
 
-    Killed at any instant, the same command goes on where it was. Other flags with the same --out narrow or extend it.
-    The resolution protocol without flags is 512 rollouts, most of a day on two cores.\f
+    A command that was killed at any instant goes on where it stopped when it is given again. Other flags with the same
+    --out narrow or extend it. The resolution protocol without flags is 512 rollouts, most of a day on two cores.\f
 
     Each argument is described by its `help`.
 

@@ -28,7 +28,7 @@ def info(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Also tell of a network: what it is, its size, training and licence.",
+            help="Also describe a network: what it is, its size, training and licence.",
             show_default=False,
         ),
     ] = None,

@@ -73,7 +73,11 @@ class Balls:
 
     @staticmethod
     def around(points: Tensor) -> Balls:
-        """Balls around `points` (worlds, groups, points, 3) [m]."""
+        """Balls around `points` (worlds, groups, points, 3) [m].
+
+        Args:
+            points: (worlds, groups, points, 3) [m].
+        """
         centres = 0.5 * (points.amin(-2) + points.amax(-2))
         return Balls(centres, (points - centres[..., None, :]).norm(dim=-1).amax(-1))
 
@@ -92,7 +96,11 @@ class Balls:
         return own @ torch.cat([self.centres, r, sums, ones(r)], dim=-1).mT <= _ROUNDING
 
     def nearest(self, points: Tensor) -> Tensor:
-        """Group (worlds, points) int64 whose centre is nearest to each of `points` (worlds, points, 3) [m]."""
+        """Group (worlds, points) int64 whose centre is nearest to each of `points` (worlds, points, 3) [m].
+
+        Args:
+            points: (worlds, points, 3) [m].
+        """
         squares = self.centres.square().sum(-1)
         return torch.baddbmm(squares[:, None], points, self.centres.mT, alpha=-2.0).argmin(-1)
 

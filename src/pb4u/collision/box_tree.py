@@ -55,7 +55,7 @@ class BoxTree:
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Order, children, ranges and roots, for compiled searches."""
+        """Order (faces,), children (nodes, 2), ranges (nodes, 2) and roots (worlds,), int64, for compiled searches."""
         return self.order, self.children, self.ranges, self.roots
 
     def fitted(self, face_boxes: np.ndarray) -> np.ndarray:
@@ -131,6 +131,13 @@ def boxes_of(
 
     Lowest and highest position of the corners; then the same at the end of the move. What the element takes up in
     between lies within what changes linearly from one to the other, so that two need be compared at the ends alone.
+
+    Args:
+        vertices: (vertices, 3) [m] where the move begins.
+        moves: (vertices, 3) [m] displacements.
+        corners: (elements, corners) int64 vertices of each element.
+        margin: added on every side [m].
+        room: added at the end of the move [m].
     """
     boxes = np.empty((len(corners), 12))
     fill_boxes(vertices, moves, corners, margin, room, boxes)
@@ -141,7 +148,16 @@ def boxes_of(
 def fill_boxes(
     vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, margin: float, room: float, boxes: np.ndarray
 ) -> None:
-    """Fill `boxes` (elements, 12) as `boxes_of` gives them."""
+    """Fill `boxes` (elements, 12) as `boxes_of` gives them.
+
+    Args:
+        vertices: (vertices, 3) [m] where the move begins.
+        moves: (vertices, 3) [m] displacements.
+        corners: (elements, corners) int64 vertices of each element.
+        margin: added on every side [m].
+        room: added at the end of the move [m].
+        boxes: (elements, 12) [m], filled.
+    """
     for element in range(len(corners)):
         box = boxes[element]
         for axis in range(3):
@@ -189,7 +205,16 @@ def fit_nodes(
     ranges: np.ndarray,
     boxes: np.ndarray,
 ) -> None:
-    """Fill the `boxes` (nodes, 12) of some `nodes` (n,), children before their parents."""
+    """Fill the `boxes` (nodes, 12) of some `nodes` (n,), children before their parents.
+
+    Args:
+        nodes: (n,) int64 nodes, children before their parents.
+        face_boxes: (faces, 12) [m].
+        order: (faces,) int64 faces in the order of the leaves.
+        children: (nodes, 2) int64.
+        ranges: (nodes, 2) int64 first leaf and the one after the last of each node.
+        boxes: (nodes, 12) [m], filled.
+    """
     for node in nodes:
         box = boxes[node]
         if children[node, 0] >= 0:
@@ -203,7 +228,12 @@ def fit_nodes(
 
 @compiled
 def copy_row(source: np.ndarray, target: np.ndarray) -> None:
-    """Put the numbers of `source` (n,) into `target` (n,)."""
+    """Put the numbers of `source` (n,) into `target` (n,).
+
+    Args:
+        source: (n,).
+        target: (n,), filled.
+    """
     for k in range(len(source)):
         target[k] = source[k]
 
@@ -223,6 +253,12 @@ def boxes_meet(ones: np.ndarray, one: int, others: np.ndarray, other: int) -> bo
     """Whether two boxes, rows of `ones` and of `others` (boxes, 12), may come together.
 
     They do where on no axis one is beyond the other at both ends of their moves.
+
+    Args:
+        ones: (boxes, 12) [m].
+        one: row of `ones`.
+        others: (boxes, 12) [m].
+        other: row of `others`.
     """
     # By number: a row on its own is an array, which costs more to make than to compare.
     for axis in range(3):
@@ -240,6 +276,14 @@ def meeting_leaves(
     """Pairs (pairs, 2) of leaves whose boxes (nodes, 12) meet, of which one is `asked` (nodes,) for; each once.
 
     A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2). None where there are over `most`.
+
+    Args:
+        node_boxes: (nodes, 12) [m].
+        children: (nodes, 2) int64; -1 in a leaf.
+        ranges: (nodes, 2) int64 first face and the one after the last of each node.
+        asked: (nodes,) bool.
+        parts: (parts, 2) int64 pairs of nodes to begin with.
+        most: number of pairs above which none are returned.
     """
     found, count = np.empty((1024, 2), dtype=np.int64), 0
     stack = np.empty((_DEEPEST, 2), dtype=np.int64)
@@ -281,7 +325,12 @@ def meeting_leaves(
 
 @compiled
 def with_room(rows: np.ndarray, count: int) -> np.ndarray:
-    """`rows` with room for one more than `count`."""
+    """`rows` with room for one more than `count`.
+
+    Args:
+        rows: (capacity, ...) of which the first `count` are in use.
+        count: number of rows in use.
+    """
     if count < len(rows):
         return rows
     larger = np.empty((2 * len(rows), rows.shape[1]), dtype=rows.dtype)

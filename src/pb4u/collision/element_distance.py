@@ -22,7 +22,13 @@ _MOST_ADVANCES = 200
 
 @compiled
 def gather(values: np.ndarray, corners: np.ndarray, rows: np.ndarray) -> None:
-    """Fill `rows` (4, 3) with those of `values` (vertices, 3) at `corners` (4,)."""
+    """Fill `rows` (4, 3) with those of `values` (vertices, 3) at `corners` (4,).
+
+    Args:
+        values: (vertices, 3).
+        corners: (4,) int64.
+        rows: (4, 3), filled.
+    """
     # Row by row, the kernels would compile for three times as long: Numba also compiles the checks of their shapes.
     for corner in range(4):
         for axis in range(3):
@@ -32,6 +38,13 @@ def gather(values: np.ndarray, corners: np.ndarray, rows: np.ndarray) -> None:
 @compiled
 def vertex_face_weights(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, weights: np.ndarray) -> None:
     """Fill `weights` (4,) of the vector from the nearest point of triangle a b c to the point p.
+
+    Args:
+        p: (3,) [m] the point.
+        a: (3,) [m] first corner.
+        b: (3,) [m] second corner.
+        c: (3,) [m] third corner.
+        weights: (4,) dimensionless, filled.
 
     Source: Ericson, Real-Time Collision Detection, 5.1.5.
     """
@@ -84,6 +97,13 @@ def vertex_face_weights(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarr
 def edge_edge_weights(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, weights: np.ndarray) -> None:
     """Fill `weights` (4,) of the vector from the nearest point of the edge c d to that of the edge a b.
 
+    Args:
+        a: (3,) [m] start of one edge.
+        b: (3,) [m] its end.
+        c: (3,) [m] start of the other edge.
+        d: (3,) [m] its end.
+        weights: (4,) dimensionless, filled.
+
     Source: Ericson, Real-Time Collision Detection, 5.1.9.
     """
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -118,6 +138,12 @@ def nearest(points: np.ndarray, vertex_face: bool, weights: np.ndarray, between:
     """Distance [m] of a pair; fills its `weights` (4,) and the vector `between` (3,) [m] its nearest points.
 
     `points` (4, 3) [m] are its corners: those of a vertex and a face where `vertex_face`, else of two edges.
+
+    Args:
+        points: (4, 3) [m] corners of the pair.
+        vertex_face: whether it is a vertex and a face, else two edges.
+        weights: (4,) dimensionless, filled.
+        between: (3,) [m], filled.
     """
     if vertex_face:
         vertex_face_weights(points[0], points[1], points[2], points[3], weights)
@@ -171,7 +197,13 @@ def crossing_share(points: np.ndarray, parallel: float, slopes: np.ndarray) -> f
 
 @compiled
 def crossing_shares(vertices: np.ndarray, corners: np.ndarray, parallels: np.ndarray) -> np.ndarray:
-    """Shares (pairs,) of `crossing_share` of pairs with `corners` (pairs, 4) among `vertices` (vertices, 3) [m]."""
+    """Shares (pairs,) of `crossing_share` of pairs with `corners` (pairs, 4) among `vertices` (vertices, 3) [m].
+
+    Args:
+        vertices: (vertices, 3) [m].
+        corners: (pairs, 4) int64 vertices of the pairs.
+        parallels: (pairs,) [m^4], see `crossing_share`.
+    """
     points, slopes, shares = np.empty((4, 3)), np.empty((4, 3)), np.empty(len(corners))
     for pair in range(len(corners)):
         gather(vertices, corners[pair], points)
@@ -181,7 +213,12 @@ def crossing_shares(vertices: np.ndarray, corners: np.ndarray, parallels: np.nda
 
 @compiled
 def fastest_approach(moves: np.ndarray, vertex_face: bool) -> float:
-    """Bound [m] of how much nearer a pair comes by `moves` (4, 3) [m]; what both do together is taken from these."""
+    """Bound [m] of how much nearer a pair comes by `moves` (4, 3) [m]; what both do together is taken from these.
+
+    Args:
+        moves: (4, 3) [m] displacements of the corners.
+        vertex_face: whether the pair is a vertex and a face, else two edges.
+    """
     for axis in range(3):
         mean = 0.25 * (moves[0, axis] + moves[1, axis] + moves[2, axis] + moves[3, axis])
         for corner in range(4):
@@ -203,6 +240,14 @@ def free_share(
 
     Below 1, a tenth of what was between them is left; 0 where they are that near already. `points` (4, 3) [m] are
     changed; `weights` (4,) and `between` (3,) are filled.
+
+    Args:
+        points: (4, 3) [m] corners of the pair, changed.
+        moves: (4, 3) [m] displacements of the corners.
+        vertex_face: whether the pair is a vertex and a face, else two edges.
+        gap: distance that has to stay [m].
+        weights: (4,) dimensionless, filled.
+        between: (3,) [m], filled.
 
     Source: additive continuous collision detection, Li et al., Codimensional Incremental Potential Contact, 2021.
     """

@@ -92,7 +92,11 @@ class ElementPairs:
         return _all_nearest(np.ascontiguousarray(vertices), self.corners, self.vertex_faces)
 
     def chosen(self, rows: np.ndarray) -> ElementPairs:
-        """The pairs where `rows` (pairs,) bool holds."""
+        """The pairs where `rows` (pairs,) bool holds.
+
+        Args:
+            rows: (pairs,) bool.
+        """
         return replace(
             self,
             corners=self.corners[rows],
@@ -105,7 +109,15 @@ class ElementPairs:
 def may_meet(
     vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_face: bool, reach: float
 ) -> np.ndarray:
-    """Whether each pair (pairs,) is no further apart than `reach` and what it may approach by the moves."""
+    """Whether each pair (pairs,) is no further apart than `reach` and what it may approach by the moves.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        moves: (vertices, 3) [m] displacements.
+        corners: (pairs, 4) int64 vertices of the pairs.
+        vertex_face: whether the pairs are of a vertex and a face, else of two edges.
+        reach: distance [m].
+    """
     points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     near = np.empty(len(corners), dtype=np.bool_)
     for pair in range(len(corners)):
@@ -122,6 +134,13 @@ def lasting_pairs(
     """Those of the `corners` (pairs, 4) that may come `within` a distance [m] on their moves.
 
     With their distances (pairs,) [m] after the moves, and bounds (pairs,) [m] that they stay beyond on them.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        moves: (vertices, 3) [m] displacements.
+        corners: (pairs, 4) int64 vertices of the pairs.
+        vertex_face: whether the pairs are of a vertex and a face, else of two edges.
+        within: distance [m].
     """
     points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     kept, distances, least = np.empty((64, 4), dtype=np.int64), np.empty(len(corners)), np.empty(len(corners))
@@ -145,7 +164,14 @@ def lasting_pairs(
 
 @compiled
 def rest_distances(rest: np.ndarray, part: np.ndarray, corners: np.ndarray, vertex_faces: int) -> np.ndarray:
-    """Distances (pairs,) [m] at rest of pairs of one part, infinite between two."""
+    """Distances (pairs,) [m] at rest of pairs of one part, infinite between two.
+
+    Args:
+        rest: (vertices, 3) [m] at rest.
+        part: (vertices,) int64 connected part of each vertex.
+        corners: (pairs, 4) int64 vertices of the pairs.
+        vertex_faces: number of leading pairs that are of a vertex and a face.
+    """
     count = len(corners)
     distances = np.full(count, np.inf)
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)

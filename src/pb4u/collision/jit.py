@@ -14,17 +14,29 @@ Compiled = TypeVar("Compiled", bound=Callable)
 
 
 def compiled(function: Compiled) -> Compiled:
-    """`function` compiled when first called; the machine code is kept on disk and does not hold up other threads."""
+    """`function` compiled when first called; the machine code is kept on disk and does not hold up other threads.
+
+    Args:
+        function: what is compiled.
+    """
     return _compiled(function, set())
 
 
 def compiled_with_fused_products(function: Compiled) -> Compiled:
-    """As `compiled`, a product and the sum that it enters rounded once: faster, for what compares nothing exactly."""
+    """As `compiled`, a product and the sum that it enters rounded once: faster, for what compares nothing exactly.
+
+    Args:
+        function: what is compiled.
+    """
     return _compiled(function, {"contract"})
 
 
 def compiled_with_free_sums(function: Compiled) -> Compiled:
-    """As `compiled_with_fused_products`, and sums over columns taken in any order, many columns at once."""
+    """As `compiled_with_fused_products`, and sums over columns taken in any order, many columns at once.
+
+    Args:
+        function: what is compiled.
+    """
     return _compiled(function, {"contract", "reassoc"})
 
 
@@ -32,10 +44,14 @@ def _compiled(function: Compiled, freedom: set[str]) -> Compiled:
     try:
         return cast(Compiled, numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=freedom)(function))
     except RuntimeError:
-        # No folder may be written, neither beside the package nor of the user: compiled anew in every run.
+        # No folder may be written, neither beside the package nor of the user: compiled again in every run.
         return cast(Compiled, numba.njit(nogil=True, error_model="numpy", fastmath=freedom)(function))
 
 
 def as_float64(values: Tensor) -> np.ndarray:
-    """`values` as a contiguous float64 array, in their unit; its memory is that of the tensor where it can be."""
+    """`values` as a contiguous float64 array, in their unit; its memory is that of the tensor where it can be.
+
+    Args:
+        values: (...) of any type.
+    """
     return values.detach().to("cpu", torch.float64).contiguous().numpy()

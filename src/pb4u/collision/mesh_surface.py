@@ -90,7 +90,11 @@ class MeshSurface:
         return cKDTree(samples), owner, start, end
 
     def project_border(self, points: np.ndarray) -> np.ndarray:
-        """Nearest points (n, 3) [m] on the border edges, of `points` (n, 3) [m]."""
+        """Nearest points (n, 3) [m] on the border edges, of `points` (n, 3) [m].
+
+        Args:
+            points: (n, 3) [m].
+        """
         tree, owner, start, end = self._border
         _, index = tree.query(points, k=min(6, len(owner)))
         candidates = owner[index.reshape(len(points), -1)]

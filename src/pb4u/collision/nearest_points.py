@@ -50,7 +50,12 @@ class Found(NamedTuple):
 
     @staticmethod
     def nothing(count: int, near: np.ndarray | None = None) -> Found:
-        """Of `count` points that were never queried; `near` (points, 3) [m] are points of the surface, if known."""
+        """Of `count` points that were never queried; `near` (points, 3) [m] are points of the surface, if known.
+
+        Args:
+            count: number of points.
+            near: (points, 3) [m] points of the surface, or None.
+        """
         return Found(
             at=np.full((count, 3), np.nan),
             triangle=np.zeros(count, dtype=np.int64),
@@ -62,11 +67,20 @@ class Found(NamedTuple):
         )
 
     def rows(self, first: int, stop: int) -> Found:
-        """What was found for the points from `first` to before `stop`; the same memory."""
+        """What was found for the points from `first` to before `stop`; the same memory.
+
+        Args:
+            first: first point.
+            stop: point after the last.
+        """
         return Found(*(values[first:stop] for values in self))
 
     def among(self, rows: np.ndarray) -> Found:
-        """What was found for the points of `rows` (points,) bool, in memory of its own."""
+        """What was found for the points of `rows` (points,) bool, in memory of its own.
+
+        Args:
+            rows: (points,) bool.
+        """
         return Found(*(values[rows] for values in self))
 
     def copy(self) -> Found:
@@ -110,9 +124,18 @@ def update_closest(
 ) -> int:
     """Bring `found` up to date for `points` (points, 3) [m], and return how many had to be searched for.
 
-    A point is left as it is that moved by at most `patience` [m] since it was found, or that is still at least `within`
-    [m] from the surface: a distance changes by no more than the way. So is one for which `only_nearer` faces are asked
-    for than its position in `found`, where there are none. `names` (faces,) are what faces are called.
+    A point keeps its result if it moved by at most `patience` [m] since it was found, or if it is still at least
+    `within` [m] from the surface, since a distance changes by no more than the way. With `only_nearer`, a point keeps
+    its result if no face is nearer than its stored position. `names` (faces,) are what faces are called.
+
+    Args:
+        surface: arrays of the surface and of its tree.
+        names: (faces,) int64 number under which each face is noted.
+        points: (points, 3) [m].
+        within: distance beyond which a point need not be exact [m].
+        patience: way that a point may move without a new search [m].
+        only_nearer: keep a point's result unless a face is nearer than its stored position.
+        found: results, changed.
     """
     vertices, faces, fans, order, children, bottoms, corners, boxes = surface
     at, triangle, barycentric, positions, normals, distances, beyond = found

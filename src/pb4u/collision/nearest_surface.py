@@ -67,7 +67,11 @@ class TriangleSurface:
         return Topology(self.faces, self.vertex_count)
 
     def batched(self, vertices: Tensor) -> BatchedSurface:
-        """This surface in tensors on the device of `vertices` (vertices, 3) [m]; the pose first given forms groups."""
+        """This surface in tensors on the device of `vertices` (vertices, 3) [m]; the pose first given forms groups.
+
+        Args:
+            vertices: (vertices, 3) [m].
+        """
         key = str(vertices.device)
         if key not in self._batched:
             made = BatchedSurface.of([self], [0], [self.names], vertices)
@@ -98,7 +102,11 @@ class TriangleSurface:
         return self._tree
 
     def at(self, vertices: Tensor | np.ndarray) -> PosedSurface:
-        """This surface with its `vertices` (vertices, 3) [m] somewhere."""
+        """This surface with its `vertices` (vertices, 3) [m] somewhere.
+
+        Args:
+            vertices: (vertices, 3) [m].
+        """
         return PosedSurface(self, torch.as_tensor(vertices).detach())
 
 

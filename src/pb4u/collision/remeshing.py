@@ -39,7 +39,11 @@ class Surface(Protocol):
         ...
 
     def project_border(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) [m] moved on to the border curves."""
+        """Points (n, 3) [m] moved on to the border curves.
+
+        Args:
+            points: (n, 3) [m] near the border.
+        """
         ...
 
 

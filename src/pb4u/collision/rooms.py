@@ -33,12 +33,22 @@ class Rooms:
         return self.sizes[name]
 
     def repeats(self, name: str, most: int) -> int:
-        """How often what is called `name` is done: once more than it last had to be, at most `most` times."""
+        """How often what is called `name` is done: once more than it last had to be, at most `most` times.
+
+        Args:
+            name: of what is done.
+            most: upper limit.
+        """
         self._limits[name] = most
         return self.sizes.setdefault(name, most)
 
     def note(self, name: str, wanted: Tensor) -> None:
-        """Note that () int64 `wanted` would have been needed of `name`."""
+        """Note that () int64 `wanted` would have been needed of `name`.
+
+        Args:
+            name: of the search.
+            wanted: () int64 room that the search needed.
+        """
         before = self._wanted.get(name)
         self._wanted[name] = wanted if before is None else torch.maximum(before, wanted)
 

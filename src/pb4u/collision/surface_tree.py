@@ -407,7 +407,13 @@ def _near_around(
 
 @compiled
 def asked_for(tree: tuple, faces: np.ndarray, among: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which nodes and faces have a vertex `among` (vertices,) those asked for."""
+    """Which nodes and faces have a vertex `among` (vertices,) the given ones.
+
+    Args:
+        tree: order, children and ranges of a `BoxTree`.
+        faces: (faces, 3) int64.
+        among: (vertices,) bool.
+    """
     order, children, ranges = tree
     asked_faces = any_corner(faces, among)
     asked_nodes = np.empty(len(children), dtype=np.bool_)
@@ -542,7 +548,12 @@ def _beside(face: np.ndarray, other: np.ndarray, way: tuple) -> bool:
 
 @compiled
 def any_corner(elements: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """Whether any corner of each of the `elements` (elements, corners) is `among` (vertices,)."""
+    """Whether any corner of each of the `elements` (elements, corners) is `among` (vertices,).
+
+    Args:
+        elements: (elements, corners) int64.
+        among: (vertices,) bool.
+    """
     found = np.zeros(len(elements), dtype=np.bool_)
     for element in range(len(elements)):
         for corner in range(elements.shape[1]):

@@ -58,6 +58,9 @@ class ReleasedFile:
     def read(cls, path: Path) -> ReleasedFile:
         """A .pth file, or .safetensors with the same keys.
 
+        Args:
+            path: the .pth or .safetensors file.
+
         Raises:
             InputError: it is damaged, of another project, or holds something unexpected.
         """
@@ -70,6 +73,10 @@ class ReleasedFile:
 
     def tensor(self, key: str, columns: int | None = None) -> Tensor:
         """The weights called `key`, float32.
+
+        Args:
+            key: name of the weights in the file.
+            columns: number of columns that they should have; None for any.
 
         Raises:
             InputError: they are missing or of other than `columns`.
@@ -85,7 +92,12 @@ class ReleasedFile:
         return found
 
     def mlp(self, prefix: str, layers: str = ".0.layers.") -> dict[str, Tensor]:
-        """The MLP called `prefix` by our names; with a LayerNorm unless `layers` says that none ends it."""
+        """The MLP called `prefix` by our names; with a LayerNorm unless `layers` says that none ends it.
+
+        Args:
+            prefix: start of its keys in the file.
+            layers: what stands between the prefix and the number of a layer.
+        """
         prefix = NETWORK + prefix
         named = {
             f"{ours}.{part}": self.tensor(f"{prefix}{layers}{theirs}.{part}")
@@ -98,6 +110,9 @@ class ReleasedFile:
 
     def statistics(self, name: str) -> tuple[Tensor, Tensor]:
         """Mean and spread (columns,) float64 of a released normaliser.
+
+        Args:
+            name: name of the normaliser in the file.
 
         Raises:
             InputError: its parts do not fit.
@@ -114,6 +129,9 @@ class ReleasedFile:
 
     def count(self, pattern: str) -> int:
         """Number of blocks whose keys match `pattern`, a number in its one group.
+
+        Args:
+            pattern: regular expression with one group.
 
         Raises:
             InputError: they do not count from 0 without a gap.
@@ -144,12 +162,22 @@ class ReleasedFile:
 
 
 def prefixed(prefix: str, mlp: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of an MLP with `prefix` and a dot before their names."""
+    """Weights of an MLP with `prefix` and a dot before their names.
+
+    Args:
+        prefix: of the names.
+        mlp: weights by name.
+    """
     return {f"{prefix}.{name}": value for name, value in mlp.items()}
 
 
 def reordered(weight: Tensor, given: Sequence[str], wanted: Sequence[str]) -> Tensor:
     """The first layer of an MLP of parts of one width, its parts in another order.
+
+    Args:
+        weight: (width, columns).
+        given: names of the parts in the order of the columns.
+        wanted: the same names in the order wanted.
 
     Raises:
         InputError: its columns are not those of as many parts.

@@ -50,7 +50,7 @@ class ReleasedWeights:
         preset: name of the released network.
         configuration: our network that they fit.
         tensors: its state; float32 as in the file, float64 where something was folded.
-        record: what the file tells of its training.
+        record: what the file says about its training.
         licence: what the user says of it, or that it is unknown.
         dropped: keys in the file that nothing reads.
     """
@@ -64,11 +64,18 @@ class ReleasedWeights:
     dropped: tuple[str, ...] = field(default=())
 
     def checkpoint(self, dtype: torch.dtype = torch.float32) -> Checkpoint:
-        """The model with these weights in precision `dtype`."""
+        """The model with these weights in precision `dtype`.
+
+        Args:
+            dtype: precision of the weights.
+        """
         return built_checkpoint(self.name, self.configuration, self.tensors, self.record, self.licence, dtype)
 
     def save(self, path: Path | str) -> None:
         """Write a checkpoint of ours.
+
+        Args:
+            path: path of the .safetensors file.
 
         Raises:
             InputError: the folder cannot be written.

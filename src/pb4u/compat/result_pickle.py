@@ -14,7 +14,7 @@ from pb4u.progress import Progress
 from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 
 FPS = 30.0
-"""Frames per second of all results of the released code, whose files do not tell it [1/s]."""
+"""Frames per second of all results of the released code, whose files do not state it [1/s]."""
 _LAYOUT: Layout = {
     "pred": ("f", ("frames", "vertices", 3)),
     "obstacle": ("f", ("frames", "body vertices", 3)),

@@ -65,7 +65,11 @@ class DatasetFolder(JobFolder):
             raise InputError(f"Cannot use the folder {path}: {error.strerror or error}.") from error
 
     def result(self, job: Any) -> dict[str, Any] | None:
-        """The record of a clip; None where it, or its trajectory, is not there whole."""
+        """The record of a clip; None where it, or its trajectory, is not there whole.
+
+        Args:
+            job: the clip.
+        """
         return None if self.place(job.key) is None else super().result(job)
 
     def place(self, key: str) -> Place | None:

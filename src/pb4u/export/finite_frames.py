@@ -49,12 +49,20 @@ def hold_finite(trajectory: Trajectory) -> Trajectory:
 
 
 def held_frames(trajectory: Trajectory) -> list[int]:
-    """Frames that `hold_finite` replaced."""
+    """Frames that `hold_finite` replaced.
+
+    Args:
+        trajectory: the trajectory.
+    """
     return [int(t) for t in trajectory.metadata.get(HELD_FRAMES, [])]
 
 
 def spans(frames: list[int]) -> str:
-    """Frame numbers as text, runs joined: "3, 7-12"."""
+    """Frame numbers as text, runs joined: "3, 7-12".
+
+    Args:
+        frames: frame numbers, ascending.
+    """
     runs: list[list[int]] = []
     for t in frames:
         if runs and t == runs[-1][1] + 1:

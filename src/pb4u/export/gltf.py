@@ -47,7 +47,7 @@ def write_glb(
 ) -> str | None:
     """Write one GLB file; vertices keep their order, copies with a second UV at a seam follow after the last.
 
-    The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning tells where
+    The frames that `hold_finite` replaced are listed in the `extras` of the asset. An InputWarning says where
     256 targets do not reach a millimetre.
 
     Args:

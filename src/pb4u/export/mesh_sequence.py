@@ -50,7 +50,11 @@ def later_frame_files(path: Path, frames: int) -> tuple[Path, ...]:
 
 
 def is_own(mesh: Path) -> bool:
-    """Whether an OBJ file was written here."""
+    """Whether an OBJ file was written here.
+
+    Args:
+        mesh: path of the OBJ.
+    """
     if not mesh.is_file():
         return False
     with mesh.open("rb") as file:

@@ -49,7 +49,11 @@ class SewnPanels:
 
 
 def uv_islands(uv_faces: np.ndarray) -> np.ndarray:
-    """Island (faces,) int64 of each face (faces, 3) of UV points, numbered in the order of their first points."""
+    """Island (faces,) int64 of each face (faces, 3) of UV points, numbered in the order of their first points.
+
+    Args:
+        uv_faces: (faces, 3) int64.
+    """
     points, corners = np.unique(uv_faces, return_inverse=True)
     corners = corners.reshape(-1, 3)
     island = connected_labels(len(points), *np.concatenate([corners[:, :2], corners[:, 1:]]).T)

@@ -178,12 +178,21 @@ _COUNTED_FRAMES = 3
 
 
 def is_same_file(one: Path, other: Path) -> bool:
-    """Whether two paths are of one file, be it there already or not."""
+    """Whether two paths are of one file, be it there already or not.
+
+    Args:
+        one: a path.
+        other: another path.
+    """
     return one.samefile(other) if one.exists() and other.exists() else one.resolve() == other.resolve()
 
 
 def is_drawn(path: Path) -> bool:
-    """Whether a file shows pictures; its suffix is one of `WRITERS`."""
+    """Whether a file shows pictures; its suffix is one of `WRITERS`.
+
+    Args:
+        path: path with a suffix of `WRITERS`.
+    """
     return WRITERS[path.suffix.lower()].drawn
 
 

@@ -62,7 +62,7 @@ class LazyFrames:
 
 
 def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: int) -> Trajectory:
-    """A trajectory of some of the frames; an InputWarning tells where the span goes beyond the last one.
+    """A trajectory of some of the frames; an InputWarning says where the span goes beyond the last one.
 
     Args:
         trajectory: to take them from.
@@ -95,7 +95,11 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
 
 
 def on_source(trajectory: Trajectory) -> Trajectory:
-    """The same motion on the author's mesh, frame by frame; the trajectory itself where it has no other mesh."""
+    """The same motion on the author's mesh, frame by frame; the trajectory itself where it has no other mesh.
+
+    Args:
+        trajectory: the trajectory.
+    """
     track = trajectory.header.source
     if track is None:
         return trajectory

@@ -56,12 +56,20 @@ class Limb:
     tip: np.ndarray
 
     def along(self, fraction: float) -> np.ndarray:
-        """Point (3,) [m] at a fraction of the way: 0 first joint, 1 second, 2 third."""
+        """Point (3,) [m] at a fraction of the way: 0 first joint, 1 second, 2 third.
+
+        Args:
+            fraction: 0 to 2.
+        """
         first = int(np.clip(np.floor(fraction), 0, 1))
         return self.joints[first] + (fraction - first) * (self.joints[first + 1] - self.joints[first])
 
     def direction(self, fraction: float) -> np.ndarray:
-        """Unit direction (3,) towards the hand or foot."""
+        """Unit direction (3,) towards the hand or foot.
+
+        Args:
+            fraction: 0 to 2, as in `along`.
+        """
         first = int(np.clip(np.floor(fraction), 0, 1))
         way = self.joints[first + 1] - self.joints[first]
         return way / np.linalg.norm(way)
@@ -96,7 +104,11 @@ class Sections:
         return widest + np.abs(self.centres[part]).max(axis=0)
 
     def level(self, y: float) -> int:
-        """Index of the level nearest to height y [m]."""
+        """Index of the level nearest to height y [m].
+
+        Args:
+            y: height [m].
+        """
         return int(np.clip(round((y - self.heights[0]) / _STEP), 0, len(self.heights) - 1))
 
 

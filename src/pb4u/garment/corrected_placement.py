@@ -33,7 +33,12 @@ class CorrectedPlacement(Placement):
 
     @staticmethod
     def fits(skinning: GarmentSkinning | None, body: object) -> bool:
-        """Whether a body has the bones that a garment's skinning names."""
+        """Whether a body has the bones that a garment's skinning names.
+
+        Args:
+            skinning: weights of the garment; None where it has none.
+            body: any kind of body.
+        """
         return (
             skinning is not None
             and isinstance(body, PosedBody)
@@ -41,7 +46,12 @@ class CorrectedPlacement(Placement):
         )
 
     def positions(self, start: int, stop: int) -> Tensor:
-        """Garment vertices (stop - start, vertices, 3) float32 [m]; see `Placement`."""
+        """Garment vertices (stop - start, vertices, 3) float32 [m]; see `Placement`.
+
+        Args:
+            start: first frame.
+            stop: frame after the last.
+        """
         if stop <= start:
             return torch.zeros(0, len(self._pose_directions), 3)
         return self.body.corrected(self._surface, self._pose_directions, start, stop)

@@ -25,7 +25,11 @@ class DictionaryEntry(NamedTuple):
 
     @classmethod
     def parse(cls, text: str | Path) -> DictionaryEntry | None:
-        """Entry that FILE.pkl, FILE.pkl:NAME or FILE.pkl:NAME@CENTRE names; None where the text is none of them."""
+        """Entry that FILE.pkl, FILE.pkl:NAME or FILE.pkl:NAME@CENTRE names; None where the text is none of them.
+
+        Args:
+            text: value of --garment.
+        """
         match = re.fullmatch(r"(?P<file>.+\.pkl)(?::(?P<name>[^@:]*)(?:@(?P<centre>\d+))?)?", str(text), re.IGNORECASE)
         if match is None:
             return None

@@ -59,7 +59,12 @@ class SkinnedPlacement(Placement):
         self.weights = garment_weights(garment, body.body) if weights is None else weights
 
     def positions(self, start: int, stop: int) -> Tensor:
-        """Garment vertices (stop - start, vertices, 3) float32 [m] skinned to the bones; see `Placement`."""
+        """Garment vertices (stop - start, vertices, 3) float32 [m] skinned to the bones; see `Placement`.
+
+        Args:
+            start: first frame.
+            stop: frame after the last.
+        """
         chunks = [
             self.body.skin(self.worn, self.weights, first, min(first + _FRAME_CHUNK, stop))
             for first in range(start, stop, _FRAME_CHUNK)
@@ -93,7 +98,12 @@ class AttachedPlacement(Placement):
         self._offsets = ((rest - anchors[0])[:, None, :] @ frames[0])[:, 0]
 
     def positions(self, start: int, stop: int) -> Tensor:
-        """Garment vertices (stop - start, vertices, 3) float32 [m] moved with the body surface; see `Placement`."""
+        """Garment vertices (stop - start, vertices, 3) float32 [m] moved with the body surface; see `Placement`.
+
+        Args:
+            start: first frame.
+            stop: frame after the last.
+        """
         chunks = []
         for first in range(start, stop, _FRAME_CHUNK):
             frames, anchors = self._surface_frames(self.body.positions(first, min(first + _FRAME_CHUNK, stop)))

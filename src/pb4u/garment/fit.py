@@ -29,7 +29,7 @@ _REFINED, _REFINED_IN_ALL, _HOPELESS = 2, 6, 1.8
 # this [m] aside: clothes hang loose by a few millimetres, and real ones fit where they are twice as well as 3 cm away.
 _CLEARLY, _LOOSELY = 1.12, 1e-3
 _WIDE = 1.25
-"""How many times the best misfit the body model's own origin may have, where a wide shape does not tell its place."""
+"""How many times the best misfit the body model's own origin may have, where a wide shape does not show its place."""
 # Front and back, or two sides, fit alike where one has not this many times the misfit of the other; of shirts, trousers
 # and shorts made by others the wrong way round has twice.
 _ALIKE = 1.35
@@ -81,7 +81,11 @@ class RestBody:
 
     @classmethod
     def of(cls, body: ShapedBody | AnimatedBody) -> RestBody:
-        """A shaped body at rest, or frame 0 of a body without a skeleton."""
+        """A shaped body at rest, or frame 0 of a body without a skeleton.
+
+        Args:
+            body: any body.
+        """
         if isinstance(body, ShapedBody):
             return body.kept(
                 "rest body", lambda body: cls(body.name, body.vertices, body.faces, body.contact, body.lift)
@@ -170,11 +174,19 @@ class Fit:
 
     @classmethod
     def identity(cls, misfit: float | np.ndarray) -> Fit:
-        """The fit that moves nothing; `misfit` is one number [m]."""
+        """The fit that moves nothing; `misfit` is one number [m].
+
+        Args:
+            misfit: distance by which the garment does not fit [m].
+        """
         return cls("metres", UPRIGHT, np.zeros(3), float(misfit))
 
     def apply(self, vertices: np.ndarray) -> np.ndarray:
-        """Vertices (n, 3) of the file where the body expects them [m]."""
+        """Vertices (n, 3) of the file where the body expects them [m].
+
+        Args:
+            vertices: (n, 3) in the unit of the file.
+        """
         moved: np.ndarray = UNITS[self.unit] * vertices @ AXES[self.axes].T + self.shift
         return moved
 

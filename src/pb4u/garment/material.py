@@ -32,7 +32,11 @@ class Material:
 
     @classmethod
     def named(cls, name_or_path: str | Path) -> Material:
-        """A built-in material by name, or one of a .json file, as `load_material` reads it."""
+        """A built-in material by name, or one of a .json file, as `load_material` reads it.
+
+        Args:
+            name_or_path: built-in name, or path of a .json file.
+        """
         return load_material(name_or_path)
 
     def __post_init__(self) -> None:

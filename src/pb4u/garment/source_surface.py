@@ -43,7 +43,11 @@ class SourceSurface:
 
     @classmethod
     def of(cls, source: PolygonMesh) -> SourceSurface:
-        """The triangles of `source`."""
+        """The triangles of `source`.
+
+        Args:
+            source: the author's mesh.
+        """
         return cls(source, *triangulate(source.vertices, source.polygons))
 
     @cached_property
@@ -244,6 +248,10 @@ def surface_faults(surface: SourceSurface) -> list[Fault]:
 
 
 def first_of(ids: np.ndarray) -> str:
-    """The first of some indices (n,), or of pairs of them (n, 2), as text."""
+    """The first of some indices (n,), or of pairs of them (n, 2), as text.
+
+    Args:
+        ids: (n,) or (n, 2) int64.
+    """
     rows = np.asarray(ids)[:5].tolist()
     return ", ".join("-".join(map(str, row)) if isinstance(row, list) else str(row) for row in rows)

@@ -24,19 +24,19 @@ MOST_PASSES = 200
 """Passes after which cloth counts as one that cannot be untangled; what can needs 5 to about 100."""
 
 FARTHEST = 0.15
-"""Displacement [m] of a vertex at which cloth counts as one that cannot be untangled: tangled garments are freed within
+"""Displacement [m] of a vertex at which cloth counts as one that cannot be untangled: garments are untangled within
 2 to 6 cm, and what is drawn farther hangs in a place of its own making."""
 
 _STEP = 0.3
 """Mean edge lengths that an edge and the face it passes through are moved against each other in a pass: three times
-as many passes at 0.1, and no more than that is freed."""
+as many passes at 0.1, and no more than that is untangled."""
 _STEEPEST = 0.1
 """Least cosine between an edge and the normal of the face it passes through that the step divides by."""
 _SHORTEST, _LONGEST = 0.85, 1.15
-"""Edges are held between these shares of the lengths they came with, so that nothing is freed by collapsing to a
+"""Edges are held between these shares of the lengths they came with, so that nothing is untangled by collapsing to a
 point: of 27 garments it left 13 faces each strained by more than half, against 32 at 0.5 and 1.6."""
 _SPREADS = 2
-"""Times that a step is carried on to the neighbours, half of it each time: a vertex moved on its own would leave the
+"""Times that a step is passed on to the neighbours, half of it each time: a vertex moved on its own would leave the
 cloth as a spike. Without it freeing takes twice the passes."""
 _AIM = 2.0
 """Times the smallest distance that parts nearer than it are pushed apart to, so that a few passes do."""
@@ -180,7 +180,7 @@ class _Untangling:
         return _rounded(self._held_in_length(vertices + moves * (self.mobility > 0.0)[:, None]))
 
     def _moves(self, pushes: _Pushes) -> np.ndarray:
-        """Displacements (vertices, 3) [m] that bring about the mean of what is asked of each vertex."""
+        """Displacements (vertices, 3) [m] of each vertex: the mean of the displacements that its elements need."""
         weights = self.mobility[pushes.vertices]
         reached = np.maximum((weights * pushes.shares**2).sum(axis=1), 1e-9)
         asked = (weights * pushes.shares / reached[:, None])[:, :, None] * pushes.offsets[:, None, :]

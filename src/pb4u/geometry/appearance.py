@@ -131,7 +131,11 @@ def read_image(path: Path) -> bytes:
 
 
 def as_png(image: object) -> bytes:
-    """The content of a PNG file of an image of Pillow."""
+    """The content of a PNG file of an image of Pillow.
+
+    Args:
+        image: an image of Pillow.
+    """
     from PIL import Image
 
     assert isinstance(image, Image.Image)
@@ -189,7 +193,11 @@ def write_mtl(path: Path, listed: Sequence[Appearance]) -> None:
 
 
 def image_suffix(image: bytes) -> str:
-    """Suffix of an image's file by its content: ".png" or ".jpg"."""
+    """Suffix of an image's file by its content: ".png" or ".jpg".
+
+    Args:
+        image: content of the file.
+    """
     return ".png" if image.startswith(b"\x89PNG") else ".jpg"
 
 

@@ -90,7 +90,7 @@ class ImplicitSurface:
 
         Args:
             points: (n, 3) near the surface [m].
-            normals: (n, 3), not used: the gradient tells the side.
+            normals: (n, 3), not used: the gradient gives the side.
 
         Returns:
             (n, 3) [m].
@@ -104,7 +104,11 @@ class ImplicitSurface:
         return points
 
     def project_border(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3) [m] moved by the shortest way on to the trimming curves, where both fields vanish."""
+        """Points (n, 3) [m] moved by the shortest way on to the trimming curves, where both fields vanish.
+
+        Args:
+            points: (n, 3) [m] near the border.
+        """
         limit = 2 * self.lattice.spacing
         for _ in range(4):
             f, df = self._shape.value_and_gradient(points)

@@ -234,5 +234,9 @@ def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = ()) -> None
 
 
 def group_name(name: str) -> str:
-    """A name as OBJ groups have them: a space would begin another group, and the format states no encoding."""
+    """A name as OBJ groups have them: a space would begin another group, and the format states no encoding.
+
+    Args:
+        name: any text.
+    """
     return "_".join(name.encode("ascii", "replace").decode().split()) or "unnamed"

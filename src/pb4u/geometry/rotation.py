@@ -8,7 +8,11 @@ from torch import Tensor
 
 
 def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3) of wxyz quaternions (..., 4), normalised first."""
+    """Rotation matrices (..., 3, 3) of wxyz quaternions (..., 4), normalised first.
+
+    Args:
+        quaternion: (..., 4) wxyz, of any length but 0.
+    """
     w, x, y, z = torch.nn.functional.normalize(quaternion, dim=-1).unbind(-1)
     rows = (
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -42,7 +46,11 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def conjugate(q: np.ndarray) -> np.ndarray:
-    """Inverse rotations (..., 4) of unit quaternions (..., 4) wxyz."""
+    """Inverse rotations (..., 4) of unit quaternions (..., 4) wxyz.
+
+    Args:
+        q: (..., 4) unit quaternions wxyz.
+    """
     return q * np.array([1.0, -1.0, -1.0, -1.0])
 
 
@@ -62,7 +70,11 @@ def rotate(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def from_axis_angle(axis_angle: np.ndarray) -> np.ndarray:
-    """Quaternions (..., 4) wxyz of rotation vectors (..., 3) [rad]."""
+    """Quaternions (..., 4) wxyz of rotation vectors (..., 3) [rad].
+
+    Args:
+        axis_angle: (..., 3) [rad].
+    """
     half = 0.5 * np.linalg.norm(axis_angle, axis=-1, keepdims=True)
     # sinc keeps the zero rotation exact.
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * axis_angle], axis=-1)

@@ -44,7 +44,11 @@ class GltfFile:
     buffers: tuple[bytes, ...]
 
     def entries(self, name: str) -> list[dict[str, Any]]:
-        """The objects of one of its lists, such as "nodes"; empty where it has none."""
+        """The objects of one of its lists, such as "nodes"; empty where it has none.
+
+        Args:
+            name: of a list, such as "nodes".
+        """
         found = self.document.get(name, [])
         return found if isinstance(found, list) else []
 

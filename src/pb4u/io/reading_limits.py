@@ -37,7 +37,11 @@ def require_room(path: Path, size: int) -> None:
 
 
 def megabytes(size: int) -> str:
-    """Bytes in megabytes, for a message."""
+    """Bytes in megabytes, for a message.
+
+    Args:
+        size: number of bytes.
+    """
     return f"{size / 2**20:,.0f} MB" if size >= 2**20 else f"{size:,} bytes"
 
 
@@ -76,13 +80,21 @@ def read_json(path: Path) -> Any:
 
 
 def told_names(names: Iterable[object]) -> str:
-    """The first of many names, for a message."""
+    """The first of many names, for a message.
+
+    Args:
+        names: any number of names.
+    """
     ordered = sorted(str(name)[:40] for name in names)
     return ", ".join(ordered[:10]) + (f" and {len(ordered) - 10} more" if len(ordered) > 10 else "") or "(none)"
 
 
 def told_error(error: BaseException) -> str:
-    """What a library says of a file, cut to a sentence's length: some repeat the file."""
+    """What a library says of a file, cut to a sentence's length: some repeat the file.
+
+    Args:
+        error: the error that the library raised.
+    """
     text = str(error) or type(error).__name__
     return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]} .."
 

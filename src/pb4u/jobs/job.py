@@ -106,7 +106,11 @@ def address(identity: Mapping[str, Any]) -> str:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file, or of all files of a folder and their names, in hexadecimal."""
+    """SHA-256 of a file, or of all files of a folder and their names, in hexadecimal.
+
+    Args:
+        path: a file or a folder.
+    """
     hasher = hashlib.sha256()
     files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
     for file in files:

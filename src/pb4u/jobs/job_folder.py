@@ -1,4 +1,4 @@
-"""A folder of jobs and their results. Killed at any instant, the run in it goes on where it was.
+"""A folder of jobs and their results. A run that was killed at any instant goes on where it stopped.
 
 * manifest.json: what the run consists of
 * jobs/KEY.json: the result of a job, named by the address of its work
@@ -119,7 +119,11 @@ class JobFolder:
         self.write(MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
 
     def trajectory(self, job: Job) -> Path:
-        """Path of the trajectory of a job; the file may be absent."""
+        """Path of the trajectory of a job; the file may be absent.
+
+        Args:
+            job: the job.
+        """
         return self.path / self.arrays / f"{job.key}.npz"
 
     def take(self, job: Job, outcome: Made | Failure) -> None:
@@ -172,7 +176,11 @@ class JobFolder:
         )
 
     def result(self, job: Job) -> dict[str, Any] | None:
-        """The result of a job; None where there is none, or none that is whole."""
+        """The result of a job; None where there is none, or none that is whole.
+
+        Args:
+            job: the job.
+        """
         try:
             envelope = read_json(self._jobs / f"{job.key}.json")
             result = envelope["result"]
@@ -182,7 +190,11 @@ class JobFolder:
         return result if whole else None
 
     def failure(self, job: Job) -> Failure | None:
-        """Reason why a job has no result; None where it was not tried, or came off."""
+        """Reason why a job has no result; None where it was not tried, or came off.
+
+        Args:
+            job: the job.
+        """
         try:
             record = read_json(self._failed(job))
             return Failure(str(record["sentence"]), str(record["trace"]))
@@ -190,7 +202,11 @@ class JobFolder:
             return None
 
     def forget_failure(self, job: Job) -> None:
-        """Let a job be tried again."""
+        """Let a job be tried again.
+
+        Args:
+            job: the job.
+        """
         self._failed(job).unlink(missing_ok=True)
 
     def still_to_do(self, jobs: Sequence[Job], noun: str, retry: bool, say: Callable[[str], None]) -> list[Any]:
@@ -295,7 +311,11 @@ class JobFolder:
 
 
 def quiet(label: str) -> AbstractContextManager[Progress]:
-    """No display."""
+    """No display.
+
+    Args:
+        label: what a display would show.
+    """
     return nullcontext(no_progress)
 
 

@@ -39,7 +39,11 @@ class WorkerPool(ABC):
 
     @abstractmethod
     def submit(self, job: Job) -> None:
-        """Start a job. Called with at most `size` jobs under way."""
+        """Start a job. Called with at most `size` jobs under way.
+
+        Args:
+            job: the job.
+        """
 
     @abstractmethod
     def next_outcome(self) -> Outcome:

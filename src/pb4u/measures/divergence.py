@@ -1,4 +1,4 @@
-"""When a garment is lost: torn, fallen off, or slid from what holds it up."""
+"""When a garment is lost: strained too far, fallen off, or slid from what holds it up."""
 
 from __future__ import annotations
 

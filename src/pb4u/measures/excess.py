@@ -192,7 +192,11 @@ def require_reference(reference: Trajectory, faces: np.ndarray, fps: float, fram
 
 
 def series(values: Sequence[float]) -> dict[str, object]:
-    """Per-frame values with their mean and maximum; frames that are not a number are left out of both."""
+    """Per-frame values with their mean and maximum; frames that are not a number are left out of both.
+
+    Args:
+        values: one value a frame, in any unit.
+    """
     present = [value for value in values if not math.isnan(value)]
     return {
         "per_frame": list(values),

@@ -123,7 +123,11 @@ _AS_THEY_ARE = (
 
 
 def attempt(job: RunJob | JobPack) -> Made | Failure | list[Made | Failure]:
-    """Do a job, or those of a pack; whatever goes wrong comes back as a `Failure` with a sentence."""
+    """Do a job, or those of a pack; whatever goes wrong comes back as a `Failure` with a sentence.
+
+    Args:
+        job: the job, or the pack, which gives a list.
+    """
     if not isinstance(job, JobPack):
         return attempted(make, job)
     simulated = _together(job.jobs)

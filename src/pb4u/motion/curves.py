@@ -21,7 +21,11 @@ def wave(phase: np.ndarray, peak: float = 0.0) -> np.ndarray:
 
 
 def ease(s: np.ndarray) -> np.ndarray:
-    """Smooth step (n,) from 0 to 1 while s (n,) [1] goes from 0 to 1, at rest (C2) at both ends and beyond them."""
+    """Smooth step (n,) from 0 to 1 while s (n,) [1] goes from 0 to 1, at rest (C2) at both ends and beyond them.
+
+    Args:
+        s: (n,) dimensionless.
+    """
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 

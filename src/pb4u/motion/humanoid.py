@@ -46,11 +46,19 @@ class Humanoid:
         self.reference = ReferencePose.of_joints(self.joint, target.elbow_flexion)
 
     def bone_of(self, role: str) -> str:
-        """Name of the bone that a role drives alone, the first one where there are several."""
+        """Name of the bone that a role drives alone, the first one where there are several.
+
+        Args:
+            role: a limb role.
+        """
         return next(bone for bone, part in self.target.bones.items() if part == role)
 
     def joint(self, role: str) -> np.ndarray:
-        """Rest position (3,) [m] of the upper joint of a limb role."""
+        """Rest position (3,) [m] of the upper joint of a limb role.
+
+        Args:
+            role: a limb role.
+        """
         return self.body.skeleton.joints[self.body.skeleton.index(self.target.joints[role])]
 
     @property
@@ -196,5 +204,9 @@ def _part_way(first: np.ndarray, second: np.ndarray, amount: float, along: np.nd
 
 
 def humanoid_of(body: ShapedBody) -> Humanoid:
-    """The humanoid of a body, computed once and kept with it."""
+    """The humanoid of a body, computed once and kept with it.
+
+    Args:
+        body: the resting body.
+    """
     return body.kept("humanoid", Humanoid)

@@ -39,7 +39,11 @@ def motion_names() -> tuple[str, ...]:
 
 
 def recording_file(name: str | Path) -> tuple[Path, str | None]:
-    """The file that FILE or FILE:PERSON names, and the person where one is named."""
+    """The file that FILE or FILE:PERSON names, and the person where one is named.
+
+    Args:
+        name: value of --motion.
+    """
     head, colon, person = str(name).rpartition(":")
     if colon and Path(head).suffix.lower() in SUFFIXES:
         return Path(head), person

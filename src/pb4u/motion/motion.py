@@ -45,7 +45,14 @@ class Motion(ABC):
         self.arms_away_degrees = arms_away_degrees
 
     def poses(self, body: ShapedBody, fps: float, frames: int, start: int = 0) -> PoseSequence:
-        """Poses of a body, see `perform`."""
+        """Poses of a body, see `perform`.
+
+        Args:
+            body: that performs.
+            fps: frames per second.
+            frames: number of frames.
+            start: first frame.
+        """
         return self.perform(body, fps, frames, start).poses
 
     def perform(self, body: ShapedBody, fps: float, frames: int, start: int = 0) -> Performed:
@@ -75,7 +82,11 @@ class Motion(ABC):
         return performed._replace(poses=swung)
 
     def available_frames(self, fps: float) -> int | None:
-        """Number of frames at `fps` frames per second; None where the motion has no end."""
+        """Number of frames at `fps` frames per second; None where the motion has no end.
+
+        Args:
+            fps: frames per second.
+        """
         return None if self.duration is None else int(self.duration * fps + 1e-6) + 1
 
     @abstractmethod

@@ -37,7 +37,11 @@ class Turn:
     roll: Angle = 0.0
 
     def quaternions(self, frames: int) -> np.ndarray:
-        """Unit quaternions (frames, 4) wxyz of the rotation, constant angles repeated for `frames` frames."""
+        """Unit quaternions (frames, 4) wxyz of the rotation, constant angles repeated for `frames` frames.
+
+        Args:
+            frames: number of frames.
+        """
         facing = multiply(about("y", self.yaw, frames), about("x", self.pitch, frames))
         return multiply(facing, about("z", self.roll, frames))
 

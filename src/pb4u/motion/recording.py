@@ -61,7 +61,11 @@ class Recording:
         return replace(self, poses=poses)
 
     def sampled(self, times: np.ndarray) -> PoseSequence:
-        """Poses at `times` (frames,) [s], within the recording: rotations by slerp, positions linearly."""
+        """Poses at `times` (frames,) [s], within the recording: rotations by slerp, positions linearly.
+
+        Args:
+            times: (frames,) [s].
+        """
         position = np.clip(np.asarray(times) * self.poses.fps, 0.0, len(self.poses) - 1)
         lower = np.minimum(np.floor(position + 1e-9).astype(np.int64), max(len(self.poses) - 2, 0))
         upper = np.minimum(lower + 1, len(self.poses) - 1)
@@ -94,7 +98,11 @@ class Recording:
         )
 
     def stood_up(self, up: np.ndarray) -> Recording:
-        """The same performance turned so that `up` (3,), of length 1, is up along Y."""
+        """The same performance turned so that `up` (3,), of length 1, is up along Y.
+
+        Args:
+            up: (3,) unit vector.
+        """
         turn, poses = between(up, np.array([0.0, 1.0, 0.0])), self.poses
         roots = rotate(turn, poses.root_positions)
         return replace(self, poses=replace(poses, rotations=multiply(turn, poses.rotations), root_positions=roots))
@@ -125,16 +133,28 @@ class Recording:
         )
 
     def joint_index(self, role: str) -> int:
-        """Index of the bone whose head marks the upper end of a limb role."""
+        """Index of the bone whose head marks the upper end of a limb role.
+
+        Args:
+            role: a limb role.
+        """
         part = self.source.roles[role]
         return self.skeleton.index(part.first if isinstance(part, Blend) else part)
 
     def joint(self, role: str) -> np.ndarray:
-        """Position (3,) of the upper joint of a limb role in the reference pose, in the unit of the recording."""
+        """Position (3,) of the upper joint of a limb role in the reference pose, in the unit of the recording.
+
+        Args:
+            role: a limb role.
+        """
         return self.skeleton.joints[self.joint_index(role)]
 
     def role_rotations(self, poses: PoseSequence) -> np.ndarray:
-        """World rotations (frames, roles, 4), unit quaternions wxyz, of every role from the reference pose."""
+        """World rotations (frames, roles, 4), unit quaternions wxyz, of every role from the reference pose.
+
+        Args:
+            poses: poses of this recording's skeleton.
+        """
         result = np.empty((len(poses), len(ROLES), 4))
         for i, role in enumerate(ROLES):
             part = self.source.roles[role]
@@ -146,7 +166,11 @@ class Recording:
         return result
 
     def hip_midpoints(self, poses: PoseSequence) -> np.ndarray:
-        """World positions (frames, 3) halfway between the hip joints, in the unit of the recording."""
+        """World positions (frames, 3) halfway between the hip joints, in the unit of the recording.
+
+        Args:
+            poses: poses of this recording's skeleton.
+        """
         joints = joint_positions(self.skeleton, poses)
         return 0.5 * (joints[:, self.joint_index("thigh.L")] + joints[:, self.joint_index("thigh.R")])
 

@@ -34,6 +34,9 @@ def without_flips(recording: Recording) -> Recording:
     """The recording with flips mended: joints that jump, or turn faster than a limb can, are led over it by slerp.
 
     Repairs are counted in `Recording.notes`.
+
+    Args:
+        recording: the recording.
     """
     fps = recording.poses.fps
     local = local_rotations(recording.poses.rotations, recording.skeleton.parents)
@@ -55,7 +58,11 @@ def without_flips(recording: Recording) -> Recording:
 
 
 def without_false_start(recording: Recording) -> Recording:
-    """The recording without leading frames from which several joints at once leap into what follows."""
+    """The recording without leading frames from which several joints at once leap into what follows.
+
+    Args:
+        recording: the recording.
+    """
     head = min(_START_FRAMES, len(recording.poses) - 2)
     if head < 1:
         return recording
@@ -72,7 +79,11 @@ def without_false_start(recording: Recording) -> Recording:
 
 
 def told_of_leaps(recording: Recording) -> Recording:
-    """The recording with a note where the whole body leaps farther in a frame than a person can; nothing is mended."""
+    """The recording with a note where the whole body leaps farther in a frame than a person can; nothing is mended.
+
+    Args:
+        recording: the recording.
+    """
     roots = recording.poses.root_positions
     far = recording.metres * np.linalg.norm(np.diff(roots, axis=0), axis=1)
     leaps = np.flatnonzero(far > max(_FASTEST / recording.poses.fps, _LEAST_LEAP))

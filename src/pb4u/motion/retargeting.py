@@ -53,7 +53,11 @@ class Retargeting:
         self.origin[1] = self._floor()
 
     def poses(self, times: np.ndarray) -> PoseSequence:
-        """Poses of the body at `times` (frames,) [s] of the recording."""
+        """Poses of the body at `times` (frames,) [s] of the recording.
+
+        Args:
+            times: (frames,) [s].
+        """
         recorded = self.recording.sampled(times)
         if self.direct:
             rotations = multiply(self.turn, self._own_bones(recorded))

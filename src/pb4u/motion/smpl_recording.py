@@ -228,7 +228,11 @@ def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.nda
 
 
 def nominal_skeleton(family: str) -> Skeleton:
-    """An average adult with the joints of an SMPL family; fingers lie at the wrists."""
+    """An average adult with the joints of an SMPL family; fingers lie at the wrists.
+
+    Args:
+        family: "smpl", "smplh" or "smplx".
+    """
     names = JOINT_NAMES[family]
     parents = np.full(len(names), -1, dtype=np.int64)
     joints = np.zeros((len(names), 3))

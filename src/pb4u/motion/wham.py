@@ -21,7 +21,11 @@ _RATE = 30.0
 
 
 def holds_people(content: Any) -> bool:
-    """Whether a pickle is a result of WHAM: people by their number; the empty one, of nobody, as well."""
+    """Whether a pickle is a result of WHAM: people by their number; the empty one, of nobody, as well.
+
+    Args:
+        content: content of the pickle.
+    """
     return isinstance(content, Mapping) and all(isinstance(person, Mapping) for person in content.values())
 
 

@@ -55,7 +55,7 @@ class Derived:
     Args:
         edges: undirected edges (edges, 2) int64 vertex indices within one garment, by kind, such as "coarse"; they
             carry the columns of mesh edges and share their normaliser.
-        finder: finds edges anew at every step; they carry the layout's `found_edge` columns.
+        finder: finds edges at every step; they carry the layout's `found_edge` columns.
         rest: tensors handed on in `Graph.rest`, by name.
         losses: losses that training minimises besides the incremental potential.
     """
@@ -80,10 +80,10 @@ class NetworkConfiguration(ABC):
         warm_start_shares: shares of the body's motion that a time step may start with; the one of least energy, or free
             flight, is taken; none in the paper. With any the layout should name the same two.
         conjugate: join each pass with the move of the one before, at the lengths of least potential; not in the paper.
-        descent_size: root mean square at which each garment's descent is shown, in edge lengths; accelerations are
+        descent_size: RMS to which each garment's gradient feature is normalised, in edge lengths; accelerations are
             scaled back, so that a pass is as good near the minimum as far from it. 0 shows it as it is, and the paper
             shows none.
-        further_passes: most evaluations beyond `passes`, each made where the pass before freed much energy; for
+        further_passes: most evaluations beyond `passes`, each made where the pass before lowered the energy much; for
             networks that are `conjugate`.
 
     Raises:
@@ -171,7 +171,11 @@ class GraphNetwork(nn.Module, ABC):
         return None
 
     def derive(self, garments: PackedGarments) -> Derived:
-        """Data that the method needs of a pack beyond its meshes; called once a pack."""
+        """Data that the method needs of a pack beyond its meshes; called once a pack.
+
+        Args:
+            garments: the pack.
+        """
         return Derived()
 
 
@@ -184,7 +188,7 @@ class PreparedGarments:
         steps: propagation steps of each garment.
         scale: (vertices, 1) dimensionless factors on the accelerations, or None for 1.
         losses: losses that the method minimises in training besides the incremental potential.
-        descent_size: root mean square at which descents are shown, in edge lengths; 0 shows them as they are.
+        descent_size: RMS to which gradient features are normalised, in edge lengths; 0 leaves them as they are.
     """
 
     builder: GraphBuilder
@@ -218,6 +222,9 @@ class PreparedGarments:
 
 def require_propagation_steps(number: int) -> None:
     """Refuse a number of propagation steps that no mesh calls for.
+
+    Args:
+        number: the number K.
 
     Raises:
         InputError: it is not from 1 to 500.
@@ -303,7 +310,11 @@ class AccelerationModel(nn.Module):
         return acceleration if prepared.scale is None else prepared.scale * acceleration
 
     def normalised(self, graph: Graph) -> Graph:
-        """Graph with centred and scaled features, in the precision of the network's weights or float32 at least."""
+        """Graph with centred and scaled features, in the precision of the network's weights or float32 at least.
+
+        Args:
+            graph: features of nodes and edges.
+        """
         dtype = torch.promote_types(next(self.network.parameters()).dtype, torch.float32)
         nodes = {name: self.node_normaliser(node_set.features).to(dtype) for name, node_set in graph.nodes.items()}
         edges = {name: self._edge_normaliser(s)(s.features).to(dtype) for name, s in graph.edges.items()}

@@ -26,7 +26,7 @@ class EncodeProcessDecode(GraphNetwork):
     Args:
         configuration: width, layout and world edges.
         mesh_kinds: kinds of edges with the columns of mesh edges.
-        found_kinds: kinds with the columns of edges found anew at every step.
+        found_kinds: kinds with the columns of edges found at every step.
         levels: number of labels of a vertex's coarsest level, or 0 where nodes carry none.
     """
 
@@ -53,12 +53,20 @@ class EncodeProcessDecode(GraphNetwork):
         )
 
     def encode(self, graph: Graph) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Node and edge latents (rows, width), dimensionless, by set name."""
+        """Node and edge latents (rows, width), dimensionless, by set name.
+
+        Args:
+            graph: features of nodes and edges.
+        """
         nodes = {name: self.node_encoder(values) for name, values in self.node_inputs(graph).items()}
         return nodes, {name: self.edge_encoders[s.kind](s.features) for name, s in graph.edges.items()}
 
     def node_inputs(self, graph: Graph) -> dict[str, Tensor]:
-        """What the encoder of nodes reads, (nodes, columns) [1] by set name: features, and embeddings of labels."""
+        """What the encoder of nodes reads, (nodes, columns) [1] by set name: features, and embeddings of labels.
+
+        Args:
+            graph: features of nodes and edges.
+        """
         entering = {}
         for name, node_set in graph.nodes.items():
             inputs = [node_set.features, self.node_type(node_set.types).to(node_set.features)]

@@ -38,30 +38,49 @@ class MLP(nn.Module):
         return self.first.weight.dtype
 
     def forward(self, values: Tensor) -> Tensor:
-        """Output (rows, outputs) [1] for `values` (rows, inputs) [1]."""
+        """Output (rows, outputs) [1] for `values` (rows, inputs) [1].
+
+        Args:
+            values: (rows, inputs) [1].
+        """
         if isinstance(self.norm, nn.LayerNorm) and records(values, self.first.weight):
             return normed_perceptron(values, self.first.weight, self.first.bias, (self.second, self.last, self.norm))
         return self.after_first(self.first(values.to(self.precision)))
 
     def after_product(self, product: Tensor) -> Tensor:
-        """As `after_first`, given the first layer's sum `product` (..., width) [1] without its bias."""
+        """As `after_first`, given the first layer's sum `product` (..., width) [1] without its bias.
+
+        Args:
+            product: (..., width) [1].
+        """
         if isinstance(self.norm, nn.LayerNorm) and records(product, self.first.weight):
             return normed_perceptron(product, None, self.first.bias, (self.second, self.last, self.norm))
         return self.after_first(product + self.first.bias)
 
     def after_first(self, hidden: Tensor) -> Tensor:
-        """Output (..., outputs) [1], given the first layer's sum `hidden` (..., width) [1], which is overwritten."""
+        """Output (..., outputs) [1], given the first layer's sum `hidden` (..., width) [1], which is overwritten.
+
+        Args:
+            hidden: (..., width) [1] sum of the first layer.
+        """
         return self.output(self.up_to_last(hidden))
 
     def up_to_last(self, hidden: Tensor) -> Tensor:
         """Input (..., width) [1] of the last layer, given the first layer's sum `hidden` (..., width) [1].
 
         `hidden` is overwritten.
+
+        Args:
+            hidden: (..., width) [1] sum of the first layer.
         """
         return _rectified(self.second(_rectified(hidden)))
 
     def output(self, hidden: Tensor) -> Tensor:
-        """Output (..., outputs) [1] of the last layer and the norm, from their input `hidden` (..., width) [1]."""
+        """Output (..., outputs) [1] of the last layer and the norm, from their input `hidden` (..., width) [1].
+
+        Args:
+            hidden: (..., width) [1] input of the last layer.
+        """
         widened: Tensor = self.norm(_widened(self.last(hidden)))
         return widened
 
@@ -108,7 +127,11 @@ class SplitMLP(MLP):
         return F.linear(values.to(self.precision), self.weight_of(part), self.first.bias if bias else None)
 
     def weight_of(self, part: int) -> Tensor:
-        """Columns (width, columns of that part) [1] of the first layer's weights that one part meets."""
+        """Columns (width, columns of that part) [1] of the first layer's weights that one part meets.
+
+        Args:
+            part: number of the part.
+        """
         start = sum(self.parts[:part])
         return self.first.weight[:, start : start + self.parts[part]]
 

@@ -50,11 +50,19 @@ class Normaliser(nn.Module):
         return self.mean.shape[0]
 
     def forward(self, values: Tensor) -> Tensor:
-        """Normalised values (rows, width), dimensionless, of `values` (rows, width), each column in its unit."""
+        """Normalised values (rows, width), dimensionless, of `values` (rows, width), each column in its unit.
+
+        Args:
+            values: (rows, width), each column in its unit.
+        """
         return (values - self.mean) / self.spread
 
     def restore(self, values: Tensor) -> Tensor:
-        """Values (rows, width), each column in its unit, of normalised `values` (rows, width) [1]."""
+        """Values (rows, width), each column in its unit, of normalised `values` (rows, width) [1].
+
+        Args:
+            values: (rows, width) [1].
+        """
         return values * self.spread + self.mean
 
     @torch.no_grad()

@@ -76,9 +76,17 @@ class Pb4uGNet(EncodeProcessDecode):
         return self.update.after_product(self.update.project(0, before) + self.update.project(1, propagated))
 
     def propagation_steps(self, mean_edge_length: float) -> int:
-        """Number K of propagation steps of a garment of `mean_edge_length` [m]."""
+        """Number K of propagation steps of a garment of `mean_edge_length` [m].
+
+        Args:
+            mean_edge_length: mean edge length of the garment at rest [m].
+        """
         return self.control.steps(mean_edge_length)
 
     def update_scale(self, garments: GarmentGraph) -> Tensor | None:
-        """Factors S (vertices, 1), dimensionless, on the accelerations, or None for 1."""
+        """Factors S (vertices, 1), dimensionless, on the accelerations, or None for 1.
+
+        Args:
+            garments: rest lengths of the garments' edges.
+        """
         return self.scaling.factors(garments)

@@ -28,7 +28,11 @@ class ConstantDistance:
             raise InputError(f"The propagation distance must be above 0 m, not {self.distance}.")
 
     def steps(self, mean_edge_length: float) -> int:
-        """Number of steps, at least 1, for a garment of `mean_edge_length` [m] at rest."""
+        """Number of steps, at least 1, for a garment of `mean_edge_length` [m] at rest.
+
+        Args:
+            mean_edge_length: mean edge length of the garment at rest [m].
+        """
         # The small addition keeps D / L = 15 at 15 although binary fractions put it just below.
         return max(1, math.floor(self.distance / mean_edge_length + 1e-6))
 

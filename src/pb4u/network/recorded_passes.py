@@ -41,7 +41,7 @@ class Ends:
     receivers: Incidence
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Number of the sender of each edge, 0 where there is none, and the first edge of each receiver."""
+        """Sender (edges,) int64 of each edge, 0 where there is none, and first edge (nodes + 1,) of each receiver."""
         index = self.receivers.index
         senders = torch.zeros_like(index) if self.senders is None else self.senders.index
         return senders.numpy(), self.receivers.offsets.numpy()

@@ -78,7 +78,7 @@ class GradientPass:
     Args:
         garments: garments of the steps, float64 on the CPU.
         passes: number of gradients in a step.
-        further: most gradients beyond those, while a pass frees much energy.
+        further: most gradients beyond those, while a pass lowers the energy much.
     """
 
     def __init__(self, garments: PackedGarments, passes: int = 1, further: int = 0) -> None:
@@ -88,6 +88,11 @@ class GradientPass:
 
     @torch.no_grad()
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] to add; see `NetworkPass.correction`."""
+        """Accelerations (vertices, 3) [m per step^2] to add; see `NetworkPass.correction`.
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
         length = self._incident_length
         return length[:, None] * self._feature.of(step, accelerations, length)

@@ -28,6 +28,9 @@ def with_start_shares(configuration: Configuration) -> Configuration:
 
     Free flight and quarters of the displacement that the body alone would give the garment are tried; the network reads
     the direction of descent of the potential at the start, and the acceleration from free flight to it.
+
+    Args:
+        configuration: of a network that starts in free flight.
     """
     layout = replace(configuration.layout, extra=(DESCENT, ADVANCE))
     return replace(configuration, layout=layout, warm_start_shares=(0.25, 0.5, 0.75, 1.0))
@@ -186,6 +189,9 @@ NETWORKS: dict[str, NetworkConfiguration] = {name: configuration for name, (conf
 
 def network_preset(name: str) -> NetworkConfiguration:
     """Network configuration called `name`.
+
+    Args:
+        name: key of `NETWORKS`.
 
     Raises:
         InputError: there is none; the names are listed.

@@ -83,7 +83,11 @@ def over_time(summary: Summary, term: str, preferred: str) -> list[Block]:
 
 
 def against_steps(summary: Summary) -> list[Block]:
-    """Total and ratio to the reference against the number of propagation steps, a column a level and a line a model."""
+    """Total and ratio to the reference against the number of propagation steps, a column a level and a line a model.
+
+    Args:
+        summary: results of the run.
+    """
     protocol = summary.plan.protocol
     panels = [(quantity, level) for quantity in ("total", "ratio") for level in protocol.levels]
     figure, axes = _figure(len(panels), len(protocol.levels))

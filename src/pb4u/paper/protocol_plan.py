@@ -264,7 +264,7 @@ class _Planning:
         return self._solver_on(scene, self.protocol.excess) if self.request.floors else None
 
     def _options(self, model: str) -> dict[str, Any]:
-        """What is asked for, where a model looks at it."""
+        """What is requested, where a model uses it."""
         asked = {"refine": self.request.refine, "contact": self.request.contact}
         if model == QuickSolver.name:
             asked["refine"] = self.request.refine or REFINE

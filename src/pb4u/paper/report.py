@@ -122,7 +122,11 @@ def _remarks(summary: Summary) -> list[Block]:
 
 
 def told_once(notes: Iterable[str]) -> list[str]:
-    """Notes shortened: those that differ in their numbers alone become the first one, and how many more there are."""
+    """Notes shortened: those that differ in their numbers alone become the first one, and how many more there are.
+
+    Args:
+        notes: notes of all rollouts.
+    """
     alike: dict[str, list[str]] = {}
     for note in notes:
         alike.setdefault(re.sub(r"\d+(?:\.\d+)?", "#", note), []).append(note)

@@ -52,7 +52,11 @@ _BESIDE_ENERGIES = {
 
 
 def quantity_named(name: str) -> Quantity:
-    """Notation of the quantity `name`; what is none of those above is an energy of the potential."""
+    """Notation of the quantity `name`; what is none of those above is an energy of the potential.
+
+    Args:
+        name: of a quantity or an energy.
+    """
     return _BESIDE_ENERGIES.get(name) or Quantity("total loss" if name == "total" else name, "J", ".2e")
 
 
@@ -97,7 +101,11 @@ class Spread:
 
 
 def spread(values: Iterable[float | None]) -> Spread | None:
-    """The spread of the values there are; None where there are none."""
+    """The spread of the values there are; None where there are none.
+
+    Args:
+        values: numbers, or None where there is none.
+    """
     present = [value for value in values if value is not None]
     if not present:
         return None
@@ -175,7 +183,11 @@ class Row:
         return 100.0 * float(good) / (self.case.job.run.frames or 1)
 
     def value(self, quantity: str) -> float | None:
-        """A quantity by the name that tables use; energies [J] are means over frames by the released convention."""
+        """A quantity by the name that tables use; energies [J] are means over frames by the released convention.
+
+        Args:
+            quantity: its name.
+        """
         if quantity in ("ratio", "survived_percent"):
             value = getattr(self, quantity)
         elif self.result is None:
@@ -190,7 +202,11 @@ class Row:
         return None if value is None else float(value)
 
     def series(self, term: str) -> list[float]:
-        """Energy [J] of a term over the frames, by the released convention; not a number where it is none."""
+        """Energy [J] of a term over the frames, by the released convention; not a number where it is none.
+
+        Args:
+            term: name of the energy.
+        """
         per_frame = (self.result or {}).get("metrics_paper", {}).get(term, {}).get("per_frame", [])
         return [math.nan if value is None else value for value in per_frame]
 

@@ -44,7 +44,11 @@ def with_spread(quantity: str, cell: Spread | None) -> str:
 
 
 def label(quantity: str) -> str:
-    """The title of a quantity with its unit."""
+    """The title of a quantity with its unit.
+
+    Args:
+        quantity: name of the quantity.
+    """
     title, unit, _ = quantity_named(quantity)
     return f"{title} [{unit}]" if unit else title
 

@@ -186,6 +186,9 @@ def trainable(name: str) -> str | None:
 def training_preset(name: str) -> TrainingConfiguration:
     """Training configuration called `name`.
 
+    Args:
+        name: key of `TRAININGS`.
+
     Raises:
         InputError: there is none; the names are listed.
     """

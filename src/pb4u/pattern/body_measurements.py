@@ -38,18 +38,31 @@ def body_measurements(body: ShapedBody) -> dict[str, float]:
 
 
 def measurements_yaml(body: ShapedBody) -> str:
-    """Those measures as the YAML text of a GarmentCode body file."""
+    """Those measures as the YAML text of a GarmentCode body file.
+
+    Args:
+        body: the resting body.
+    """
     rows = [f"  {name}: {value:g}" for name, value in sorted(body_measurements(body).items())]
     return "\n".join(["body:", *rows, ""])
 
 
 def shoulder_height(body: ShapedBody, x: float) -> float:
-    """Height [m] of the shoulder of a resting body at a distance `x` [m] from its middle."""
+    """Height [m] of the shoulder of a resting body at a distance `x` [m] from its middle.
+
+    Args:
+        body: the resting body.
+        x: distance from the middle [m], to either side.
+    """
     return float(_Tape(body).top(x)[1])
 
 
 def trunk_girths(body: ShapedBody) -> dict[str, tuple[float, float]]:
-    """Heights and girths [m] of a resting body's trunk, by name."""
+    """Heights and girths [m] of a resting body's trunk, by name.
+
+    Args:
+        body: the resting body.
+    """
     tape = _Tape(body)
     return {name: (level := getattr(tape, name), tape.girth(level)) for name in ("bust", "waist", "hips")}
 

@@ -25,7 +25,7 @@ from pb4u.garment.fit import RestBody, is_inside_out
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import nearest_places
 from pb4u.garment.material import MATERIALS, Material
-from pb4u.garment.support import find_holder
+from pb4u.garment.support import find_support
 from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
@@ -96,7 +96,7 @@ _STIFF_WEIGHT = 5e5
 """Weight of the collision term for that; the usual one is 5e3."""
 
 _CLEAR = 2e-3
-"""Distance [m] from the skin to which cloth that hangs is lifted: a waistband that is pinned there stays out of skin
+"""Distance [m] from the skin to which hanging cloth is moved: a waistband that is pinned there stays out of skin
 that bends, though no step moves it."""
 
 _AHEAD = 0.02
@@ -131,7 +131,7 @@ class Dressed:
         crossings: pairs of its triangles that cross.
         body_crossings: pairs of a triangle of it and one of the body that cross.
         depth: how deep its deepest vertex is in the body [m].
-        strain: largest principal strain of each face, averaged by area, as the cloth hung before it was lifted off the
+        strain: largest principal strain of each face, averaged by area, as the cloth hung before it was moved off the
             skin.
     """
 
@@ -220,7 +220,13 @@ def passed_on(
 
 
 def sewn_garment(mesh: PatternMesh, places: np.ndarray, material: Material) -> Garment:
-    """The garment of a mesh with its vertices at `places` (vertices, 3) [m], flat at rest, its UVs the pattern."""
+    """The garment of a mesh with its vertices at `places` (vertices, 3) [m], flat at rest, its UVs the pattern.
+
+    Args:
+        mesh: mesh of the pattern.
+        places: (vertices, 3) [m] positions.
+        material: of the cloth.
+    """
     panels = tuple(panel.name for panel in mesh.pattern.panels)
     return Garment(
         mesh.pattern.name, places, mesh.sewn_faces, material,
@@ -376,8 +382,8 @@ class _Sewing:
     def hung(self, places: np.ndarray, most: int) -> np.ndarray:
         """Places (vertices, 3) [m] of the garment settled under gravity, held by what would hold it in life."""
         garment = self.garment(places)
-        holder = find_holder(places, garment.faces, self.rest_body)
-        held = garment if holder is None else garment.with_pins(holder.vertices)
+        support = find_support(places, garment.faces, self.rest_body)
+        held = garment if support.held is None else garment.with_pins(support.held)
         packed, x = pack([held]), torch.from_numpy(places)
         solver = Solver(tolerance=0.05, max_iterations=_ITERATIONS)
         for _ in range(most):
@@ -423,7 +429,7 @@ class _Sewing:
         return max(0.0, -float(torch.where(found.beyond_border, 0.0, found.signed_distance).min()))
 
     def dressed(self, places: np.ndarray) -> Dressed:
-        """The garment that hangs at `places` (vertices, 3) [m], checked, and lifted off the skin."""
+        """The garment that hangs at `places` (vertices, 3) [m], checked, and moved off the skin."""
         garment = self.garment(places)
         if is_inside_out(places, garment.faces, self.rest_body):
             raise InputError(
@@ -541,7 +547,12 @@ def off_body(mesh: PatternMesh, places: np.ndarray, body: np.ndarray) -> np.ndar
 
 
 def sleeve_points(mesh: PatternMesh, places: np.ndarray) -> np.ndarray:
-    """Points (n, 3) [m] of panels labelled "arm" in the frontal plane, those of the right mirrored to the left (+X)."""
+    """Points (n, 3) [m] of panels labelled "arm" in the frontal plane, those of the right mirrored to the left (+X).
+
+    Args:
+        mesh: mesh of the pattern.
+        places: (points, 3) [m] around the body.
+    """
     arms = np.array([panel.label == "arm" for panel in mesh.pattern.panels])
     x, y, _ = places[arms[mesh.panel]].T
     return np.column_stack([np.abs(x), y, np.zeros(len(x))])

@@ -105,7 +105,11 @@ def dressed_once(pattern: Pattern, body: ShapedBody, material: Material, triangl
 
 
 def body_key(body: ShapedBody) -> str:
-    """What tells a resting body from any other."""
+    """Key that differs between resting bodies.
+
+    Args:
+        body: the resting body.
+    """
     digest = hashlib.sha256(np.ascontiguousarray(body.vertices).tobytes())
     digest.update(np.ascontiguousarray(body.faces).tobytes())
     return digest.hexdigest()[:32]

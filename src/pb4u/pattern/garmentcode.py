@@ -13,7 +13,11 @@ from pb4u.pattern.pattern import MOST_EDGES, MOST_PANELS, Curve, Panel, Pattern,
 
 
 def is_pattern(record: Any) -> bool:
-    """Whether the data of a JSON file are a pattern."""
+    """Whether the data of a JSON file are a pattern.
+
+    Args:
+        record: data of the file.
+    """
     return isinstance(record, dict) and isinstance(record.get("pattern"), dict)
 
 

@@ -87,7 +87,11 @@ class PatternMesh:
         return placed
 
     def sewn(self, places: np.ndarray) -> np.ndarray:
-        """Means (vertices, ...) of values (points, ...) over the points that are sewn to each vertex."""
+        """Means (vertices, ...) of values (points, ...) over the points that are sewn to each vertex.
+
+        Args:
+            places: (points, ...).
+        """
         sums = np.zeros((self.vertex_count, *places.shape[1:]))
         np.add.at(sums, self.vertex, places)
         counts = np.bincount(self.vertex, minlength=self.vertex_count)

@@ -44,7 +44,13 @@ class Curve:
     counter_clockwise: bool = True
 
     def at(self, start: np.ndarray, end: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Points (n, 2) [m] at parameters `t` (n,) in [0, 1] from `start` to `end`, both (2,) [m]."""
+        """Points (n, 2) [m] at parameters `t` (n,) in [0, 1] from `start` to `end`, both (2,) [m].
+
+        Args:
+            start: (2,) [m].
+            end: (2,) [m].
+            t: (n,) in [0, 1].
+        """
         if self.radius > 0.0:
             return self._on_arc(start, end, t)
         points = np.stack([start, *self.controls, end])
@@ -142,7 +148,11 @@ class Panel:
         return points
 
     def placed(self, points: np.ndarray) -> np.ndarray:
-        """Places (n, 3) [m] around the body of `points` (n, 2) [m] of the panel."""
+        """Places (n, 3) [m] around the body of `points` (n, 2) [m] of the panel.
+
+        Args:
+            points: (n, 2) [m].
+        """
         return points @ self.rotation[:, :2].T + self.position
 
     def _ends(self, edge: int) -> tuple[np.ndarray, np.ndarray]:
@@ -181,13 +191,21 @@ def _as_curve(panel: str, edge: int, curve: Curve | np.ndarray) -> Curve:
 
 
 def signed_area(loop: np.ndarray) -> float:
-    """Area [m^2] within a closed loop of points (n, 2) [m], positive where it runs counter-clockwise."""
+    """Area [m^2] within a closed loop of points (n, 2) [m], positive where it runs counter-clockwise.
+
+    Args:
+        loop: (n, 2) [m].
+    """
     x, y = (loop - loop.mean(axis=0)).T
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def first_crossing(loop: np.ndarray) -> tuple[int, int] | None:
-    """Two segments of a closed loop of points (n, 2) that cross or lie on each other; None where it is simple."""
+    """Two segments of a closed loop of points (n, 2) that cross or lie on each other; None where it is simple.
+
+    Args:
+        loop: (n, 2).
+    """
     following = np.roll(loop, -1, axis=0)
     count = len(loop)
 
@@ -269,7 +287,11 @@ class Pattern:
         return sum(abs(panel.area) for panel in self.panels)
 
     def seam_lengths(self, seam: Seam) -> tuple[float, float]:
-        """Lengths [m] of the two sides of a seam."""
+        """Lengths [m] of the two sides of a seam.
+
+        Args:
+            seam: one of the pattern's.
+        """
         first, second = (float(self.panels[self.index[name]].edge_lengths[k]) for name, k in (seam.first, seam.second))
         return first, second
 

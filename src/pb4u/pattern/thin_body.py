@@ -33,11 +33,20 @@ class SewingBody:
         )
 
     def thin(self, share: float) -> np.ndarray:
-        """Vertices (vertices, 3) [m] with arms stretched, at a `share` of the girth around the bones."""
+        """Vertices (vertices, 3) [m] with arms stretched, at a `share` of the girth around the bones.
+
+        Args:
+            share: of the girth, 0 to 1.
+        """
         return self._lines + share * (self._straight - self._lines)
 
     def between(self, share: float, done: float) -> np.ndarray:
-        """Vertices (vertices, 3) [m] a part `done`, 0 to 1, of the way from `thin` at a `share` to the body at rest."""
+        """Vertices (vertices, 3) [m] a part `done`, 0 to 1, of the way from `thin` at a `share` to the body at rest.
+
+        Args:
+            share: of the girth, 0 to 1.
+            done: part of the way, 0 to 1.
+        """
         return (1.0 - done) * self.thin(share) + done * self.rest
 
 

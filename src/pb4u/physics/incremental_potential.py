@@ -116,16 +116,28 @@ class IncrementalPotential:
         return tuple(term.name for term in self.terms)
 
     def term(self, name: str) -> EnergyTerm:
-        """The term called `name`; KeyError where there is none."""
+        """The term called `name`; KeyError where there is none.
+
+        Args:
+            name: of the term.
+        """
         return {term.name: term for term in self.terms}[name]
 
     def with_term(self, new: EnergyTerm) -> IncrementalPotential:
-        """This potential with `new` in the place of the term of its name."""
+        """This potential with `new` in the place of the term of its name.
+
+        Args:
+            new: the term that takes the place.
+        """
         self.term(new.name)
         return replace(self, terms=tuple(new if term.name == new.name else term for term in self.terms))
 
     def of(self, step: TimeStep) -> StepPotential:
-        """The potential of `step`, with the contacts of the body at its start queried."""
+        """The potential of `step`, with the contacts of the body at its start queried.
+
+        Args:
+            step: the time step.
+        """
         contacts = step.contacts if self.search is nearest_planes else step.contacts_by(self.search)
         feels_bodies = self.self_contact is not None and self.self_contact.feels_bodies
         if feels_bodies and contacts.now is not None and step.sags is not None:
@@ -161,7 +173,11 @@ class StepPotential:
         return None if bodies is None else self.potential.search(bodies.following, self.step.garments, x.detach())
 
     def with_contact_at(self, x: Tensor) -> StepPotential:
-        """This potential with the body near `x` (vertices, 3) [m] frozen to its tangent planes."""
+        """This potential with the body near `x` (vertices, 3) [m] frozen to its tangent planes.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
         return self.with_contact(self.contact_at(x))
 
     def with_contact(self, contact: ContactPlanes | None, opposite: ContactPlanes | None = None) -> StepPotential:
@@ -174,7 +190,11 @@ class StepPotential:
         return replace(self, contacts=replace(self.contacts, next=self.raised(contact), opposite=opposite))
 
     def raised(self, planes: ContactPlanes | None) -> ContactPlanes | None:
-        """`planes` of the bodies, raised where the cloth between vertices is to stay clear of them."""
+        """`planes` of the bodies, raised where the cloth between vertices is to stay clear of them.
+
+        Args:
+            planes: planes of the bodies; None where there are none.
+        """
         heights = self.contacts.raised
         return planes if planes is None or heights is None else planes.raised(heights.to(planes.points))
 
@@ -194,7 +214,7 @@ class StepPotential:
         met = self._along(x, wanted - x)
         cloth = met.contacts.cloth
         on_the_way = None if cloth is None else cloth.obstacle
-        carried, obstacle = contact.carried(self.step.garments, x, wanted, cloth, obstacle=on_the_way)
+        carried, obstacle = contact.collision_free_move(self.step.garments, x, wanted, cloth, obstacle=on_the_way)
         met = replace(met, contacts=replace(met.contacts, obstacle=obstacle))
         return (met if carried is wanted else met._along(x, carried - x)), carried
 
@@ -211,7 +231,11 @@ class StepPotential:
         return met, contact.shares(self.step.garments, met.contacts.cloth, x, moves)
 
     def with_cloth(self, cloth: ClothPairs | None) -> StepPotential:
-        """This potential with the cloth elements that it compares fixed to `cloth`; None looks them up."""
+        """This potential with the cloth elements that it compares fixed to `cloth`; None looks them up.
+
+        Args:
+            cloth: pairs of cloth elements, or None.
+        """
         contact = self.potential.self_contact
         if cloth is None or contact is None:
             return self
@@ -258,7 +282,11 @@ class StepPotential:
         return known or Obstacle.at(step.garments, step.bodies.following, x.detach())
 
     def energies(self, x: Tensor) -> Energies:
-        """Energies at `x` (vertices, 3) [m]; differentiable by autograd."""
+        """Energies at `x` (vertices, 3) [m]; differentiable by autograd.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
         contacts = self._contacts_at(x)
         return Energies({term.name: term.energies(self.step, contacts, x) for term in self.potential.terms})
 
@@ -276,7 +304,11 @@ class StepPotential:
         return Energies(energies), gradient
 
     def energies_of_worlds(self, xs: Tensor) -> Tensor:
-        """Sums (positions, worlds) [J] of all terms at several `xs` (positions, vertices, 3) [m], contacts fixed."""
+        """Sums (positions, worlds) [J] of all terms at several `xs` (positions, vertices, 3) [m], contacts fixed.
+
+        Args:
+            xs: (positions, vertices, 3) [m].
+        """
 
         def at(x: Tensor) -> Tensor:
             return self.energies(x).per_world(self.step.garments)
@@ -284,7 +316,11 @@ class StepPotential:
         return torch.vmap(at)(xs) if self._batches else torch.stack([at(x) for x in xs])
 
     def gradients(self, xs: Tensor) -> tuple[Tensor, Tensor]:
-        """The same sums (positions, worlds) [J], and the gradients (positions, vertices, 3) [N]."""
+        """The same sums (positions, worlds) [J], and the gradients (positions, vertices, 3) [N].
+
+        Args:
+            xs: (positions, vertices, 3) [m].
+        """
 
         def at(x: Tensor) -> tuple[Tensor, Tensor]:
             energies, gradient = self.energies_and_gradient(x)

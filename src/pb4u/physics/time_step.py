@@ -90,7 +90,11 @@ class TimeStep:
         return None if planes is None else sags(self.garments, planes)
 
     def contacts_by(self, search: PlaneSearch) -> ContactSet:
-        """Contacts at the start of the step that `search` finds with the bodies; none without a body."""
+        """Contacts at the start of the step that `search` finds with the bodies; none without a body.
+
+        Args:
+            search: finds the planes of the bodies.
+        """
         return ContactSet.at_start(self.garments, self.bodies, self.state.positions, search)
 
     @cached_property
@@ -161,7 +165,11 @@ def integrate(step: TimeStep, acceleration: Tensor) -> State:
 
 
 def require_finite(state: State) -> State:
-    """Return `state`, or raise DivergedError when a position or velocity is not finite."""
+    """Return `state`, or raise DivergedError when a position or velocity is not finite.
+
+    Args:
+        state: positions and velocities.
+    """
     finite = torch.isfinite(state.positions).all(1) & torch.isfinite(state.velocities).all(1)
     if not bool(finite.all()):
         bad = torch.nonzero(~finite).reshape(-1)

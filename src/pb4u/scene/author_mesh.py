@@ -130,7 +130,11 @@ class SourceTrack:
 
     @staticmethod
     def of(garment: Garment) -> SourceTrack:
-        """Track of a garment; onto itself where the simulated mesh is the author's."""
+        """Track of a garment; onto itself where the simulated mesh is the author's.
+
+        Args:
+            garment: the garment.
+        """
         if garment.source is None:
             first = np.unique(garment.faces.reshape(-1), return_index=True)[1]
             places = garment.faces, first // 3, np.eye(3)[first % 3]
@@ -147,7 +151,11 @@ class SourceTrack:
 
     @staticmethod
     def joined(garments: Sequence[Garment]) -> SourceTrack | None:
-        """Track of several garments joined into one; None where every mesh is simulated as its author made it."""
+        """Track of several garments joined into one; None where every mesh is simulated as its author made it.
+
+        Args:
+            garments: the garments, in the order of their vertices.
+        """
         if all(garment.source is None for garment in garments):
             return None
         tracks = [SourceTrack.of(garment) for garment in garments]
@@ -170,7 +178,11 @@ class SourceTrack:
 
 
 def offsets(parts: Sequence[Sized]) -> list[int]:
-    """Index of the first row of each part when the parts are concatenated, and the total."""
+    """Index of the first row of each part when the parts are concatenated, and the total.
+
+    Args:
+        parts: parts with a length.
+    """
     return [0, *np.cumsum([len(part) for part in parts]).tolist()]
 
 
@@ -206,7 +218,7 @@ def joined_uvs(
 def split_seams(
     vertices: int, faces: np.ndarray, uvs: np.ndarray | None, uv_faces: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """The mesh for what has one UV a vertex: vertices at a seam are copied.
+    """The mesh for formats that have one UV for each vertex: vertices at a seam are copied.
 
     Args:
         vertices: how many there are.

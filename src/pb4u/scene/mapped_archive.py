@@ -16,6 +16,9 @@ _SMALLEST_MAPPED = 4096
 def map_archive(path: Path) -> dict[str, np.ndarray]:
     """Arrays (...) of any unit of an .npz file by name, mapped from the file; small and compressed ones are read.
 
+    Args:
+        path: path of the .npz.
+
     Raises:
         InputError: the file cannot be read whole, or what is compressed in it would take more memory than it may.
     """

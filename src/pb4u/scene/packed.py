@@ -178,7 +178,12 @@ class PackedGarments:
         return values.new_zeros(self.world_count).index_add(0, self.garment_world, values)
 
     def to(self, device: torch.device, dtype: torch.dtype | None = None) -> PackedGarments:
-        """Copy with its arrays on `device`, the floating ones in `dtype` where given."""
+        """Copy with its arrays on `device`, the floating ones in `dtype` where given.
+
+        Args:
+            device: where the arrays go.
+            dtype: of floating arrays; None keeps theirs.
+        """
         own = {name: value for name, value in vars(self).items() if name in {entry.name for entry in fields(self)}}
         return PackedGarments(
             **{
@@ -326,7 +331,11 @@ class PackedColliders:
         )
 
     def pose(self, positions: Tensor) -> ColliderPose:
-        """Pose of the bodies with their vertices at `positions` (vertices, 3) [m]."""
+        """Pose of the bodies with their vertices at `positions` (vertices, 3) [m].
+
+        Args:
+            positions: (vertices, 3) [m] of all bodies.
+        """
         return ColliderPose(self, positions)
 
     def to(self, device: torch.device, rooms: Rooms | None = None) -> PackedColliders:
@@ -375,7 +384,11 @@ class ColliderPose:
         return self._posed(self.colliders.surfaces)
 
     def batch(self, worlds: int) -> PosedBatch | None:
-        """The surfaces of so many worlds for searches in tensors; None where there is none."""
+        """The surfaces of so many worlds for searches in tensors; None where there is none.
+
+        Args:
+            worlds: number of worlds.
+        """
         if self._batch is None:
             groups = self.colliders.surface_groups(worlds, self.positions)
             self._batch = None if groups is None else PosedBatch(groups, self.positions.to(torch.float64))

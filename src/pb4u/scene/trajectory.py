@@ -264,7 +264,11 @@ class Trajectory:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write the .npz, beside and moved into place. Other formats: `pb4u.export_trajectory`."""
+        """Write the .npz, beside and moved into place. Other formats: `pb4u.export_trajectory`.
+
+        Args:
+            path: path of the .npz.
+        """
         with TrajectoryWriter(path, self.header) as writer:
             for frame in self.frames:
                 writer.append(frame)
@@ -296,6 +300,9 @@ class Trajectory:
     @classmethod
     def open(cls, path: str | Path) -> Trajectory:
         """Map a trajectory file into memory; frames are read from disk as they are touched.
+
+        Args:
+            path: path of the .npz.
 
         Raises:
             InputError: the file is cut short, of a newer format, not a trajectory, or holds what does not fit together.
@@ -382,6 +389,9 @@ class TrajectoryWriter:
     def append(self, frame: Frame) -> None:
         """Write one frame.
 
+        Args:
+            frame: the frame.
+
         Raises:
             InputError: the disk takes no more.
         """
@@ -456,10 +466,19 @@ class TrajectoryWriter:
 
 
 def kept_sentence(frames: int, path: Path) -> str:
-    """What is kept of an interrupted run: the first `frames` frames, in the file `path`."""
+    """What is kept of an interrupted run: the first `frames` frames, in the file `path`.
+
+    Args:
+        frames: number of frames.
+        path: of the file.
+    """
     return f"the first {'frame is' if frames == 1 else f'{frames} frames are'} in {path}"
 
 
 def interrupted_path(path: Path) -> Path:
-    """Path of the frames that were there when a run was interrupted; a trajectory that lies at `path` stays."""
+    """Path of the frames that were there when a run was interrupted; a trajectory that lies at `path` stays.
+
+    Args:
+        path: where the whole trajectory would lie.
+    """
     return path.with_name(f"{path.stem}.interrupted.npz")

@@ -49,7 +49,11 @@ class TrainingRecord:
     details: dict[str, Any] = field(default_factory=dict)
 
     def after(self, earlier: TrainingRecord) -> TrainingRecord:
-        """Record of this training and the `earlier` one whose weights it began with; its details keep both apart."""
+        """Record of this training and the `earlier` one whose weights it began with; its details keep both apart.
+
+        Args:
+            earlier: record of the weights that it began with.
+        """
         lengths = (*self.mean_edge_lengths, *earlier.mean_edge_lengths)
         steps = (*self.propagation_steps, *earlier.propagation_steps)
         return TrainingRecord(
@@ -115,7 +119,11 @@ class Checkpoint:
             )
 
     def warn_of_resolution(self, garment: Garment) -> None:
-        """Warn where a garment is finer or coarser than those in training, and say what to expect."""
+        """Warn where a garment is finer or coarser than those in training, and say what to expect.
+
+        Args:
+            garment: the garment to simulate.
+        """
         length, (finest, coarsest) = garment.mean_edge_length, self.record.mean_edge_lengths
         if finest * (1 - RESOLUTION_TOLERANCE) <= length <= coarsest * (1 + RESOLUTION_TOLERANCE):
             return
@@ -302,6 +310,9 @@ def built_in_models() -> tuple[str, ...]:
 def from_pretrained(name_or_path: str | Path) -> Checkpoint:
     """Checkpoint of a built-in name, or of a path.
 
+    Args:
+        name_or_path: built-in name, or path.
+
     Raises:
         InputError: there is neither, listing the names, and whatever `load_checkpoint` refuses.
     """
@@ -313,6 +324,9 @@ def from_pretrained(name_or_path: str | Path) -> Checkpoint:
 @contextmanager
 def weights_file(name_or_path: str) -> Iterator[Path]:
     """File of a built-in name, or of a path.
+
+    Args:
+        name_or_path: built-in name, or path.
 
     Raises:
         InputError: there is neither, listing the names.
@@ -331,6 +345,9 @@ def weights_file(name_or_path: str) -> Iterator[Path]:
 
 def training_record_from_json(data: dict[str, Any]) -> TrainingRecord:
     """Record of a training from the fields of one as JSON gives them.
+
+    Args:
+        data: fields by name.
 
     Raises:
         InputError: they are out of range.

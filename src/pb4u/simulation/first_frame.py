@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.newton_solver import Solver
 from pb4u.scene.state import State
-from pb4u.simulation.refinement import SolverRefinement, carried
+from pb4u.simulation.refinement import SolverRefinement, collision_free_move
 from pb4u.simulation.step import StepMethod, take
 from pb4u.simulation.timeline import Timeline
 
@@ -27,7 +27,12 @@ class FirstFrame(ABC):
         """
 
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        """States of frame 0 and of those after it that are made in a way of their own; arguments as in `start`."""
+        """States of frame 0 and of those after it that are made in a way of their own; arguments as in `start`.
+
+        Args:
+            timeline: of the scene.
+            method: takes the steps.
+        """
         yield self.start(timeline, method)
 
 
@@ -63,7 +68,9 @@ class OneLongStep(FirstFrame):
         begun = AsPlaced().start(timeline, method)
         step = timeline.settling_from(begun)
         if method.contact is not None:
-            pushed = carried(method.self_contact, step, step.state, method.contact.respond(step, step.state))
+            pushed = collision_free_move(
+                method.self_contact, step, step.state, method.contact.respond(step, step.state)
+            )
             step = timeline.settling_from(pushed)
         return replace(begun, positions=take(step, method).positions)
 

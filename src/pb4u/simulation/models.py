@@ -231,6 +231,9 @@ def _header(path: Path) -> dict[str, str]:
 def available_device(name: str) -> str:
     """ "cpu" or "cuda", whichever "auto", "cpu" or "cuda" stands for here.
 
+    Args:
+        name: the device requested: "auto", "cpu" or "cuda".
+
     Raises:
         InputError: a card is asked for, and there is none, or its driver is too old; the sentence says which.
     """
@@ -258,7 +261,11 @@ def _precision(name: str, device: str, refine: int) -> torch.dtype:
 
 
 def has_bfloat16_units(device: str) -> bool:
-    """Whether a device, "cpu" or "cuda", multiplies matrices in bfloat16 faster than in float32."""
+    """Whether a device, "cpu" or "cuda", multiplies matrices in bfloat16 faster than in float32.
+
+    Args:
+        device: "cpu" or "cuda".
+    """
     import torch
 
     if device == "cuda":

@@ -28,7 +28,11 @@ RENAMED = {"carried_shares": "warm_start_shares"}
 
 
 def configuration_to_json(configuration: NetworkConfiguration) -> dict[str, Any]:
-    """Plain JSON data of a network configuration; each part names its type."""
+    """Plain JSON data of a network configuration; each part names its type.
+
+    Args:
+        configuration: the configuration.
+    """
     return cast(dict[str, Any], _encode(configuration))
 
 

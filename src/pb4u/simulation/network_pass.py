@@ -1,4 +1,4 @@
-"""What a network is asked in a time step: its graph, the node features that need the step's physics, and its passes."""
+"""The network in a time step: its graph, the node features that need the step's physics, and its passes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ORIGIN_GRID = 1.0 / 16.0
 """Grid of the origins of a step [m], coarse in binary, so that float32 differences of positions stay exact."""
 
 _LINEAR_UP_TO = 0.05
-"""Share of an edge up to which descent is shown as it is."""
+"""Share of an edge up to which the gradient feature is left as it is."""
 
 _SMALLEST_DESCENT = 1e-6
 """Root mean square of a descent, in edge lengths, that is no longer shown larger: cloth at rest in single precision."""
@@ -34,10 +34,10 @@ class NetworkPass:
     Args:
         network: called with a graph and the prepared garments; the model itself, or what distributes it.
         prepared: what it derived once from the garments, with the propagation steps of this step.
-        passes: how often it is asked in a step.
+        passes: how often it is evaluated in a step.
         features: node features of the garments, where they are already made.
         mode: entered while the network computes; no gradient by default, `nullcontext` in training.
-        further: how often it is asked again at most, while a pass frees much energy.
+        further: how often it is evaluated again at most, while a pass lowers the energy much.
     """
 
     def __init__(
@@ -67,7 +67,12 @@ class NetworkPass:
             return scale * self.network(self._graph(step, extra), self.prepared).to(accelerations)
 
     def graph(self, step: TimeStep, accelerations: Tensor) -> Graph:
-        """What the network sees after `accelerations` (vertices, 3) [m per step^2]."""
+        """What the network sees after `accelerations` (vertices, 3) [m per step^2].
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
         return self._graph(step, self.features.scaled(step, accelerations)[0])
 
     def _graph(self, step: TimeStep, made: Mapping[str, Tensor]) -> Graph:
@@ -156,7 +161,12 @@ class StepFeatures:
 
     @torch.no_grad()
     def of(self, step: TimeStep, accelerations: Tensor) -> Mapping[str, Tensor]:
-        """Every feature (vertices, width) by name; arguments as in `scaled`."""
+        """Every feature (vertices, width) by name; arguments as in `scaled`.
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
         return {
             name: self._descent.of(step, accelerations, self._incident_length)
             if name == DESCENT.name
@@ -168,8 +178,8 @@ class StepFeatures:
     def scaled(self, step: TimeStep, accelerations: Tensor) -> tuple[Mapping[str, Tensor], Tensor]:
         """Features as the network sees them, and the factors (vertices, 1) on what it predicts from them.
 
-        Where it asks for a size of the descent, each garment's is shown at that root mean square, and the prediction
-        scaled as it was: near the minimum then looks like far from it, as it does to Newton's method.
+        Where the network has a `descent_size`, each garment's gradient feature is normalised to that RMS, and the
+        prediction scaled as it was: near the minimum then looks like far from it, as it does to Newton's method.
 
         Args:
             step: that is taken.

@@ -18,24 +18,25 @@ class PassSearch:
     """Takes what the network predicts, as in the paper. Made for one run, as others may remember the passes before.
 
     Attributes:
-        freed: (worlds,) energy [J] that the last pass freed; None where it is not looked at.
+        decrease: (worlds,) energy decrease [J] of the last pass; None where it is not measured.
         last: (vertices, 3) move of the last pass [m per step^2], where it serves the next.
         worth: (worlds,) bool where the last pass was worth its time; None where one that is not is never made.
     """
 
-    freed: Tensor | None = None
+    decrease: Tensor | None = None
     last: Tensor | None = None
     worth: Tensor | None = None
 
     def decrease_height(self, garments: PackedGarments) -> Tensor:
-        """Heights (worlds,) [m] to which that energy would lift the garments of each world; 0 where not looked at.
+        """Heights (worlds,) [m] to which that energy would lift the garments of each world; 0 where it is not
+        measured.
 
         Args:
             garments: of the step that the pass was of.
         """
-        if self.freed is None:
+        if self.decrease is None:
             return garments.vertex_masses.new_zeros(garments.world_count)
-        return self.freed / garments.world_weights
+        return self.decrease / garments.world_weights
 
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
         """Accelerations (vertices, 3) [m per step^2] to add; differentiable in `correction`.
@@ -98,7 +99,7 @@ class ConjugatePass(PassSearch):
             torch.stack([_moved(step, x, directions, lengths) for lengths in choices])
         )
         lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
-        self.freed = before - lowest
+        self.decrease = before - lowest
         return choices.gather(0, chosen.expand(1, *best.shape))[0]
 
 
@@ -150,5 +151,9 @@ def eigenvectors(matrices: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def search_of(network: GraphNetwork) -> PassSearch:
-    """Rule for the passes of `network`, for one run."""
+    """Rule for the passes of `network`, for one run.
+
+    Args:
+        network: the network.
+    """
     return ConjugatePass() if network.conjugate else PassSearch()

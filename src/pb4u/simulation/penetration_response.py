@@ -31,13 +31,13 @@ class ContactResponse:
     (an arm), the vertex is pushed back to the side that it came from; a push that would go deeper into another part is
     not made.
 
-    What is written has its edges and faces lifted out of the body too, where `faces` says so. The lift stays out of the
+    Output frames have edges and faces moved out of the body too, where `faces` says so. This clean-up stays out of the
     simulation: coarse cloth would ride above the reach of friction and slide off.
 
     Args:
         clearance: distance to the surface that pushed vertices end at [m].
         largest_push: largest displacement of a vertex in one step [m].
-        faces: lifts edges and faces of the written states out of the body; None for no lift.
+        faces: moves edges and faces of output frames out of the body; None for no clean-up.
     """
 
     clearance: float = 5e-4
@@ -76,7 +76,7 @@ class ContactResponse:
         return replace(step, pin_positions=clear.pins_clear(garments, step.bodies.following, pins))
 
     def cleared(self, step: TimeStep, state: State, cloth: CollisionFree | None) -> State:
-        """State with cloth lifted that a body is through though no vertex is inside it, as far as cloth can go there.
+        """State in which cloth that a body pierces between vertices is moved off it, as far as cloth can go there.
 
         Args:
             step: the time step that was taken.
@@ -89,7 +89,7 @@ class ContactResponse:
         if obstacle is None or not obstacle.passed.any():
             return state
         lifted = self.faces.lift(step.garments, state, step.bodies.following, cloth)
-        # Lifted past them, cloth is through nothing more than it was.
+        # Moved past them, cloth is through nothing more than it was.
         obstacle.reached(step.garments, step.bodies.following, lifted.positions)
         return lifted
 

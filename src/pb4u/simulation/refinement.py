@@ -20,7 +20,7 @@ from pb4u.simulation.pierced_edges import newly_pierced
 from pb4u.simulation.step_start import BodyMotionWarmStart
 
 _BALANCED = 20.0
-"""Residual [standard gravity] above which a refined step may be made again.
+"""Residual [standard gravity] above which a refined step may be retried.
 
 Iterations leave 0.5 to 13 of garments that walk, jump, squat or run; of steps in which a running body caught a dress
 or a cardigan, 65 to 300.
@@ -31,27 +31,28 @@ _NEAR_BALANCE = 1.0
 and five leave no more than half a percent less energy."""
 
 _SETTLED = 5e-4
-"""Height [m] to which the energy that an iteration freed would lift the garment: it is the last one then.
+"""Energy decrease of an iteration, as the height [m] to which it would lift the garment, below which it is the last.
 
 The iterations after it would lower the energy by a third of that: half a percent of a walking T-shirt's elastic one.
 """
 
 _STILL_FALLING = 1e-3
-"""Height [m] to which the energy that the last iteration freed would lift the garment, from which on such a step may be
-made again.
+"""Energy decrease of the last iteration, as the height [m] to which it would lift the garment, from which on such a
+step may be retried.
 
 Where a limb has caught a dress or a cardigan it is 1.2 mm to half a metre. Where a tight shirt is strained in every
-step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the step made again has 0.1 percent less energy.
+step, at a residual of 20 to 130, it is 0.2 to 0.9 mm, and the retried step has 0.1 percent less energy.
 """
 
-_TORN = 0.6
-"""Strain of a face from which on it is: contact between layers leaves such residuals too, with nothing caught."""
+_FAILED_STRAIN = 0.6
+"""Strain of a face from which on a step has failed: contact between layers leaves such residuals too, with nothing
+caught."""
 
 _ROUGH_TOLERANCE = 1.0
-"""Residual [standard gravity] to which such a step is solved: no more than steps that are refined as usual may have."""
+"""Residual [standard gravity] to which a retry solves the step: no more than steps refined as usual may have."""
 
-_MOST_ANEW = 60
-"""Iterations at which that ends; 8 to 31 were needed by a running dress."""
+_MOST_RETRY_ITERATIONS = 60
+"""Iterations at which a retry ends; a running dress needed 8 to 31."""
 
 _LEFT_INSIDE = 1e-3
 """Depth [m] from which on a vertex that the response leaves inside the body is pushed out."""
@@ -114,7 +115,7 @@ class SolverRefinement:
         pressed = self._pressing.minimise(firm.of(step), state.positions).positions
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
-    def past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
+    def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
         """`state` as far as it is reached past the moving bodies, at rest with them where they turned it aside.
 
         Args:
@@ -164,7 +165,11 @@ class ImplicitSteps(SolverRefinement):
         return state
 
     def solved(self, step: TimeStep) -> tuple[State, Solution]:
-        """State at the end of `step`, and what `implicit_steps` tells of its solution."""
+        """State at the end of `step`, and what `implicit_steps` tells of its solution.
+
+        Args:
+            step: the time step.
+        """
         return implicit_steps(self.potential, self.solver, step, self.iterations, self.start)
 
 
@@ -188,16 +193,16 @@ class SafeguardedRefinement(SolverRefinement):
     ) -> None:
         super().__init__(iterations, Solver(_NEAR_BALANCE, settled=_SETTLED), potential)
         self.retried = retried
-        rough = Solver(_ROUGH_TOLERANCE, _MOST_ANEW)
-        self.anew = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart().positions)
+        rough = Solver(_ROUGH_TOLERANCE, _MOST_RETRY_ITERATIONS)
+        self.retry = ImplicitSteps(solver=rough, potential=potential, start=BodyMotionWarmStart().positions)
 
     def refine(self, step: TimeStep, predicted: State) -> State:
         refined = self.solver.minimise(self.potential.of(step), predicted.positions, self.iterations)
         pierced = newly_pierced(step, refined.positions)
-        falling = refined.residual > _BALANCED and refined.freed > _STILL_FALLING
+        falling = refined.residual > _BALANCED and refined.decrease > _STILL_FALLING
         if not pierced and not (falling and _has_failed(step, refined.positions)):
             return step.reached(refined.positions)
-        state, solved = self.anew.solved(step)
+        state, solved = self.retry.solved(step)
         if self.retried:
             self.retried()
         better = (newly_pierced(step, state.positions), solved.residual) < (pierced, refined.residual)
@@ -206,11 +211,12 @@ class SafeguardedRefinement(SolverRefinement):
 
 def _has_failed(step: TimeStep, x: Tensor) -> bool:
     garments = step.garments
-    return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _TORN).any())
+    return bool((face_strains(x, garments.faces, garments.inverse_rest_shape) > _FAILED_STRAIN).any())
 
 
-def carried(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
-    """`wanted` as far as it is reached from `before` without cloth passing through cloth, at the speed it then has.
+def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
+    """As far from `before` towards `wanted` as cloth can move without passing through cloth; velocities follow the
+    positions.
 
     Args:
         self_contact: keeps cloth from passing through cloth; None where it may.
@@ -220,12 +226,13 @@ def carried(self_contact: CollisionFree | None, step: TimeStep, before: State, w
     """
     if self_contact is None:
         return wanted
-    positions, _ = self_contact.carried(step.garments, before.positions, wanted.positions)
+    positions, _ = self_contact.collision_free_move(step.garments, before.positions, wanted.positions)
     return _moved_to(positions, wanted, step)
 
 
 def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State) -> State:
-    """`wanted` as far as it is reached from the step's start past the moving bodies, at the speed it then has.
+    """As far from the step's start towards `wanted` as cloth can move past the moving bodies; velocities follow the
+    positions.
 
     Args:
         self_contact: keeps cloth from passing through bodies; None where it may.
@@ -234,7 +241,7 @@ def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: Stat
     """
     if self_contact is None or not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
         return wanted
-    positions, obstacle = self_contact.carried(
+    positions, obstacle = self_contact.collision_free_move(
         step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle
     )
     if obstacle is not None:

@@ -76,7 +76,11 @@ class Simulator(ABC):
         """
 
     def propagation_steps(self, scene: Scene) -> int | None:
-        """Number K of propagation steps for a scene; None where the method has none."""
+        """Number K of propagation steps for a scene; None where the method has none.
+
+        Args:
+            scene: the scene.
+        """
         return None
 
     def settings(self) -> dict[str, Any]:
@@ -165,7 +169,11 @@ class Simulator(ABC):
         return Trajectory.open(path)
 
     def header(self, scene: Scene) -> TrajectoryHeader:
-        """Static part of the trajectory that this simulator makes of `scene`."""
+        """Static part of the trajectory that this simulator makes of `scene`.
+
+        Args:
+            scene: the scene.
+        """
         garments = [worn.garment for worn in scene.garments]
         edges = sum(len(garment.edge_lengths) for garment in garments)
         shape = scene.labels.get("body_shape")

@@ -18,12 +18,12 @@ from pb4u.physics.time_step import TimeStep, integrate, require_finite
 from pb4u.scene.state import State
 from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.penetration_response import ContactResponse
-from pb4u.simulation.refinement import SolverRefinement, carried, past_bodies
+from pb4u.simulation.refinement import SolverRefinement, collision_free_move, past_bodies
 from pb4u.simulation.step_start import BodyMotionWarmStart, begun
 from pb4u.threads import one_torch_thread
 
 LARGE_DECREASE = 1.5e-3
-"""Height [m] to which the energy that a pass freed would lift the garments, from which on another pass is asked for.
+"""Energy decrease of a pass, as the height [m] to which it would lift the garments, from which on another pass is made.
 
 Less than the 2 mm above the skin at which contact begins.
 """
@@ -41,7 +41,12 @@ class Pass(Protocol):
     further: int
 
     def correction(self, step: TimeStep, accelerations: Tensor) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] to add to those reached so far, from free flight."""
+        """Accelerations (vertices, 3) [m per step^2] to add to those reached so far, from free flight.
+
+        Args:
+            step: the time step.
+            accelerations: (vertices, 3) [m per step^2] from free flight.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +88,22 @@ def take(step: TimeStep, method: StepMethod) -> State:
         *_, predicted = predictions(step, method)
         require_finite(predicted)
         if refinement is None:
-            state = carried(cloth, step, step.state, predicted)
+            state = collision_free_move(cloth, step, step.state, predicted)
         else:
             # A few iterations of the solver, or all of them, lower the energies that the network was trained on.
             state = refinement.refine(step, predicted)
         if contact is not None:
             # Vertices still inside the body are pushed out, without gaining speed, and no further than to other cloth.
-            state = carried(cloth, step, state, contact.respond(step, state))
+            state = collision_free_move(cloth, step, state, contact.respond(step, state))
             if refinement is not None:
                 # What cloth around it kept inside the body is pushed out together with that cloth.
                 state = refinement.respond_with_cloth(step, state, contact)
         # Between vertices too no face or edge of a body comes through.
-        kept = past_bodies(cloth, step, state) if refinement is None else refinement.past_bodies(step, state, cloth)
+        kept = (
+            past_bodies(cloth, step, state)
+            if refinement is None
+            else refinement.pressed_past_bodies(step, state, cloth)
+        )
         # Where one is through cloth already, no energy leads it back.
         return kept if contact is None else contact.cleared(step, kept, cloth)
 
@@ -114,36 +123,59 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
     accelerations = begun(method.start, step)
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
     yield integrate(step, accelerations)
-    network = method.network
-    if network is None:
-        return
-    passes, most = network.passes, network.passes + network.further
-    made = most if rooms is None else rooms.repeats("passes", most)
+    if method.network is not None:
+        moved = _decided(step, method, method.network, accelerations)
+        if rooms is not None:
+            moved = _masked(step, method, method.network, accelerations, rooms)
+        yield from (integrate(step, each) for each in moved)
+
+
+def _decided(step: TimeStep, method: StepMethod, network: Pass, accelerations: Tensor) -> Iterator[Tensor]:
+    """Accelerations after each pass of the network, up to the first that is not worth its time in any world."""
+    search, worth = method.search, None
+    for number in range(network.passes + network.further):
+        if number >= network.passes:
+            worth = _is_worth_another(step, method, worth)
+            if not bool(worth.any()):
+                return
+        reached, last = accelerations.detach(), search.last
+        if not bool(torch.isfinite(reached).all()):
+            return
+        search.worth = None
+        move = search.move(step, reached, network.correction(step, reached))
+        accelerations = reached + _where_worth(step, search, move, last, worth)
+        yield accelerations
+
+
+def _masked(step: TimeStep, method: StepMethod, network: Pass, accelerations: Tensor, rooms: Rooms) -> Iterator[Tensor]:
+    """The same without a decision: as many passes as there is room for, those not worth their time left out."""
+    search, passes, most = method.search, network.passes, network.passes + network.further
+    made = rooms.repeats("passes", most)
     worth: list[Tensor] = []
     for number in range(min(made + 1, most)):
         if number >= passes:
-            worth.append(_is_worth_another(step, method, worth))
-            if rooms is None and not bool(worth[-1].any()):
-                return
+            worth.append(_is_worth_another(step, method, worth[-1] if worth else None))
         if number == made:
             break
-        reached, last = accelerations.detach(), method.search.last
-        if rooms is None and not bool(torch.isfinite(reached).all()):
-            return
-        move = method.search.move(step, reached, network.correction(step, reached))
-        method.search.worth = worth[-1] if worth and rooms is not None else None
-        if worth and last is not None and method.search.last is not None:
-            # The worlds of a pack stop apart from each other.
-            goes_on = worth[-1][step.garments.vertex_world, None]
-            move = torch.where(goes_on, move, 0.0)
-            method.search.last = torch.where(goes_on, method.search.last, last)
-        accelerations = reached + move
-        yield integrate(step, accelerations)
-    if rooms is not None and most > passes:
+        reached, last = accelerations.detach(), search.last
+        move = search.move(step, reached, network.correction(step, reached))
+        search.worth = worth[-1] if worth else None
+        accelerations = reached + _where_worth(step, search, move, last, search.worth)
+        yield accelerations
+    if most > passes:
         rooms.note("passes", passes + torch.stack(worth).any(1).sum())
 
 
-def _is_worth_another(step: TimeStep, method: StepMethod, before: list[Tensor]) -> Tensor:
-    """Where (worlds,) bool another pass is worth its time, and those `before` were."""
+def _is_worth_another(step: TimeStep, method: StepMethod, before: Tensor | None) -> Tensor:
+    """Where (worlds,) bool another pass is worth its time, and the pass `before` was."""
     worth = ~(method.search.decrease_height(step.garments) < LARGE_DECREASE)
-    return worth & before[-1] if before else worth
+    return worth if before is None else worth & before
+
+
+def _where_worth(step: TimeStep, search: PassSearch, move: Tensor, last: Tensor | None, worth: Tensor | None) -> Tensor:
+    """`move` (vertices, 3) in the worlds where it is worth its time; the others stay, and keep their last."""
+    if worth is None or last is None or search.last is None:
+        return move
+    goes_on = worth[step.garments.vertex_world, None]
+    search.last = torch.where(goes_on, search.last, last)
+    return torch.where(goes_on, move, 0.0)

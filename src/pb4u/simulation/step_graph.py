@@ -67,7 +67,11 @@ class StepGraph:
         self._pool = torch.cuda.graph_pool_handle() if replays and torch.cuda.is_available() else None
 
     def take(self, begun: State) -> tuple[State, tuple[str, ...], Tensor]:
-        """State after `begun`, and the searches and the room that each wanted, as `Rooms.taken` gives them."""
+        """State after `begun`, and the searches and the room that each wanted, as `Rooms.taken` gives them.
+
+        Args:
+            begun: state at the start of the step.
+        """
         rooms, search = self.timeline.colliders.rooms, self.method.search
         assert rooms is not None
         self._step, last = self.timeline.step_from(begun), search.last

@@ -16,7 +16,7 @@ WARM_START_SHARES = (0.25, 0.5, 0.75, 1.0)
 
 
 class BodyMotionWarmStart:
-    """Starts every world with the share of the body's motion of least potential, lifted off the body.
+    """Starts every world with the share of the body's motion of least potential, moved off the body.
 
     When a body begins to move, free flight leaves all cloth behind by the same amount, and a network has to pass that
     on across the garment; on a fine mesh that is many edges. Skinning gives that motion at any resolution.
@@ -31,7 +31,11 @@ class BodyMotionWarmStart:
 
     @torch.no_grad()
     def accelerations(self, step: TimeStep) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] from free flight to the start."""
+        """Accelerations (vertices, 3) [m per step^2] from free flight to the start.
+
+        Args:
+            step: the time step.
+        """
         free = integrate(step, torch.zeros_like(step.state.positions)).positions
         if step.skinned_motion is None:
             return torch.zeros_like(free)
@@ -47,15 +51,28 @@ class BodyMotionWarmStart:
         return moved_off_the_body(potential, start) - free
 
     def positions(self, step: TimeStep) -> Tensor:
-        """Positions (vertices, 3) [m] of the start."""
+        """Positions (vertices, 3) [m] of the start.
+
+        Args:
+            step: the time step.
+        """
         return integrate(step, self.accelerations(step)).positions
 
 
 def start_of(network: GraphNetwork) -> BodyMotionWarmStart | None:
-    """Start of the steps of `network`; None for free flight, as in the paper."""
+    """Start of the steps of `network`; None for free flight, as in the paper.
+
+    Args:
+        network: the network.
+    """
     return BodyMotionWarmStart(network.warm_start_shares) if network.warm_start_shares else None
 
 
 def begun(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:
-    """Accelerations (vertices, 3) [m per step^2] from free flight to where `step` starts."""
+    """Accelerations (vertices, 3) [m per step^2] from free flight to where `step` starts.
+
+    Args:
+        start: rule for the start; None for free flight.
+        step: the time step.
+    """
     return torch.zeros_like(step.state.positions) if start is None else start.accelerations(step)

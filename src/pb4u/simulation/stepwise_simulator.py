@@ -85,7 +85,7 @@ class StepwiseSimulator(Simulator):
             state, pose = made
             if state.frame < scene.lead_in or method.contact is None:
                 return state
-            # As it is written: lifted off the skin, as far as cloth can go there.
+            # As it is written: moved off the skin, as far as cloth can go there.
             return method.contact.present(timeline.garments, state, pose, method.self_contact)
 
         # A frame is made ready for writing while the step from it is taken.
@@ -94,7 +94,7 @@ class StepwiseSimulator(Simulator):
     def _states(
         self, scene: Scene, timeline: Timeline, method: StepMethod, record: RunRecord
     ) -> Iterator[tuple[State, ColliderPose]]:
-        """The states of a run, with the bodies there; ends where one is not finite, and notes it."""
+        """The states of a run with the bodies of each frame; where a state is not finite, it adds a note and ends."""
         made = 0
         try:
             for state in islice(self._moved(timeline, method, scene.total_frames), scene.total_frames):
@@ -226,7 +226,7 @@ class NetworkSimulator(StepwiseSimulator):
         precision: data type of the network's products.
 
     Raises:
-        InputError: less than 1 pass, or more than 1 of a network that cannot tell one pass from the next, and for a
+        InputError: less than 1 pass, or more than 1 of a network that does not distinguish passes, and for a
             number of propagation steps out of range.
     """
 
@@ -386,7 +386,11 @@ class NetworkSimulator(StepwiseSimulator):
         )
 
     def propagation_steps(self, scene: Scene) -> int | None:
-        """Number K of propagation steps of the finest garment, which takes the most."""
+        """Number K of propagation steps of the finest garment, which takes the most.
+
+        Args:
+            scene: the scene.
+        """
         network = self.checkpoint.model.network
         if not network.propagates:
             return None

@@ -155,27 +155,51 @@ class Timeline:
         return Timeline(garments, colliders, moved(self._body), moved(self._skinned), self.dt, self.gravity.to(device))
 
     def skinned(self, frame: int) -> Tensor:
-        """Garment vertices (vertices, 3) [m] at a frame where skinning alone puts them."""
+        """Garment vertices (vertices, 3) [m] at a frame where skinning alone puts them.
+
+        Args:
+            frame: number of the frame.
+        """
         return self._skinned[min(max(frame, 0), len(self._skinned) - 1)]
 
     def skinned_velocity(self, frame: int) -> Tensor:
-        """Velocities (vertices, 3) [m/s] of the garments under skinning alone; 0 at the first frame."""
+        """Velocities (vertices, 3) [m/s] of the garments under skinning alone; 0 at the first frame.
+
+        Args:
+            frame: number of the frame.
+        """
         return (self.skinned(frame) - self.skinned(frame - 1)) / self.dt
 
     def skinned_acceleration(self, frame: int) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] of the garments under skinning alone."""
+        """Accelerations (vertices, 3) [m per step^2] of the garments under skinning alone.
+
+        Args:
+            frame: number of the frame.
+        """
         return self.skinned(frame + 1) - 2.0 * self.skinned(frame) + self.skinned(frame - 1)
 
     def skinned_state(self, frame: int) -> State:
-        """State of the garments under skinning alone: positions [m] and velocities [m/s] at a frame."""
+        """State of the garments under skinning alone: positions [m] and velocities [m/s] at a frame.
+
+        Args:
+            frame: number of the frame.
+        """
         return State(self.skinned(frame), self.skinned_velocity(frame), frame)
 
     def body(self, frame: int) -> Tensor:
-        """Body vertices (vertices, 3) [m] at a frame."""
+        """Body vertices (vertices, 3) [m] at a frame.
+
+        Args:
+            frame: number of the frame.
+        """
         return self.pose(frame).positions
 
     def pose(self, frame: int) -> ColliderPose:
-        """Pose of the bodies at a frame; the poses last asked for are kept, with their search trees."""
+        """Pose of the bodies at a frame; the poses last asked for are kept, with their search trees.
+
+        Args:
+            frame: number of the frame.
+        """
         frame = min(max(frame, 0), len(self._body) - 1)
         pose = self._poses.pop(frame, None) or self.colliders.pose(self._body[frame])
         while len(self._poses) >= _POSES:
@@ -184,7 +208,11 @@ class Timeline:
         return pose
 
     def step_from(self, state: State) -> TimeStep:
-        """Time step from the state's frame to the next."""
+        """Time step from the state's frame to the next.
+
+        Args:
+            state: state and its frame.
+        """
         t = state.frame
         collider = ColliderFrame(self.pose(t - 1), self.pose(t), self.pose(t + 1))
         after = self.skinned(t + 1)
@@ -192,7 +220,11 @@ class Timeline:
         return TimeStep(self.garments, state, collider, self.dt, self.gravity, after, motion)
 
     def settling_from(self, state: State) -> TimeStep:
-        """Long time step from rest on the bodies standing still at the state's frame."""
+        """Long time step from rest on the bodies standing still at the state's frame.
+
+        Args:
+            state: state and its frame.
+        """
         still, pins = self.pose(state.frame), self.skinned(state.frame)
         return TimeStep(
             self.garments,

@@ -34,7 +34,11 @@ class ExplosionGuard:
     seen: int = 0
 
     def after(self, energy: float) -> ExplosionGuard:
-        """Guard after a further step of `energy` [J], above 0."""
+        """Guard after a further step of `energy` [J], above 0.
+
+        Args:
+            energy: of the further step [J].
+        """
         value = math.log(max(energy, 1e-12)) if math.isfinite(energy) else 60.0
         # At first the averages are plain means, so that the initial value has no weight.
         fast, slow = min(_FAST, self.seen / (self.seen + 1.0)), min(_SLOW, self.seen / (self.seen + 1.0))
@@ -137,6 +141,9 @@ class Counters:
     @staticmethod
     def from_json(record: dict[str, Any]) -> Counters:
         """Counters from the data that `to_json` gave.
+
+        Args:
+            record: what `to_json` gave.
 
         Raises:
             InputError: it is something else.

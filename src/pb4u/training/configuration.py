@@ -107,7 +107,7 @@ class TrainingConfiguration:
         most_propagation_steps: K is drawn from 1 to this at every step; 0 leaves it to the resolution.
         after_settling: velocity after the settling step: "skinned"; "slowed", half to all of that, so that bodies that
             set off are seen; "zero"; or "carried" as the family's code has it.
-        loss_weight: "joule", or "progress": relative to what the pass freed.
+        loss_weight: "joule", or "progress": relative to the energy decrease of the pass.
         inside_weight: weight of a second collision term in the loss, which begins at the skin [J/m^3]; 0 for none.
         statistics_windows: windows whose statistics normalise the features.
         gradient_norm: largest norm of the gradient, of the unit of the loss; longer ones are scaled down to it.
@@ -167,7 +167,11 @@ _PARTS: dict[str, type] = {"data": DataSelection, "curriculum": Curriculum, "mat
 
 
 def training_to_json(configuration: TrainingConfiguration) -> dict[str, Any]:
-    """Plain JSON data of a training's configuration."""
+    """Plain JSON data of a training's configuration.
+
+    Args:
+        configuration: the configuration.
+    """
     record = {entry.name: getattr(configuration, entry.name) for entry in fields(configuration)}
     record["network"] = configuration_to_json(configuration.network)
     return record | {name: asdict(record[name]) for name in _PARTS}
@@ -175,6 +179,9 @@ def training_to_json(configuration: TrainingConfiguration) -> dict[str, Any]:
 
 def training_from_json(record: Any) -> TrainingConfiguration:
     """Configuration that `training_to_json` wrote.
+
+    Args:
+        record: what `training_to_json` wrote.
 
     Raises:
         InputError: it is no configuration of a training.

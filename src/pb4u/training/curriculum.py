@@ -55,18 +55,30 @@ class Curriculum:
             raise InputError(f"curriculum.settling_share must lie between 0 and 1, not {self.settling_share}.")
 
     def window_length(self, progress: float) -> int:
-        """Number of steps of a window at a fraction `progress` of the budget."""
+        """Number of steps of a window at a fraction `progress` of the budget.
+
+        Args:
+            progress: fraction of the budget that is spent, 0 to 1.
+        """
         return int(_stage(self.window_steps, progress)[1])
 
     def collision(self, progress: float) -> float:
-        """Weight of the collision term [J/m^3] at a fraction `progress` of the budget."""
+        """Weight of the collision term [J/m^3] at a fraction `progress` of the budget.
+
+        Args:
+            progress: fraction of the budget that is spent, 0 to 1.
+        """
         for (start, before), (stop, after) in pairwise(self.collision_weight):
             if start <= progress < stop:
                 return before + (after - before) * (progress - start) / (stop - start)
         return self.collision_weight[-1][1] if progress >= self.collision_weight[-1][0] else self.collision_weight[0][1]
 
     def rate(self, progress: float) -> float:
-        """Learning rate at a fraction `progress` of the budget."""
+        """Learning rate at a fraction `progress` of the budget.
+
+        Args:
+            progress: fraction of the budget that is spent, 0 to 1.
+        """
         stage = int(self.halvings * min(max(progress, 0.0), 1.0))
         risen = min(progress / self.warm_up, 1.0) if self.warm_up else 1.0
         return self.learning_rate * (0.5**stage + self.rate_floor) * risen

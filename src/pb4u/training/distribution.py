@@ -39,6 +39,9 @@ class Workers:
     def share(self, batch: int) -> slice:
         """Samples of a `batch` that fall to this process.
 
+        Args:
+            batch: number of samples in all processes together.
+
         Raises:
             InputError: it cannot be divided.
         """
@@ -48,35 +51,59 @@ class Workers:
         return slice(self.rank * size, (self.rank + 1) * size)
 
     def distributed(self, model: nn.Module) -> nn.Module:
-        """Wrapper of `model` that averages gradients over processes; unused parameters count as zero."""
+        """Wrapper of `model` that averages gradients over processes; unused parameters count as zero.
+
+        Args:
+            model: the network.
+        """
         if self.count == 1:
             return model
         return DistributedDataParallel(model, broadcast_buffers=False, find_unused_parameters=True)
 
     def mean(self, values: Tensor) -> Tensor:
-        """Mean (...) of `values` (...) over processes, in their unit."""
+        """Mean (...) of `values` (...) over processes, in their unit.
+
+        Args:
+            values: (...) of this process.
+        """
         return self.sum(values) / self.count
 
     def sum(self, values: Tensor) -> Tensor:
-        """Sum (...) of `values` (...) over processes, in their unit."""
+        """Sum (...) of `values` (...) over processes, in their unit.
+
+        Args:
+            values: (...) of this process.
+        """
         if self.count > 1:
             values = values.clone()
             torch_distributed.all_reduce(values)
         return values
 
     def agreed(self, flag: bool) -> bool:
-        """Whether `flag` is set in any process; all processes get the same answer."""
+        """Whether `flag` is set in any process; all processes get the same answer.
+
+        Args:
+            flag: of this process.
+        """
         return self.total(float(flag)) > 0.0
 
     def total(self, value: float) -> float:
-        """Sum of `value` over processes, in its unit; nothing is copied where there is one."""
+        """Sum of `value` over processes, in its unit; nothing is copied where there is one.
+
+        Args:
+            value: of this process.
+        """
         if self.count == 1:
             return value
         # Processors agree among themselves, while their cards go on.
         return float(self.sum(torch.tensor(value, dtype=torch.float64)))
 
     def reduce_statistics(self, model: AccelerationModel) -> None:
-        """Give every process the statistics that all have gathered."""
+        """Give every process the statistics that all have gathered.
+
+        Args:
+            model: its normalisers are changed.
+        """
         for normaliser in model.normalisers():
             normaliser.sums.copy_(self.sum(normaliser.sums))
             normaliser.refresh()
@@ -90,7 +117,7 @@ def workers(device: str = "auto") -> Iterator[Workers]:
         device: "auto", "cpu" or "cuda".
 
     Raises:
-        InputError: an accelerator is asked for and absent, or there are fewer cards than processes.
+        InputError: an accelerator is requested and absent, or there are fewer cards than processes.
     """
     if device not in ("auto", "cpu", "cuda"):
         raise InputError(

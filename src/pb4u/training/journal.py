@@ -43,7 +43,11 @@ class Reporter:
         )
 
     def said(self, sentence: str) -> None:
-        """Print a sentence on an incident."""
+        """Print a sentence on an incident.
+
+        Args:
+            sentence: what happened, as a sentence.
+        """
         print(f"pb4u: {sentence}", file=sys.stderr)
 
 
@@ -134,7 +138,11 @@ class Journal:
         self.reporter.validated(step, score, best)
 
     def note(self, record: dict[str, Any]) -> None:
-        """Add a line to the metrics; on a full disk the line is lost and the training goes on."""
+        """Add a line to the metrics; on a full disk the line is lost and the training goes on.
+
+        Args:
+            record: plain JSON data.
+        """
         if self.leads and self.folder:
             try:
                 self.folder.append_metrics(record)
@@ -142,7 +150,11 @@ class Journal:
                 self.say(f"{error} The training goes on.")
 
     def say(self, sentence: str) -> None:
-        """Report a sentence on an incident."""
+        """Report a sentence on an incident.
+
+        Args:
+            sentence: what happened, as a sentence.
+        """
         self.reporter.said(sentence)
 
 

@@ -40,7 +40,11 @@ class MovingAverage:
 
     @torch.no_grad()
     def swap(self, module: nn.Module) -> None:
-        """Exchange the parameters of `module` with the averaged ones; a second call undoes the first."""
+        """Exchange the parameters of `module` with the averaged ones; a second call undoes the first.
+
+        Args:
+            module: with the same parameters.
+        """
         for name, parameter in module.named_parameters():
             own = parameter.detach().clone()
             parameter.copy_(self.values[name])
@@ -70,12 +74,20 @@ class Learner:
         self.longest = configuration.gradient_norm
 
     def begin_with(self, weights: Mapping[str, Tensor]) -> None:
-        """Take over weights and statistics, each (...) as in the model, by name; the average begins with them too."""
+        """Take over weights and statistics, each (...) as in the model, by name; the average begins with them too.
+
+        Args:
+            weights: weights by name.
+        """
         self.model.load_state_dict(weights)
         self.average = MovingAverage(self.model, self.average.decay)
 
     def gradient(self, loss: Tensor) -> Tensor:
-        """Compute the gradient of `loss`, a scalar [J], and clip its norm; returns the norm () before clipping."""
+        """Compute the gradient of `loss`, a scalar [J], and clip its norm; returns the norm () before clipping.
+
+        Args:
+            loss: () [J].
+        """
         self.optimiser.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         return torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.longest)

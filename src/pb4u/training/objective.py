@@ -50,7 +50,11 @@ def step_energies(step: TimeStep, positions: Tensor, collision_weight: float, in
 
 
 def mean_energies(energies: Energies) -> dict[str, Tensor]:
-    """Mean of every term and of their `total` over the garments, scalars [J] by name."""
+    """Mean of every term and of their `total` over the garments, scalars [J] by name.
+
+    Args:
+        energies: of each garment.
+    """
     terms = {name: value.mean() for name, value in energies.terms.items()}
     return {**terms, "total": energies.total / len(energies.per_garment)}
 
@@ -68,25 +72,26 @@ def further_losses(prepared: PreparedGarments, step: TimeStep, positions: Tensor
     return {loss.name: loss.energies(before, positions, progress) for loss in prepared.losses}
 
 
-def progress_weights(garments: PackedGarments, freed: Tensor | None, lift: float = 1e-4) -> Tensor:
-    """Weights (garments,) [1/J] of losses: a joule counts the less, the more of them the pass freed.
+def progress_weights(garments: PackedGarments, decrease: Tensor | None, lift: float = 1e-4) -> Tensor:
+    """Weights (garments,) [1/J] of losses: a joule counts less, the larger the energy decrease of the pass.
 
-    Where a pass lowers the energy by much more than `lift`, descending this is raising the logarithm of that decrease,
+    Where a pass lowers the energy by much more than `lift`, descending this loss raises the logarithm of that decrease,
     of the terms that its search knows: it asks for the best direction alike far from the minimum and near it, in silk
     and in leather. It is no logarithm elsewhere: a pass that raises the energy counts as one that leaves it as it is,
     with the greatest weight of all. For conjugate passes.
 
     Args:
         garments: the pack that the losses are of.
-        freed: (worlds,) energy [J] that the pass freed, where its search tells.
-        lift: height [m] to which the energy added to all would lift the garment, below which nothing is seen.
+        decrease: (worlds,) energy decrease [J] of the pass, where its search measures it.
+        lift: height [m]; the energy that lifts the garment by it is added to each decrease, so that smaller ones do not
+            matter.
 
     Raises:
-        InputError: the search of the passes does not tell what they free.
+        InputError: the search of the passes does not measure their energy decrease.
     """
-    if freed is None:
+    if decrease is None:
         raise InputError("loss_weight=progress needs a network whose passes are conjugate: network.conjugate=True.")
-    of_world = freed[garments.garment_world].clamp_min(0.0)
+    of_world = decrease[garments.garment_world].clamp_min(0.0)
     return 1.0 / (of_world + (lift * STANDARD_GRAVITY * garments.garment_masses).to(of_world))
 
 

@@ -93,6 +93,9 @@ def rounded_poses(poses: PoseSequence) -> PoseSequence:
     """Poses as a pack stores them, 16 bits for each number of a rotation: within 0.003 degrees, and float32 roots.
 
     Floating-point halves would be ten times coarser, enough to shake a hand by a third of a millimetre.
+
+    Args:
+        poses: the poses.
     """
     return PoseSequence(
         _fixed_point(poses.rotations) / _STEPS, poses.root_positions.astype(np.float32).astype(np.float64), poses.fps
@@ -186,6 +189,9 @@ def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 def load_training_data(path: Path | str) -> TrainingData:
     """Training data in a file that `save_training_data` wrote.
+
+    Args:
+        path: path of the .npz.
 
     Raises:
         InputError: the file is absent, cut short, of a newer format or no such file.

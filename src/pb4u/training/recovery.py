@@ -55,21 +55,36 @@ class Recovery:
         self.saved = self.snapshot(Counters())
 
     def snapshot(self, counters: Counters) -> Snapshot:
-        """Snapshot of the training as it is now, with `counters`."""
+        """Snapshot of the training as it is now, with `counters`.
+
+        Args:
+            counters: where the training stands.
+        """
         return Snapshot(self.learner.state(), counters.to_json())
 
     def keep(self, counters: Counters) -> None:
-        """Keep a snapshot of the training as the last good one."""
+        """Keep a snapshot of the training as the last good one.
+
+        Args:
+            counters: where the training stands.
+        """
         self.saved = self.snapshot(counters)
 
     def return_to(self, then: Snapshot) -> Counters:
-        """Restore weights and optimiser from `then`; returns its counters."""
+        """Restore weights and optimiser from `then`; returns its counters.
+
+        Args:
+            then: snapshot to return to.
+        """
         self.learner.restore(then.tensors)
         self.journal.forget()
         return Counters.from_json(then.counters)
 
     def roll_back(self, counters: Counters) -> Counters:
         """Return to the last good weights at half the rate, and go on with other samples.
+
+        Args:
+            counters: where the training stands.
 
         Raises:
             TrainingFailedError: the training has gone back too often.

@@ -49,7 +49,11 @@ class RunFolder:
 
     @staticmethod
     def require_free(path: Path | str) -> None:
-        """Refuse a path at which there is anything but an empty folder: raises InputError."""
+        """Refuse a path at which there is anything but an empty folder: raises InputError.
+
+        Args:
+            path: path for a new folder.
+        """
         folder = RunFolder(Path(path))
         if (folder.path / CONFIGURATION).is_file():
             raise InputError(f"{path} already holds a training; go on with --resume {path}, or give another folder.")
@@ -107,6 +111,9 @@ class RunFolder:
     def open(path: Path | str) -> RunFolder:
         """Open an existing folder.
 
+        Args:
+            path: of the folder.
+
         Raises:
             InputError: it is no folder of a training.
         """
@@ -116,7 +123,11 @@ class RunFolder:
         return folder
 
     def configure(self, configuration: dict[str, Any]) -> None:
-        """Write the configuration, plain JSON data."""
+        """Write the configuration, plain JSON data.
+
+        Args:
+            configuration: plain JSON data.
+        """
         record = {"format_version": FORMAT_VERSION, **configuration}
         self._replace(CONFIGURATION, (json.dumps(record, indent=2) + "\n").encode())
 
@@ -184,6 +195,9 @@ class RunFolder:
     def append_metrics(self, record: dict[str, Any]) -> None:
         """Add a line to the metrics.
 
+        Args:
+            record: plain JSON data of one line.
+
         Raises:
             NotSavedError: it cannot be written.
         """
@@ -206,7 +220,11 @@ class RunFolder:
         return lines
 
     def forget_metrics_after(self, step: int) -> None:
-        """Delete the lines of the metrics after a `step`, which will be taken again."""
+        """Delete the lines of the metrics after a `step`, which will be taken again.
+
+        Args:
+            step: last step whose lines stay.
+        """
         kept = [line for line in self.metrics() if line.get("step", 0) <= step]
         self._replace(METRICS, "".join(json.dumps(line) + "\n" for line in kept).encode())
 

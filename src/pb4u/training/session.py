@@ -68,7 +68,11 @@ class Request:
 
 
 def train(request: Request) -> dict[str, Any]:
-    """Train as asked; returns a summary: how it ended, its steps, seconds, rollbacks and best validation.
+    """Train a network as the request says; returns a summary: how it ended, its steps, seconds, rollbacks and best
+    validation.
+
+    Args:
+        request: preset, budget, folder and settings.
 
     Raises:
         InputError: something of the request cannot be done.
@@ -188,15 +192,15 @@ def _opened(request: Request) -> tuple[RunFolder, TrainingConfiguration, Budget,
         budget = Budget(request.steps, request.minutes)
         folder.configure({**record, "budget": asdict(budget)})
     if not folder.data.is_file():
-        _make_anew(folder, configuration, record)
+        _make_again(folder, configuration, record)
     return folder, configuration, budget, load_training_data(folder.data)
 
 
-def _make_anew(folder: RunFolder, configuration: TrainingConfiguration, record: dict[str, Any]) -> None:
+def _make_again(folder: RunFolder, configuration: TrainingConfiguration, record: dict[str, Any]) -> None:
     """The data of a run that was left before it was written, or that travelled without it."""
     if record.get("data") != BUILT_IN:
         raise InputError(
-            f"{folder.path} has lost its data, which came from a pack or recordings; start the training anew."
+            f"{folder.path} has lost its data, which came from a pack or recordings; start the training again."
         )
     save_training_data(_collected(configuration, None), folder.data)
 

@@ -86,11 +86,19 @@ class Outcome:
         return ((self.values[-3:] > 0.0).any() | ~torch.isfinite(self.values).all()).to(torch.float32)
 
     def finite(self, row: list[float]) -> bool:
-        """Whether the step with the values `row` is finite."""
+        """Whether the step with the values `row` is finite.
+
+        Args:
+            row: values of the step, as they were collected.
+        """
         return row[-1] == 0.0 and all(math.isfinite(value) for value in row)
 
     def skipped(self, row: list[float]) -> bool:
-        """Whether the step with the values `row` was left out; notes for its window where garments are lost."""
+        """Whether the step with the values `row` was left out; notes for its window where garments are lost.
+
+        Args:
+            row: values of the step, as they were collected.
+        """
         if self.watch is not None and row[-2] > 0.0:
             self.watch.seen_lost = True
         return row[-3] > 0.0 or row[-2] > 0.0
@@ -105,7 +113,7 @@ class Trainer:
         data: what it is trained on.
         workers: this process and the others.
         folder: where it is kept, or None to keep nothing.
-        reporter: told how it goes.
+        reporter: shows progress.
         stopping: asked every few steps whether to end early.
     """
 
@@ -140,7 +148,7 @@ class Trainer:
         self.began = time.monotonic()
 
     def run(self) -> str:
-        """Train until the budget is spent, validation is flat or a stop is asked for; says which.
+        """Train until the budget is spent, the validation no longer improves, or a stop is requested; returns which.
 
         Raises:
             InputError: a card has no room for a step.
@@ -230,7 +238,8 @@ class Trainer:
         return self.counters.step // every > before // every
 
     def begin_with(self, checkpoint: Checkpoint) -> None:
-        """Begin with weights of an earlier training, and the statistics that they go with; moments start anew.
+        """Begin with weights of an earlier training, and the statistics that they go with; the optimiser starts from
+        scratch.
 
         Args:
             checkpoint: weights of a network of this configuration.
@@ -300,7 +309,11 @@ class Trainer:
         return RoundEnd.LEARNT if self.look_at_outcomes() else RoundEnd.CAME_APART
 
     def advance(self, course: Rollout) -> bool:
-        """Learn from the next step of a window, and take it; whether all went well."""
+        """Learn from the next step of a window, and take it; whether all went well.
+
+        Args:
+            course: the window, and how far it has come; changed.
+        """
         taken = course.window.length - course.left
         steps = [
             self.sampler.propagation_steps(index, taken, ruled)
@@ -363,7 +376,7 @@ class Trainer:
             prepared: what the network derived once from the garments.
             step: that was taken.
             after: where it led, differentiable.
-            search: that the pass went along, where the loss is weighed by what it freed.
+            search: that the pass went along, where its energy decrease weighs the loss.
             watch: sees whether the garments are lost.
         """
         weight = self.configuration.curriculum.collision(self.progress)
@@ -374,7 +387,7 @@ class Trainer:
         further = further_losses(prepared, step, positions, self.progress)
         each = torch.stack([energies.per_garment, *further.values()]).sum(0)
         if self.configuration.loss_weight == PROGRESS:
-            each = progress_weights(step.garments, None if search is None else search.freed).to(each) * each
+            each = progress_weights(step.garments, None if search is None else search.decrease).to(each) * each
         gradient = self.learner.gradient(each.mean())
         terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
         self.latest_collision = terms["collision"].detach().double() / weight
@@ -463,7 +476,11 @@ class Trainer:
                 self.journal.say(f"{error} The training goes on.")
 
     def record(self, score: dict[str, Any]) -> TrainingRecord:
-        """How the weights of this moment came to be; `score` is that of their validation."""
+        """Record of how the present weights were trained; `score` is that of their validation.
+
+        Args:
+            score: plain JSON data of the validation.
+        """
         c, clip = self.configuration, self.data.clips[0]
         ruled = [self.model.network.propagation_steps(o.garment.mean_edge_length) for o in self.data.outfits]
         steps = (1, c.most_propagation_steps) if c.most_propagation_steps else (min(ruled), max(ruled))

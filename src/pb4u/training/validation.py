@@ -52,8 +52,8 @@ class Score:
             that one step leaves above its minimum would lift the garment; infinite where a step is not finite, or no
             solver is compiled.
         strain: mean of the 95th percentile strains of the frames that survived.
-        energy_without_gravity: geometric mean, over the clips, of their mean potential less gravity's [J]; told beside,
-            as cloth that floats has little of it.
+        energy_without_gravity: geometric mean, over the clips, of their mean potential less gravity's [J]; reported
+            too, as cloth that floats has little of it.
     """
 
     survived: float
@@ -102,7 +102,11 @@ class Validation:
 
     @torch.no_grad()
     def score(self, model: AccelerationModel) -> Score:
-        """Roll every clip out with `model`; K follows the resolution."""
+        """Roll every clip out with `model`; K follows the resolution.
+
+        Args:
+            model: the network with its normalisers.
+        """
         survived, strain, logarithms = 0, 0.0, []
         for sample in self.samples:
             frames, energies, strains = self._rollout(model, sample)

@@ -134,7 +134,11 @@ def _in_material(packed: PackedGarments, material: Material) -> PackedGarments:
 
 
 def joined(packs: Sequence[PackedGarments]) -> PackedGarments:
-    """Pack of several packs one after the other, the worlds of each apart from those of the others."""
+    """Pack of several packs one after the other, the worlds of each apart from those of the others.
+
+    Args:
+        packs: packs of garments.
+    """
     if len(packs) == 1:
         return packs[0]
     offsets, garments = [0], 0

@@ -96,7 +96,11 @@ class Sampler:
         return bool(draw < self.configuration.curriculum.settling_share)
 
     def slowing(self, window: int) -> float:
-        """Share of the body's speed that a window's garments set off with, 0.5 to 1."""
+        """Share of the body's speed that a window's garments set off with, 0.5 to 1.
+
+        Args:
+            window: number of the window.
+        """
         return float(np.random.default_rng((self.configuration.seed, _SLOWING, window)).uniform(0.5, 1.0))
 
     def propagation_steps(self, index: int, step: int, ruled: int) -> int:

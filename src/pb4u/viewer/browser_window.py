@@ -216,7 +216,11 @@ class BrowserWindow(Requests):
     # The page itself: one thread alone touches the scene.
 
     def close(self, timeout: float = 0.0) -> bool:
-        """End all work for this window; true when every thread has ended within `timeout` [s]."""
+        """End all work for this window; true when every thread has ended within `timeout` [s].
+
+        Args:
+            timeout: seconds to wait.
+        """
         self._closed.set()
         self._wake.set()
         self.display.close()

@@ -40,11 +40,19 @@ class Clip:
         return self._shown.frame_count
 
     def garment(self, t: int) -> np.ndarray:
-        """Vertices (vertices, 3) float32 [m] of all garments at frame t."""
+        """Vertices (vertices, 3) float32 [m] of all garments at frame t.
+
+        Args:
+            t: number of the frame.
+        """
         return np.asarray(self._shown.positions[t], dtype=np.float32)
 
     def body(self, t: int) -> np.ndarray:
-        """Vertices (body vertices, 3) float32 [m] of the body at frame t."""
+        """Vertices (body vertices, 3) float32 [m] of the body at frame t.
+
+        Args:
+            t: number of the frame.
+        """
         return np.asarray(self._shown.body_positions[t], dtype=np.float32)
 
     def trajectory(self) -> Trajectory:
@@ -89,7 +97,11 @@ class GrowingClip(Clip):
         self._count = 0
 
     def append(self, frame: Frame) -> None:
-        """Take in the next frame; from one thread alone."""
+        """Add the next frame; from one thread only.
+
+        Args:
+            frame: the next frame.
+        """
         self._shown.positions[self._count] = frame.positions
         self._shown.velocities[self._count] = frame.velocities
         self._shown.body_positions[self._count] = frame.body_positions

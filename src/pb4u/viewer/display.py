@@ -193,7 +193,11 @@ class Display:
         self._questions.shutdown(wait=False, cancel_futures=True)
 
     def frame_camera(self, follow: bool) -> None:
-        """Look at all clips from the front, a little to the side; `follow` as in the state that is drawn."""
+        """Look at all clips from the front, a little to the side; `follow` as in the state that is drawn.
+
+        Args:
+            follow: whether the view follows the body.
+        """
         if not self._figures:
             return
         corners = []
@@ -240,7 +244,11 @@ class Figure:
         self._waiting: tuple[np.ndarray, bool, np.ndarray] | None = None
 
     def look(self, overlay: Overlay) -> None:
-        """Paint the garment another way from the next frame on."""
+        """Paint the garment another way from the next frame on.
+
+        Args:
+            overlay: how to paint it.
+        """
         self.reveal()
         self._overlay = overlay
         self._retired.append(self._garment)

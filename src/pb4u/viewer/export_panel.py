@@ -55,7 +55,7 @@ class ExportPanel(Panel):
             self._go.disabled = False
 
     def filming(self, done: int, total: int) -> None:
-        """Show how many pictures of the view are taken.
+        """Show the progress of a recording: how many pictures of the view were taken.
 
         Args:
             done: pictures taken.
@@ -66,12 +66,20 @@ class ExportPanel(Panel):
         self._film_status.content = notice(f"Picture {done + 1} of {total}; the view stays as it is meanwhile.")
 
     def filmed(self, sentence: str) -> None:
-        """Show that no more are taken; `sentence` says what became of them."""
+        """Show that no more are taken; `sentence` says what became of them.
+
+        Args:
+            sentence: what became of the pictures.
+        """
         self._still.disabled = self._film.disabled = self._stop.visible = False
         self._film_status.content = notice(sentence, Tone.good)
 
     def offer(self, clips: int) -> None:
-        """Show the choice of a clip where there are two; `clips` is their number."""
+        """Show the choice of a clip where there are two; `clips` is their number.
+
+        Args:
+            clips: number of clips.
+        """
         self._which.visible = clips > 1
 
 

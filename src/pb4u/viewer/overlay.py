@@ -59,7 +59,11 @@ class ColourScale:
         return _linear_colours(self.colours)[np.clip(255 * share, 0, 255).astype(np.uint8)]
 
     def legend(self, notes: tuple[str, ...] = ()) -> str:
-        """HTML: title, bar, both ends and any notes."""
+        """HTML: title, bar, both ends and any notes.
+
+        Args:
+            notes: lines below the bar.
+        """
         from matplotlib.colors import to_hex
 
         stops = ", ".join(to_hex(colour) for colour in _colours(self.colours)[np.linspace(0, 255, 12).astype(int)])
@@ -107,7 +111,11 @@ class Overlay:
         self.clip = clip
 
     def colours(self, t: int) -> np.ndarray | None:
-        """Colours (vertices, 4) uint8 linear RGBA [0 to 255] of frame t; None where nothing is painted."""
+        """Colours (vertices, 4) uint8 linear RGBA [0 to 255] of frame t; None where nothing is painted.
+
+        Args:
+            t: number of the frame.
+        """
         return None
 
     @property
@@ -140,7 +148,11 @@ class PaintedOverlay(Overlay, ABC):
 
     @abstractmethod
     def values(self, t: int) -> np.ndarray:
-        """Value (vertices,) to paint at each vertex in frame t, in the unit of `scale`."""
+        """Value (vertices,) to paint at each vertex in frame t, in the unit of `scale`.
+
+        Args:
+            t: number of the frame.
+        """
 
     def colours(self, t: int) -> np.ndarray:
         if t not in self._done:

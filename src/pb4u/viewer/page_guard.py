@@ -56,7 +56,11 @@ class PageGuard:
         return None
 
     def cookie(self, path: str) -> str | None:
-        """Cookie to set for who came by the address with the token; the page's own requests show it from then on."""
+        """Cookie to set for who came by the address with the token; the page's own requests show it from then on.
+
+        Args:
+            path: path and query of the request.
+        """
         if not self.token or not _is_equal(_token_of(path), self.token):
             return None
         return f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"

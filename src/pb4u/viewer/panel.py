@@ -25,10 +25,18 @@ class Requests(Protocol):
         """Whether the window is gone."""
 
     def say(self, sentence: str) -> None:
-        """Tell the user what went wrong."""
+        """Tell the user what went wrong.
+
+        Args:
+            sentence: what went wrong.
+        """
 
     def change(self, action: Callable[[ViewState], None]) -> None:
-        """Do something to the state, and show it."""
+        """Do something to the state, and show it.
+
+        Args:
+            action: changes the state.
+        """
 
     def reset_camera(self) -> None:
         """Point the camera at all clips again."""
@@ -40,7 +48,7 @@ class Requests(Protocol):
             run: what is simulated, and how.
 
         Raises:
-            InputError: another one runs, or the page does not offer what is asked for.
+            InputError: another one runs, or the page does not offer what is requested.
         """
 
     def cancel(self) -> None:
@@ -59,7 +67,12 @@ class Requests(Protocol):
         """
 
     def find(self, kind: str, name: str) -> Path | None:
-        """The file of that kind and name that the user handed over; None where there is none."""
+        """The file of that kind and name that the user handed over; None where there is none.
+
+        Args:
+            kind: "garment", "body" or "motion".
+            name: its name.
+        """
 
     def save_scene(self, run: Run) -> str:
         """Hand the user a scene file, packed with the files it names; returns a sentence that says so.

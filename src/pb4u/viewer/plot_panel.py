@@ -48,7 +48,11 @@ class Measurement(Worker):
         return len(self._rows)
 
     def series(self, quantity: str) -> np.ndarray:
-        """Values (frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite."""
+        """Values (frames,) of one of `QUANTITIES`, in its unit; NaN where it is not measured yet, or not finite.
+
+        Args:
+            quantity: its name.
+        """
         values = [row.get(quantity, np.nan) for row in list(self._rows)]
         return np.pad(np.array(values, dtype=float), (0, self._frames - len(values)), constant_values=np.nan)
 
@@ -67,7 +71,7 @@ class PlotPanel(Panel):
     """Curves of one quantity over the frames, one for each clip."""
 
     _EVERY = 0.2
-    """Seconds between redraws: each sends all curves anew."""
+    """Seconds between redraws: each sends all curves again."""
 
     def _add_controls(self) -> None:
         gui = self._gui
@@ -103,7 +107,7 @@ class PlotPanel(Panel):
         self._status.content = notice(text)
 
     def _draw(self, title: str, labels: tuple[str, ...], curves: list[np.ndarray], frame: float) -> None:
-        """Send the curves; the plot itself is retried where its labels change, which it cannot be told later."""
+        """Send the curves; a new plot is made where its labels change, since a plot cannot change them."""
         data = chart_data(curves, frame)
         # A range has to be given: the page finds none itself where a row begins with NaN, and then draws nothing.
         low, high = float(np.nanmin(data[-1])), float(np.nanmax(data[-1]))

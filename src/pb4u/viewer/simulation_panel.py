@@ -49,7 +49,11 @@ class GarmentControls:
             self.tucked = gui.add_checkbox("Tucked in", False, hint="Goes into what is worn from the waist.")
 
     def specification(self, find: Callable[[str, str], Path | None]) -> WornGarment:
-        """The garment that is filled in; `find` gives the file of a kind and name, if there is one."""
+        """The garment that is filled in; `find` gives the file of a kind and name, if there is one.
+
+        Args:
+            find: gives the path of a file of a kind and name, or None.
+        """
         return WornGarment(
             find("garment", self.garment.value) or self.garment.value,
             self.material.value,

@@ -83,12 +83,21 @@ class Uploads:
         return plain
 
     def names(self, kind: str) -> tuple[str, ...]:
-        """Names of the files of a kind that can be chosen."""
+        """Names of the files of a kind that can be chosen.
+
+        Args:
+            kind: "garment", "body" or "motion".
+        """
         chosen = (name for each, name in self._files if each == kind)
         return tuple(name for name in chosen if Path(name).suffix.lower() in KINDS[kind].suffixes)
 
     def find(self, kind: str, name: str) -> Path | None:
-        """The file of that kind and name; None where there is none, as of a built-in name."""
+        """The file of that kind and name; None where there is none, as of a built-in name.
+
+        Args:
+            kind: "garment", "body" or "motion".
+            name: its name.
+        """
         return self._files.get((kind, name))
 
     @property
@@ -116,7 +125,7 @@ def refuse_large(name: str, size: int, there: int = 0) -> None:
         raise InputError(f"{name} has {size / 2**20:,.0f} MB, and {MOST_BYTES / 2**20:,.0f} MB are the most.")
     if size + there > MOST_BYTES_TOGETHER:
         raise InputError(
-            f"With {name} this page would hold more than {MOST_BYTES_TOGETHER / 2**20:,.0f} MB; open it anew to begin "
+            f"With {name} this page would hold more than {MOST_BYTES_TOGETHER / 2**20:,.0f} MB; reload it to begin "
             "without the files it has."
         )
 

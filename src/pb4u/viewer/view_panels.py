@@ -47,7 +47,11 @@ class TimelinePanel(Panel):
                 self._requests.change(lambda state: state.clock.step(1 if step == "+ 1" else -1))
 
     def refresh(self, state: ViewState) -> None:
-        """Bring caption, slider and button up to the frame that is shown."""
+        """Bring caption, slider and button up to the frame that is shown.
+
+        Args:
+            state: positions and velocities.
+        """
         now, clock = time.monotonic(), state.clock
         frame, count, playing = clock.frame, clock.frame_count, clock.playing
         if (playing and now - self._last < self._EVERY) or not count:

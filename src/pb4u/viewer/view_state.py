@@ -40,7 +40,7 @@ class PlaybackClock:
         return other
 
     def load(self, fps: float, frame_count: int) -> None:
-        """Begin anew at frame 0, paused.
+        """Begin again at frame 0, paused.
 
         Args:
             fps: frames per second [1/s].
@@ -50,7 +50,11 @@ class PlaybackClock:
         self.pause_at(0)
 
     def grow(self, frame_count: int) -> None:
-        """Take in that there are `frame_count` frames now."""
+        """Set the number of frames that there are now.
+
+        Args:
+            frame_count: number of frames that there are now.
+        """
         self._settle()
         self.frame_count = frame_count
 
@@ -90,17 +94,29 @@ class PlaybackClock:
             self.play()
 
     def seek(self, frame: int) -> None:
-        """Go to a frame, the nearest there is; playing goes on from it."""
+        """Go to a frame, the nearest there is; playing goes on from it.
+
+        Args:
+            frame: frame to go to.
+        """
         self._settle()
         self._position = float(min(max(frame, 0), max(self.frame_count - 1, 0)))
 
     def step(self, frames: int) -> None:
-        """Pause and go that many frames on, around the ends where it loops."""
+        """Pause and go that many frames on, around the ends where it loops.
+
+        Args:
+            frames: number of frames, negative to go back.
+        """
         target = self.frame + frames
         self.pause_at(target % self.frame_count if self._loop and self.frame_count else target)
 
     def pause_at(self, frame: int) -> None:
-        """Pause and go to a frame, the nearest there is."""
+        """Pause and go to a frame, the nearest there is.
+
+        Args:
+            frame: frame to go to.
+        """
         self._playing = False
         self.seek(frame)
 
@@ -130,7 +146,7 @@ class PlaybackClock:
         (self._position, self._playing), self._since = self._reading(now), now
 
     def _reading(self, now: float) -> tuple[float, bool]:
-        """The position [frames] at the time `now`, and whether time still goes on there."""
+        """The position [frames] at the time `now`, and whether it still plays then."""
         position, playing = self._position, self._playing
         if not playing or not self.frame_count:
             return position, playing
@@ -161,12 +177,16 @@ class ViewState:
         self.shadows = False
 
     def load(self, clips: tuple[Clip, ...]) -> None:
-        """Show other clips, from their first frame."""
+        """Show other clips, from their first frame.
+
+        Args:
+            clips: clips to show, side by side.
+        """
         self.clips = clips
         self.clock.load(clips[0].header.fps if clips else 30.0, self._length())
 
     def grow(self) -> None:
-        """Take in the frames that have come."""
+        """Add the frames that have come."""
         self.clock.grow(self._length())
 
     def frozen(self) -> ViewState:
@@ -191,7 +211,11 @@ class ViewState:
         return min(own, max(clip.frame_count - 1, 0))
 
     def held(self, frame: int) -> tuple[str, ...]:
-        """Sentences, one for every clip whose frame at `frame` of the timeline is not finite."""
+        """Sentences, one for every clip whose frame at `frame` of the timeline is not finite.
+
+        Args:
+            frame: of the timeline.
+        """
         shown = [(clip, self.frame_of(clip, frame)) for clip in self.clips]
         return tuple(
             f"Frame {own} of {clip.label} is not finite: the last whole frame before it is shown."

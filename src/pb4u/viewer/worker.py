@@ -16,7 +16,7 @@ from pb4u.errors import InputWarning, Pb4uError
 
 
 class Worker(ABC):
-    """A thread that can be told to end.
+    """A thread that can be stopped.
 
     Args:
         name: what the thread is called in a debugger.
@@ -40,7 +40,11 @@ class Worker(ABC):
         return self._thread.is_alive()
 
     def join(self, timeout: float) -> bool:
-        """Wait for at most `timeout` seconds; true when it has ended."""
+        """Wait for at most `timeout` seconds; true when it has ended.
+
+        Args:
+            timeout: [s].
+        """
         self._thread.join(timeout)
         return not self.running
 
@@ -88,7 +92,11 @@ def route_warnings() -> Callable[[], None]:
 
 
 def plain_sentence(error: BaseException) -> str:
-    """Sentence that a page says of an error; the traceback of one that is not the product's own is printed."""
+    """Sentence that a page says of an error; the traceback of one that is not the product's own is printed.
+
+    Args:
+        error: the error.
+    """
     if isinstance(error, Pb4uError):
         return " ".join(str(error).split())
     if isinstance(error, MemoryError):

@@ -46,12 +46,17 @@ class FoundEdges:
 
     @classmethod
     def both_ways(cls, pairs: Tensor, vertex_count: int) -> FoundEdges:
-        """Undirected edges `pairs` (edges, 2) int64 between `vertex_count` vertices, in both directions."""
+        """Undirected edges `pairs` (edges, 2) int64 between `vertex_count` vertices, in both directions.
+
+        Args:
+            pairs: (edges, 2) int64.
+            vertex_count: number of vertices.
+        """
         return cls(*both_directions(pairs, vertex_count))
 
 
 class EdgeFinder(Protocol):
-    """Finds edges between garment vertices anew at every step, such as those of cloth that comes near itself."""
+    """Finds edges between garment vertices at every step, such as those of cloth that comes near itself."""
 
     def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
         """Edges by kind; empty kinds are named as well.

@@ -144,7 +144,7 @@ class FeatureLayout:
         world_edge: names from `WORLD_EDGE_FEATURES`.
         extra: further node features, given to the builder by name; zero on the body.
         material_range: ranges of material parameters that are mapped to [0, 1].
-        found_edge: names from `FOUND_EDGE_FEATURES`, for edges found anew at every step between garment vertices that
+        found_edge: names from `FOUND_EDGE_FEATURES`, for edges found at every step between garment vertices that
             come near each other.
 
     Raises:
@@ -165,13 +165,21 @@ class FeatureLayout:
                     raise InputError(f"There is no {label} feature {name!r}; there are: {', '.join(table)}.")
 
     def columns(self, table: str) -> tuple[Feature, ...]:
-        """Chosen features of one of `TABLES`; those of the nodes with the extra ones."""
+        """Chosen features of one of `TABLES`; those of the nodes with the extra ones.
+
+        Args:
+            table: one of `TABLES`.
+        """
         chosen = tuple(TABLES[table][name] for name in getattr(self, table))
         return (*chosen, *self.extra) if table == "node" else chosen
 
 
 def total_width(columns: tuple[Feature, ...]) -> int:
-    """Number of columns of all features together."""
+    """Number of columns of all features together.
+
+    Args:
+        columns: the features.
+    """
     return sum(feature.width for feature in columns)
 
 

@@ -111,7 +111,11 @@ def garment_graph(
 
 
 def incident_lengths(garments: PackedGarments) -> Tensor:
-    """Mean rest length (vertices,) float64 of the mesh edges at each vertex [m]."""
+    """Mean rest length (vertices,) float64 of the mesh edges at each vertex [m].
+
+    Args:
+        garments: the packed garments.
+    """
     return _mean_at(garments.edges.reshape(-1), garments.edge_lengths.repeat_interleave(2), garments)
 
 

@@ -103,7 +103,14 @@ class NearestFaceRule:
         WorldEdgeRule(self.radius)
 
     def pairs(self, points: Tensor, body: Tensor, colliders: PackedColliders, world: int) -> tuple[Tensor, Tensor]:
-        """Garment vertex and body vertex, (pairs,) int64 each, that are joined in one world; see `WorldEdgeRule`."""
+        """Garment vertex and body vertex, (pairs,) int64 each, that are joined in one world; see `WorldEdgeRule`.
+
+        Args:
+            points: (vertices, 3) [m] of the garments of the world.
+            body: (body vertices, 3) [m].
+            colliders: the packed bodies.
+            world: number of the world.
+        """
         surface, rows = colliders.whole_surfaces[world], torch.nonzero(torch.isfinite(points).all(dim=1))[:, 0]
         if surface is None or not len(rows):
             return rows[:0], rows[:0]

@@ -55,7 +55,12 @@ CutOff = Callable[[Contours, Topology], Enclosures]
 
 
 def by_contour(contours: Contours, topology: Topology) -> Enclosures:
-    """Columns are contours; vertices are enclosed where the surface, all of its crossed edges cut, falls apart."""
+    """Columns are contours; vertices are enclosed where the surface, all of its crossed edges cut, falls apart.
+
+    Args:
+        contours: contours of what crosses.
+        topology: edges and faces of the surface.
+    """
     edges, vertex_count = topology.edges, topology.vertex_count
     part = _parts(contours, topology)
     size = np.bincount(part)
@@ -79,6 +84,10 @@ def by_side(contours: Contours, topology: Topology) -> Enclosures:
 
     A surface is closed where its edges that cross the other one cut it into exactly two parts; it encloses the smaller.
     It touches the faces that it pierces, and those that hold a vertex which the other side encloses.
+
+    Args:
+        contours: contours of what crosses.
+        topology: edges and faces of the surface.
     """
     side, side_contour = _sides(contours, topology)
     count, vertex_count = len(side_contour), topology.vertex_count

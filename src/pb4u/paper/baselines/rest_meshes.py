@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 class MeshMemory(Generic[T]):
-    """Cache of the latest results of a function of a mesh and a count; meshes are told apart by their content.
+    """Cache of the latest results of a function of a mesh and a count; meshes are distinguished by their content.
 
     Args:
         derive: called with edges (edges, 2) int64, rest positions (vertices, 3) [m] and the count.

@@ -21,7 +21,11 @@ REPULSION, ATTRACTION = "repulsion", "attraction"
 
 
 def own_proximity(garments: PackedGarments) -> SelfProximity:
-    """Search for places where each garment of a pack is close to itself; edges and losses share one."""
+    """Search for places where each garment of a pack is close to itself; edges and losses share one.
+
+    Args:
+        garments: the packed garments.
+    """
     return SelfProximity(garments.surface_tree_of_each, by_contour)
 
 
@@ -37,7 +41,11 @@ class SelfProximityEdges:
         self._proximity, self._radius = proximity, radius
 
     def found(self, seen: SeenGarments) -> Mapping[str, FoundEdges]:
-        """Repulsion and attraction edges, each pair in both directions."""
+        """Repulsion and attraction edges, each pair in both directions.
+
+        Args:
+            seen: the garments as the network gets them.
+        """
         pairs = self.find(seen.positions)
         return {kind: FoundEdges.both_ways(edges, len(seen.positions)) for kind, edges in pairs.items()}
 
@@ -58,7 +66,11 @@ class SelfProximityEdges:
 
 
 def as_points(positions: Tensor) -> np.ndarray:
-    """Positions (vertices, 3) [m] as the searches take them."""
+    """Positions (vertices, 3) [m] as the searches take them.
+
+    Args:
+        positions: (vertices, 3) [m].
+    """
     points: np.ndarray = positions.detach().to("cpu", torch.float64).numpy()
     return points
 
@@ -93,7 +105,11 @@ class Ramp:
     most: float
 
     def at(self, progress: float) -> float:
-        """Weight at a fraction `progress` of the budget, in the unit of `most`."""
+        """Weight at a fraction `progress` of the budget, in the unit of `most`.
+
+        Args:
+            progress: fraction of the budget that is spent, 0 to 1.
+        """
         points = (self.start, self.stop)
         stage = bisect_right(points, progress)
         return (0.0, self.most * (progress - self.start) / max(self.stop - self.start, 1e-12), self.most)[stage]

@@ -112,7 +112,11 @@ class SelfProximity:
         return FacingPairs(vertex[kept], face[kept], height[kept], passed[kept])
 
     def enclosures(self, vertices: np.ndarray) -> Enclosures:
-        """What has passed through at `vertices` (vertices, 3) [m]."""
+        """What has passed through at `vertices` (vertices, 3) [m].
+
+        Args:
+            vertices: (vertices, 3) [m].
+        """
         return self._cut_off(self.contours.find(vertices), self.contours.topology)
 
 

@@ -49,11 +49,20 @@ class ContactPlanes:
         return ((x - self.points) * self.normals).sum(-1)
 
     def raised(self, heights: Tensor) -> ContactPlanes:
-        """These planes raised by `heights` (vertices,) [m] along their normals."""
+        """These planes raised by `heights` (vertices,) [m] along their normals.
+
+        Args:
+            heights: (vertices,) [m].
+        """
         return replace(self, points=self.points + heights[:, None] * self.normals, distance=self.distance - heights)
 
     def where(self, rows: Tensor, otherwise: ContactPlanes) -> ContactPlanes:
-        """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest."""
+        """These planes for the vertices of `rows` (vertices,) bool, those of `otherwise` for the rest.
+
+        Args:
+            rows: (vertices,) bool.
+            otherwise: planes for the other vertices.
+        """
         return ContactPlanes(
             **{
                 name: torch.where(rows.reshape(-1, *[1] * (value.dim() - 1)), value, getattr(otherwise, name))
@@ -62,7 +71,11 @@ class ContactPlanes:
         )
 
     def transported(self, pose: ColliderPose) -> Tensor:
-        """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`."""
+        """Positions (vertices, 3) [m] of the nearest points when the bodies take `pose`.
+
+        Args:
+            pose: pose that the bodies take.
+        """
         return self.interpolated(pose.positions, pose.colliders.contact_faces)
 
     def interpolated(self, values: Tensor, faces: Tensor) -> Tensor:
@@ -76,7 +89,11 @@ class ContactPlanes:
         return (self.barycentric[:, :, None] * corners).sum(1)
 
     def transported_normals(self, pose: ColliderPose) -> Tensor:
-        """Dimensionless unit normals (vertices, 3) of the faces of the nearest points when the bodies take `pose`."""
+        """Dimensionless unit normals (vertices, 3) of the faces of the nearest points when the bodies take `pose`.
+
+        Args:
+            pose: pose that the bodies take.
+        """
         corners = pose.positions.to(self.normals.dtype)[pose.colliders.contact_faces[self.triangle]]
         cross = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return cross / cross.norm(dim=1, keepdim=True).clamp_min(torch.finfo(cross.dtype).tiny)
@@ -86,7 +103,7 @@ class ContactPlanes:
 class ContactSet:
     """Contacts of one time step, as the energies see them.
 
-    The solver looks up contacts at frame t once a step, and those at t+1 anew for vertices that moved.
+    The solver looks up contacts at frame t once a step, and those at t+1 again for vertices that moved.
 
     Args:
         now: for each vertex at frame t, the plane of the body that it may slide on, or None.
@@ -211,12 +228,20 @@ def _of_found(found: Found, x: Tensor) -> ContactPlanes:
 
 
 def world_rows(garments: PackedGarments) -> list[slice]:
-    """Rows of the vertices of each world of a pack."""
+    """Rows of the vertices of each world of a pack.
+
+    Args:
+        garments: the packed garments.
+    """
     return [slice(first, stop) for first, stop in pairwise(garments.world_offsets)]
 
 
 def no_planes(x: Tensor) -> ContactPlanes:
-    """Planes that nothing touches, for each of the vertices `x` (vertices, 3) [m]."""
+    """Planes that nothing touches, for each of the vertices `x` (vertices, 3) [m].
+
+    Args:
+        x: (vertices, 3) [m].
+    """
     normals = torch.zeros_like(x, requires_grad=False)
     return ContactPlanes(
         points=x.detach().clone(),

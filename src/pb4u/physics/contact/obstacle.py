@@ -96,7 +96,11 @@ class Obstacle:
         return self.after - self.before
 
     def standing(self, passed: np.ndarray) -> Obstacle:
-        """The bodies where they end, let through what they have `passed` (vertices + body vertices,) by then."""
+        """The bodies where they end, let through what they have `passed` (vertices + body vertices,) by then.
+
+        Args:
+            passed: (vertices + body vertices,) bool.
+        """
         return replace(self, before=self.after, passed=passed)
 
 

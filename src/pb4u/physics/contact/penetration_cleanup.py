@@ -1,4 +1,4 @@
-"""Keeps the body from showing through cloth: lifts cloth that dips into it between its corners, or that skin pierces.
+"""Penetration clean-up: moves cloth off the skin where it dips into the body between its corners, or skin pierces it.
 
 Energies and contact response look at vertices. On a body of radius R an edge of length L sags L^2 / (8 R) below its
 ends: 1.5 mm for the 27 mm edges of a 2.5K T-shirt on a shoulder, more than the distance cloth keeps from the skin.
@@ -28,13 +28,15 @@ from pb4u.scene.packed import ColliderPose, PackedGarments
 from pb4u.scene.state import State
 
 _DEEPER = 1e-3
-"""Depth [m] by which a lift counts as taking a vertex into the body: less is not seen, and undone it bares skin."""
+"""Depth [m] from which on a move counts as taking a vertex into the body: less is not seen, and undoing it bares
+skin."""
 
 _HALVINGS = 8
-"""Times that a lift which would tear cloth is cut back before it is given up there."""
+"""Times that a move which would strain cloth too far is shortened before it is given up there."""
 
 _ROUNDS = 8
-"""Times that what a lift takes into the body is held back before the lift is given up: up to thrice in a squat."""
+"""Times that vertices which a move takes into the body are put back before the move is given up: up to thrice in a
+squat."""
 
 _ROUNDING = 1.0 + 1e-9
 """Factor on a squared length within which it is the same."""
@@ -64,13 +66,13 @@ class FaceClearance:
     most_stretch: float = 1.8
 
     def lift(self, garments: PackedGarments, state: State, pose: ColliderPose, cloth: CollisionFree | None) -> State:
-        """State with its cloth lifted out of the bodies.
+        """State with its cloth moved out of the bodies.
 
         Args:
             garments: static quantities.
-            state: to be lifted.
+            state: to be cleaned.
             pose: the bodies at the state's frame.
-            cloth: keeps the lift from carrying cloth through cloth.
+            cloth: keeps the move from taking cloth through cloth.
         """
         if not _touched(garments, pose):
             return state
@@ -79,7 +81,7 @@ class FaceClearance:
         return replace(state, positions=self._without_harm(garments, pose, state.positions, lifted, planes, cloth))
 
     def pins_clear(self, garments: PackedGarments, pose: ColliderPose, x: Tensor) -> Tensor:
-        """Positions (vertices, 3) [m] with pinned vertices, and what lies between them, lifted out of the bodies.
+        """Positions (vertices, 3) [m] with pinned vertices, and what lies between them, moved out of the bodies.
 
         A pin that this would take deeper into another part of a body stays where it is.
 
@@ -105,7 +107,8 @@ class FaceClearance:
         *,
         cover: bool,
     ) -> np.ndarray:
-        """Positions (vertices, 3) [m] with the `movable` (vertices,) lifted, `cover`: off skin that pierces them too.
+        """Positions (vertices, 3) [m] with the `movable` (vertices,) moved off the body; `cover`: off skin that pierces
+        them too.
 
         Without, only what lies between these alone is looked at.
         """
@@ -138,8 +141,8 @@ class FaceClearance:
     ) -> Tensor:
         """Positions (vertices, 3) [m] between those `before` and those `lifted`.
 
-        What the lift would take into another part of the body, or tear, or carry through cloth stays where it was, or
-        part of the way.
+        What the move would take into another part of the body, strain too far, or take through cloth stays where it
+        was, or part of the way.
         """
         stood, edges = as_float64(before), garments.edges.numpy()
         longest = self.most_stretch * garments.edge_lengths.numpy()
@@ -151,7 +154,7 @@ class FaceClearance:
             # What lifted cloth pushes aside goes into the body as well: what is held back stays where it is.
             reached = wanted
             if cloth is not None:
-                reached, _ = cloth.carried(garments, before, wanted, held=firm, obstacle=obstacle)
+                reached, _ = cloth.collision_free_move(garments, before, wanted, held=firm, obstacle=obstacle)
             # In a fold a part of the way may lead where the whole of it does not.
             deeper = self._taken_deeper(garments, pose, stood, as_float64(reached), planes)
             if not deeper.any():
@@ -220,7 +223,7 @@ class FaceClearance:
     ) -> _Skin:
         """Lift the faces that skin shows through; the skin that has cloth of its own near it is given back.
 
-        Cloth is looked for anew where it `moved` (vertices,) [m] since the pass before.
+        Cloth is searched for again where it `moved` (vertices,) [m] since the pass before.
         """
         if not len(skin.places):
             return skin

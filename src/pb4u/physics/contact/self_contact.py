@@ -1,4 +1,4 @@
-"""Cloth against cloth: what the solver and every other move of a garment are told of it.
+"""Cloth against cloth: what the solver and every other move of a garment know of it.
 
 Two promises: no step of any kind carries one element of cloth through another, and none leaves two nearer than
 `SMALLEST_GAP`. They hold from any positions that cross nowhere.
@@ -119,11 +119,19 @@ class ClothPairs:
         return np.concatenate([as_float64(x), self.obstacle.before if before else self.obstacle.after])
 
     def sides(self, vertex_count: int) -> np.ndarray:
-        """A vertex of the cloth (pairs, 2) int64 of each element; of an obstacle's, that of the other element."""
+        """A vertex of the cloth (pairs, 2) int64 of each element; of an obstacle's, that of the other element.
+
+        Args:
+            vertex_count: number of vertices of the cloth.
+        """
         return _sides(self.pairs.corners, vertex_count)
 
     def touching(self, x: Tensor) -> TouchingCloth | None:
-        """Those of the pairs that feel each other at `x` (vertices, 3) [m], or None; bodies are where they begin."""
+        """Those of the pairs that feel each other at `x` (vertices, 3) [m], or None; bodies are where they begin.
+
+        Args:
+            x: (vertices, 3) [m].
+        """
         points = self.joined(x, before=True)
         distances, weights, normals = self.pairs.nearest(points)
         rows = distances < self.reaches
@@ -199,7 +207,16 @@ class CollisionFree:
         known: ClothPairs | None = None,
         obstacle: Obstacle | None = None,
     ) -> ClothPairs:
-        """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`."""
+        """Pairs that feel each other somewhere on the way along `moves`, as in `ClothPairs.along`.
+
+        Args:
+            garments: the packed garments.
+            x: (vertices, 3) [m].
+            moves: (vertices, 3) [m] displacements; None where nothing moves.
+            before: (vertices, 3) [m] at the start of the step.
+            known: pairs found earlier, if any.
+            obstacle: the moving bodies; None without.
+        """
         return ClothPairs.along(garments, x, moves, before, self.reach, known, obstacle)
 
     def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
@@ -215,13 +232,13 @@ class CollisionFree:
         # Garments stand above contact.
         from pb4u.garment.tangles import untangled_start
 
-        positions, freed = as_float64(x), []
+        positions, untangled = as_float64(x), []
         for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
             worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
-            freed.append(untangled_start(worn, positions[first:stop]))
-        return torch.from_numpy(np.concatenate(freed)).to(x)
+            untangled.append(untangled_start(worn, positions[first:stop]))
+        return torch.from_numpy(np.concatenate(untangled)).to(x)
 
-    def carried(
+    def collision_free_move(
         self,
         garments: PackedGarments,
         before: Tensor,

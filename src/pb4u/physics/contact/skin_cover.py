@@ -50,7 +50,14 @@ class SkinCover:
 
     @staticmethod
     def of(found: Found, places: np.ndarray, normals: np.ndarray, cloth: PosedSurface) -> SkinCover:
-        """The cover of some places by what was `found` of the cloth; the rest as in `at`."""
+        """The cover of some places by what was `found` of the cloth; the rest as in `at`.
+
+        Args:
+            found: the nearest points on the cloth.
+            places: (places, 3) [m] on the skin.
+            normals: (places, 3) unit normals of the skin.
+            cloth: the cloth where it is.
+        """
         nearest = found.triangle, found.positions, found.beyond
         return SkinCover._of(nearest, found.barycentric, places, normals, cloth)
 

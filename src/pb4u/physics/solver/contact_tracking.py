@@ -26,11 +26,11 @@ _CAUGHT_WITHIN = 0.01
 """Distance [m] to the plane that it left within which a vertex counts as caught between two."""
 
 _LIFT = 2e-3
-"""Height [m] over the body that a lifted vertex gets, unless it was lower before."""
+"""Height [m] over the body to which an overrun vertex is moved, unless it was lower before."""
 
 
 def moved_off_the_body(potential: StepPotential, x: Tensor) -> Tensor:
-    """Positions with vertices that the body passed over lifted, in every world whose energy falls.
+    """Positions in which vertices that the body passed over are moved off it, in every world whose energy falls.
 
     Args:
         potential: potential of the step.

@@ -38,6 +38,9 @@ def membrane_stiffness(garments: PackedGarments) -> Tensor:
 
     Half the trace of the second derivative of the stretch energy at F = 1: a face adds A h (3 mu + lambda) / 2 times
     the squared gradient of the corner's shape function.
+
+    Args:
+        garments: the packed garments.
     """
     of_b, of_c = garments.inverse_rest_shape[:, 0], garments.inverse_rest_shape[:, 1]
     squared = torch.stack([g.square().sum(-1) for g in (of_b + of_c, of_b, of_c)], dim=1)

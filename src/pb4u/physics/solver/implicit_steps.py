@@ -19,7 +19,11 @@ LARGEST_MOTION = 0.15
 
 
 def substep_count(step: TimeStep) -> int:
-    """Number of implicit steps that `step` is divided into so that no part of the body near the cloth passes it."""
+    """Number of implicit steps that `step` is divided into so that no part of the body near the cloth passes it.
+
+    Args:
+        step: the time step.
+    """
     planes, bodies = step.contacts.now, step.bodies
     if planes is None or bodies is None:
         return 1
@@ -31,7 +35,11 @@ def substep_count(step: TimeStep) -> int:
 
 
 def free_flight(step: TimeStep) -> Tensor:
-    """Positions (vertices, 3) [m] where every vertex keeps its velocity, pinned ones in their places."""
+    """Positions (vertices, 3) [m] where every vertex keeps its velocity, pinned ones in their places.
+
+    Args:
+        step: the time step.
+    """
     return step.with_pins(step.state.positions + step.dt * step.state.velocities)
 
 

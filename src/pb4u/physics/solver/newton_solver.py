@@ -1,11 +1,11 @@
 """The implicit solver: minimises the incremental potential of a step by truncated Newton iterations.
 
 Each iteration solves with the second derivative of the potential by preconditioned conjugate gradients and searches
-along the direction. Contact and friction change their force more on the way than that derivative tells: their tangents
-are relinearised at the trial point, and the direction is solved for again; else a step that brings cloth onto the body
-would be cut to an eighth. Where cloth is about to buckle the second derivative is not positive: the iteration then
-uses its positive part, and follows the buckling direction for as long as the energy falls. The number of iterations
-does not depend on the resolution.
+along the direction. Contact and friction change their force more on the way than that derivative predicts: their
+tangents are relinearised at the trial point, and the direction is solved for again; else a step that brings cloth onto
+the body would be cut to an eighth. Where cloth is about to buckle the second derivative is not positive: the iteration
+then uses its positive part, and follows the buckling direction for as long as the energy falls. The number of
+iterations does not depend on the resolution.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ _MISSED = 0.1
 """Share of the unbalanced force by which the tangents may be wrong there; with 0.3 a step takes more iterations."""
 
 _ROUGHLY = 0.1
-"""Relative tolerance of the linear solves that tell where a step leads; with 0.2 a step can take an iteration more."""
+"""Relative tolerance of the linear solves that predict where a step leads; with 0.2 a step can take an iteration
+more."""
 
 # Share of the compressive curvature and extra mass, from most damped to exact: an iteration starts one damping level
 # above the last and falls back while the curvature is negative. The extra mass holds back vertices about to buckle.
@@ -70,8 +71,8 @@ class Solution:
             of the world where it is largest.
         iterations: Newton iterations made.
         converged: whether the residual is below the tolerance.
-        freed: height [m] to which the energy that the last iteration promised or freed would lift the garments, of the
-            world where it is largest; infinite where no iteration was made.
+        decrease: energy decrease of the last iteration, promised or found, as the height [m] to which it would lift the
+            garments, of the world where it is largest; infinite where no iteration was made.
     """
 
     positions: Tensor
@@ -79,7 +80,7 @@ class Solution:
     residual: float
     iterations: int
     converged: bool
-    freed: float
+    decrease: float
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class Solver:
         tolerance: rms(M^-1 gradient) in units of standard gravity at which a step counts as solved.
         max_iterations: Newton iterations after which it stops in any case.
         forcing: relative tolerance of the linear solves.
-        settled: the iteration of which less is `freed` than this [m], as in `Solution`, is the last; 0 for no such end.
+        settled: an iteration whose energy decrease is below this height [m] is the last; 0 for no such end.
     """
 
     def __init__(
@@ -156,7 +157,7 @@ class Solver:
         potential, start = _reached(potential, lifted)
         cloth = potential.contacts.cloth
         contact = TrackedContact(potential, start)
-        x, iteration, damping_level, freed = start, 0, -1, float("inf")
+        x, iteration, damping_level, decrease = start, 0, -1, float("inf")
         while True:
             frozen = contact.potential_at(x).with_cloth(cloth)
             energies, gradient = frozen.energies_and_gradient(x)
@@ -166,16 +167,16 @@ class Solver:
                 raise DivergedError(potential.step.state.frame + 1, "the solver met positions without finite energy")
             if watch is not None:
                 watch(Iteration(iteration, total, residual))
-            if residual <= self.tolerance or iteration >= limit or freed < self.settled:
+            if residual <= self.tolerance or iteration >= limit or decrease < self.settled:
                 solved = residual <= self.tolerance
-                return Solution(x, energies, residual, iteration, solved, freed)
+                return Solution(x, energies, residual, iteration, solved, decrease)
             highest = min(damping_level + 1, len(_DAMPING_LEVELS) - 1)
             newton, damping_level = self._direction(frozen, x, gradient, highest, self._preconditioner)
             moved = self._line_search(frozen, x, gradient, energies.per_world(garments), newton)
             if moved is None:
-                return Solution(x, energies, residual, iteration, False, freed)
+                return Solution(x, energies, residual, iteration, False, decrease)
             x, cloth, energy = moved
-            freed = float((energy / garments.world_weights).max())
+            decrease = float((energy / garments.world_weights).max())
             iteration += 1
 
     def _prepare(self, potential: StepPotential) -> None:
@@ -250,7 +251,7 @@ class Solver:
         """Positions at which the energy is low enough along the direction, then along the buckling one; or None.
 
         With the pairs of cloth elements that feel each other there, and the energy (worlds,) [J] that was promised or
-        freed, whichever is more. Each world decides by its own energy: the `energies` (worlds,) [J] are those at `x`
+        found, whichever is more. Each world decides by its own energy: the `energies` (worlds,) [J] are those at `x`
         (vertices, 3) [m]. None where no world accepts a step.
         """
         garments, direction = frozen.step.garments, torch.from_numpy(solved.solution)

@@ -104,7 +104,12 @@ class TwoLevelPreconditioner:
         self.refresh_diagonal(matrix, pairs)
 
     def refresh_patches(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
-        """Recompute the coarse part from the stiffness `matrix` and the `pairs`."""
+        """Recompute the coarse part from the stiffness `matrix` and the `pairs`.
+
+        Args:
+            matrix: stiffness of the mesh.
+            pairs: stiffness of the pairs in contact.
+        """
         functions = self.basis.functions
         width = functions.shape[1]
         coarse = np.zeros((width, 3, width, 3))
@@ -119,7 +124,12 @@ class TwoLevelPreconditioner:
         self._coarse_inverse = _inverse(coarse).astype(self._precision)
 
     def refresh_diagonal(self, matrix: SymmetricBlocks, pairs: PairStiffness) -> None:
-        """Recompute the fine part from the diagonal blocks of the `matrix` and the `pairs`, positive definite."""
+        """Recompute the fine part from the diagonal blocks of the `matrix` and the `pairs`, positive definite.
+
+        Args:
+            matrix: stiffness of the mesh.
+            pairs: stiffness of the pairs in contact.
+        """
         diagonal = matrix.diagonal
         diagonal[~self._free] = np.eye(3)
         pairs.add_diagonal(diagonal)
@@ -179,7 +189,11 @@ class AgeingPreconditioner:
             self._age = 0
 
     def served(self, iterations: int) -> None:
-        """Take note of the iterations of a linear solve."""
+        """Take note of the iterations of a linear solve.
+
+        Args:
+            iterations: number of iterations.
+        """
         if self._age == 0:
             self._iterations_when_new = iterations
         self._last_iterations = iterations
@@ -200,7 +214,7 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
 
 
 def _affine_functions(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values, vertices and columns of 1, u and v on each patch, u and v being its main axes, scaled to order 1."""
+    """The functions 1, u and v of each patch (u and v: its main axes, scaled to order 1): values, vertices, columns."""
     from scipy.cluster.vq import kmeans2
 
     count = min(_PATCHES_PER_GARMENT, max(1, len(rest) // 12))
@@ -227,7 +241,16 @@ def precondition(
     residual: np.ndarray,
     result: np.ndarray,
 ) -> None:
-    """Fill `result` (vertices, 3) [m] with the preconditioner of these `parts` times `residual` (vertices, 3) [N]."""
+    """Fill `result` (vertices, 3) [m] with the preconditioner times `residual` (vertices, 3) [N].
+
+    Args:
+        fine: inverse diagonal blocks of the vertices [m/N].
+        coarse: inverse stiffness of the patch motions.
+        to_patches: functions that sum vertices to patches.
+        to_vertices: functions that spread patches to vertices.
+        residual: (vertices, 3) [N].
+        result: (vertices, 3) [m], filled.
+    """
     starts, indices, values = to_patches
     restricted, zero = np.empty(len(coarse), coarse.dtype), coarse.dtype.type(0.0)
     for function in range(len(starts) - 1):

@@ -71,7 +71,11 @@ class ClothContact(EnergyTerm):
         return PairStiffness(np.where(corners < len(x), corners, 0), rows)
 
     def forces(self, touching: TouchingCloth) -> np.ndarray:
-        """Force (pairs,) [N] between the elements of each pair."""
+        """Force (pairs,) [N] between the elements of each pair.
+
+        Args:
+            touching: pairs that feel each other.
+        """
         room = touching.reaches - touching.gaps
         s = np.clip((touching.distances - touching.gaps) / room, _PRESSED, 1.0)
         forces: np.ndarray = self.stiffness * touching.areas * ((1.0 - s) ** 2 / s - 2.0 * (1.0 - s) * np.log(s))

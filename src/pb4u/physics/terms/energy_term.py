@@ -180,7 +180,11 @@ def columns(x: Tensor, index: Tensor) -> Tensor:
 
 
 def vertex_elements(garments: PackedGarments) -> Tensor:
-    """Indices (vertices, 1) int64 of every vertex as an element of its own, for terms that couple no two vertices."""
+    """Indices (vertices, 1) int64 of every vertex as an element of its own, for terms that couple no two vertices.
+
+    Args:
+        garments: the packed garments.
+    """
     return torch.arange(garments.vertex_count, device=garments.device)[:, None]
 
 

@@ -29,7 +29,12 @@ class PairStiffness:
 
     @staticmethod
     def summed(parts: Sequence[PairStiffness], free: np.ndarray) -> PairStiffness:
-        """All `parts` as one, without what acts on vertices that are not `free` (vertices,) bool."""
+        """All `parts` as one, without what acts on vertices that are not `free` (vertices,) bool.
+
+        Args:
+            parts: matrices over the same vertices.
+            free: (vertices,) bool.
+        """
         if not parts:
             return PairStiffness(np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4, 3)))
         corners = np.concatenate([part.corners for part in parts])
@@ -40,11 +45,19 @@ class PairStiffness:
         return len(self.corners)
 
     def add_diagonal(self, blocks: np.ndarray) -> None:
-        """Add the diagonal blocks of this matrix to `blocks` (vertices, 3, 3) [N/m]."""
+        """Add the diagonal blocks of this matrix to `blocks` (vertices, 3, 3) [N/m].
+
+        Args:
+            blocks: (vertices, 3, 3) [N/m], changed.
+        """
         _add_diagonal(self.corners, self.rows, blocks)
 
     def root(self, vertex_count: int) -> Any:
-        """Sparse matrix G (rows, 3 vertices) of which this one is G^T G."""
+        """Sparse matrix G (rows, 3 vertices) of which this one is G^T G.
+
+        Args:
+            vertex_count: number of vertices.
+        """
         from scipy.sparse import csr_matrix
 
         columns = (3 * self.corners[:, :, None] + np.arange(3)).reshape(-1)
@@ -54,7 +67,14 @@ class PairStiffness:
 
 @compiled_with_fused_products
 def add_product(corners: np.ndarray, rows: np.ndarray, vector: np.ndarray, product: np.ndarray) -> None:
-    """Add the matrix of `PairStiffness` times `vector` (vertices, 3) [m] to `product` (vertices, 3) [N]."""
+    """Add the matrix of `PairStiffness` times `vector` (vertices, 3) [m] to `product` (vertices, 3) [N].
+
+    Args:
+        corners: (pairs, 4) int64 vertices of the pairs.
+        rows: (pairs, 4, 3) of `PairStiffness`.
+        vector: (vertices, 3) [m].
+        product: (vertices, 3) [N], changed.
+    """
     for row in range(len(corners)):
         total = product.dtype.type(0.0)
         for corner in range(4):

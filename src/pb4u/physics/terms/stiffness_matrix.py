@@ -16,7 +16,11 @@ from pb4u.scene.packed import PackedGarments
 
 
 def corner_pairs(corners: int) -> list[tuple[int, int]]:
-    """Pairs (i, j), i <= j, of the corners of an element, in row order."""
+    """Pairs (i, j), i <= j, of the corners of an element, in row order.
+
+    Args:
+        corners: number of corners.
+    """
     return list(combinations_with_replacement(range(corners), 2))
 
 
@@ -53,7 +57,11 @@ class StiffnessPattern:
         self._held = torch.nonzero(~(free[rows] & free[columns]))[:, 0].numpy()
 
     def couples(self, elements: Mapping[str, Tensor]) -> bool:
-        """Whether this is the pattern of `elements`, name of a term -> vertex indices (elements, corners) int64."""
+        """Whether this is the pattern of `elements`, name of a term -> vertex indices (elements, corners) int64.
+
+        Args:
+            elements: name of a term -> (elements, corners) int64.
+        """
         same = self._elements.keys() == elements.keys()
         return same and all(torch.equal(part, elements[name]) for name, part in self._elements.items())
 
@@ -62,7 +70,11 @@ class StiffnessPattern:
         return Stiffness(self, np.zeros((len(self.columns), 3, 3)), np.zeros(len(self.columns)))
 
     def hold(self, stiffness: Stiffness) -> None:
-        """Take out of `stiffness` what acts on vertices that do not move."""
+        """Take out of `stiffness` what acts on vertices that do not move.
+
+        Args:
+            stiffness: the matrix, changed.
+        """
         stiffness.positive[self._held] = 0.0
         stiffness.compressive[self._held] = 0.0
 
@@ -157,7 +169,15 @@ def _shift(blocks: np.ndarray, shift: np.ndarray, result: np.ndarray) -> None:
 def multiply(
     starts: np.ndarray, columns: np.ndarray, blocks: np.ndarray, vector: np.ndarray, product: np.ndarray
 ) -> None:
-    """Fill `product` (vertices, 3) [N] with the `SymmetricBlocks` times `vector` (vertices, 3) [m]."""
+    """Fill `product` (vertices, 3) [N] with the `SymmetricBlocks` times `vector` (vertices, 3) [m].
+
+    Args:
+        starts: (vertices + 1,) int64 first entry of each row.
+        columns: (entries,) int64 column of each entry.
+        blocks: (entries, 3, 3) [N/m].
+        vector: (vertices, 3) [m].
+        product: (vertices, 3) [N], filled.
+    """
     for row in range(len(product)):
         for axis in range(3):
             product[row, axis] = 0.0
