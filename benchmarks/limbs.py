@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pb4u.measures.limbs import Bones
+from pb4u.measures.limbs import Bones, watched
 from pb4u.measures.metrics import measure
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.trajectory import Trajectory
@@ -26,7 +26,7 @@ from pb4u.simulation.models import load_simulator
 from pb4u.simulation.simulator import RunRecord
 
 MEASURES = ("body_intersections", "body_intersections_pinched", "visible_skin_percent", "strain_max",
-            "penetration_depth_max", "self_intersections", "limbs_through_cloth")  # fmt: skip
+            "penetration_depth_max", "self_intersections")  # fmt: skip
 
 
 class Clip(NamedTuple):
@@ -70,7 +70,8 @@ def result(clip: Clip, model: str, args: argparse.Namespace) -> dict[str, object
     if args.keep:
         args.keep.mkdir(parents=True, exist_ok=True)
         trajectory.save(args.keep / f"{clip.name}_{model}.npz")
-    report = measure(trajectory, bones=Bones.of(scene, trajectory.frame_count, trajectory.fps))
+    report = measure(trajectory)
+    limbs, _ = watched(Bones.of(scene, trajectory.frame_count, trajectory.fps), trajectory)
     series = {name: np.array(report["metrics"][name]["per_frame"]) for name in MEASURES if name in report["metrics"]}
     free = series["body_intersections"] - series["body_intersections_pinched"]
     return {
@@ -85,7 +86,7 @@ def result(clip: Clip, model: str, args: argparse.Namespace) -> dict[str, object
         "strain_max": round(float(series["strain_max"].max()), 3),
         "depth_mm": round(1e3 * float(series["penetration_depth_max"].max()), 2),
         "self": int(series["self_intersections"].max()),
-        "limbs": int(series["limbs_through_cloth"].sum()),
+        "limbs": int(limbs.sum()),
         "ms_median": round(1e3 * float(np.median(np.diff(stamps[2:]))), 1),
         "ms_mean": round(1e3 * float(np.mean(np.diff(stamps[2:]))), 1),
         "failed_at": record.failed_at,

@@ -14,15 +14,26 @@ from pb4u.progress import Estimate, no_progress
 from pb4u.simulation.simulator import SkinningSimulator
 
 
-def told_of(seconds: Callable[[int], float], total: int, alike: bool = True) -> list[str]:
+def told_of(
+    seconds: Callable[[int], float], total: int, alike: bool = True, expected: tuple[int, float] = (0, 0.0)
+) -> list[str]:
     """What an estimate says of work whose parts 1, 2, .. take so long [s]."""
     told: list[str] = []
     now = 0.0
-    estimate = Estimate(told.append, "step", alike, clock=lambda: now)
+    estimate = Estimate(told.append, "step", alike, expected, clock=lambda: now)
     for done in range(1, total + 1):
         now += seconds(done)
         estimate(done, total)
     return told
+
+
+@pytest.mark.parametrize(("each", "more"), [(2.5, []), (9.0, ["196 more steps take about 29 minutes, 9 s each."])])
+def test_long_work_is_estimated_before_its_first_part_and_again_where_it_takes_longer(
+    each: float, more: list[str]
+) -> None:
+    first = "200 steps take about 7 minutes by experience; measured again after the first ones."
+    assert told_of(lambda _: each, 200, expected=(200, 2.0)) == [first, *more]
+    assert told_of(lambda _: 0.01, 200, expected=(200, 0.01)) == []
 
 
 def test_long_work_is_estimated_once_and_without_its_first_part() -> None:

@@ -21,6 +21,9 @@ _LEAST_PARTS, _LEAST_SECONDS = 3, 2.0
 _LEAST_SECONDS_OF_MANY = 20.0
 """The same time [s] where parts differ: garments and rollouts of all kinds come in turn."""
 
+_NEAR = 1.5
+"""Times what was expected within which the first measured time is not worth a sentence."""
+
 _SLOWER = 2.0
 """Times the time of a part that was said, or that was too short to say, from which it is said again."""
 
@@ -76,6 +79,7 @@ class Estimate:
         say: called with the sentence.
         part: what a part is called, such as "step".
         alike: whether parts take about as long as each other: the quickest then counts, and else the mean of more.
+        expected: parts in all and the time of each [s] by experience, said at once where it is long; (0, 0): unknown.
         clock: the time [s].
     """
 
@@ -84,8 +88,16 @@ class Estimate:
         say: Callable[[str], None],
         part: str,
         alike: bool = True,
+        expected: tuple[int, float] = (0, 0.0),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        total, pace = expected
+        self._expected = pace if total * pace > _LONG else None
+        if self._expected:
+            say(
+                f"{total} {part}s take about {format_duration(total * pace)} by experience; measured again after the "
+                "first ones."
+            )
         self._say, self._part, self._alike, self._clock = say, part, alike, clock
         self._first: tuple[float, int] | None = None
         self._last, self._paces = (0.0, 0), list[float]()
@@ -117,7 +129,8 @@ class Estimate:
             return
         self._each = each
         left = each * (total - done)
-        if left > _LONG:
+        is_expected = not again and self._expected and self._expected / _NEAR < each < self._expected * _NEAR
+        if left > _LONG and not is_expected:
             self._say(
                 f"{'Slower than at first: ' if again else ''}{total - done} more {self._part}s take about "
                 f"{format_duration(left)}, {each:.2g} s each."
@@ -137,16 +150,19 @@ def format_duration(seconds: float) -> str:
 
 
 @contextmanager
-def announced(label: str, part: str, say: Callable[[str], None], alike: bool = True) -> Iterator[Progress]:
-    """A bar with the time left, and before work of over a minute a sentence that says how long it takes.
+def announced(
+    label: str, part: str, say: Callable[[str], None], alike: bool = True, expected: tuple[int, float] = (0, 0.0)
+) -> Iterator[Progress]:
+    """A bar with the time left, and of work of over a minute a sentence that says how long it takes.
 
     Args:
         label: what is being done.
         part: what a part of it is called, such as "step".
         say: called with the sentence.
         alike: whether parts take about as long as each other.
+        expected: parts in all and the time of each [s], as `Estimate` takes it.
     """
-    estimate = Estimate(say, part, alike)
+    estimate = Estimate(say, part, alike, expected)
     with progress_bar(label) as bar:
 
         def told(done: int, total: int) -> None:

@@ -13,6 +13,7 @@ from PIL import Image
 from tests.export.readers import pc2_frames
 from tests.garment.cloth_shapes import quad_tube, saved
 
+from pb4u.errors import InputError
 from pb4u.export.live_caches import PROGRESS
 from pb4u.export.selection import on_source
 from pb4u.geometry.obj_file import read_obj
@@ -23,6 +24,7 @@ from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation import run_simulation
 from pb4u.simulation.simulator import RunRecord, SkinningSimulator
 
 SMALL = ("--triangles", 1000, "--lead-in", 0, "--model", "skinning")
@@ -76,6 +78,19 @@ def test_writes_trajectory_objs_and_report_by_the_contract(pb4u: Callable, tmp_p
     assert report["diverged"] is False
 
 
+def test_the_time_of_a_long_run_is_said_before_its_first_step(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object) -> None:
+        raise InputError("No step is taken here.")
+
+    monkeypatch.setattr(run_simulation, "roll_out", stopped)
+    flags = ("simulate", *SMALL, "--lead-in", 30, "--out", tmp_path / "a.npz", "--model")
+    assert "1030 steps take about" in pb4u(*flags, "solver", "--frames", 1000).err
+    assert "take about" not in pb4u(*flags, "skinning", "--frames", 1000).err
+    assert "take about" not in pb4u(*flags, "solver", "--frames", 10).err
+
+
 def test_json_alone_goes_to_standard_output(pb4u: Callable, tmp_path: Path) -> None:
     ended = pb4u("simulate", *SMALL, "--frames", 1, "--out", tmp_path / "a.npz", "--json", "-")
     assert json.loads(ended.out)["frames"] == 1
@@ -88,12 +103,16 @@ def test_a_limb_through_the_cloth_is_warned_of_with_and_without_a_report(
     assert "through the cloth" not in pb4u(*flags).err
 
     def through(watch: LimbWatch, t: int, cloth: np.ndarray, body: np.ndarray) -> np.ndarray:
+        searched.append(t)
         watch.enough = dict.fromkeys(watch.bones.names[:1], 5000)
         return np.arange(len(watch.bones.names)) == 0
 
+    searched: list[int] = []
     monkeypatch.setattr(LimbWatch, "through", through)
     for report in ((), ("--json", tmp_path / "r.json")):
+        searched.clear()
         ended = pb4u(*flags, *report)
+        assert searched == [0, 1], "each frame once"
         assert "Limbs have gone through the cloth from frame 0 on" in ended.err
         assert ended.err.count("has come through the cloth") == 1, "once for each bone, in its frame"
         assert "try --triangles 5000" in ended.err

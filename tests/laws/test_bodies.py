@@ -12,6 +12,7 @@ from tests.laws.test_self_contact import OneMethod, methods
 from tests.simulation.ball_scene import sheet
 
 from pb4u.body.animated_body import AnimatedBody
+from pb4u.collision import collision_free
 from pb4u.collision.crossings import crossings
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.physics.contact.obstacle import Obstacle
@@ -168,3 +169,30 @@ def test_two_bodies_that_close_on_cloth_are_let_through_it() -> None:
     lengths = (states[-1].positions[torch.from_numpy(garment.topology.edges)].diff(dim=1)).norm(dim=2)[:, 0].numpy()
     assert (lengths / garment.edge_lengths).max() < 3.0
     assert np.abs(states[-1].positions.numpy() - garment.vertices).max() < 0.3
+
+
+def test_where_one_move_finds_no_room_smaller_ones_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A spike that leaps 10 cm, past which no move of 3 cm is found, is passed; what was near keeps its gap."""
+    timeline = Timeline.of(scene_of("spike leaps", height=0.60005))
+    step = timeline.step_from(timeline.skinned_state(0))
+    x, obstacle = step.state.positions, step.obstacle
+    assert obstacle is not None
+    in_one, starts = collision_free._in_one_move, []
+
+    def found(tree, before, wanted, masses, known, passed, began):
+        starts.append(began)
+        if np.abs(wanted - before).max() > 0.03:
+            return wanted, np.ones(len(before), dtype=bool)
+        return in_one(tree, before, wanted, masses, known, passed, began)
+
+    monkeypatch.setattr(collision_free, "_in_one_move", found)
+    reached, after = FELT.self_contact.collision_free_move(timeline.garments, x, x.clone(), obstacle=obstacle)
+    assert after is not None
+    assert not after.passed.any()
+    body, faces = timeline.colliders.faces.numpy(), timeline.garments.faces.numpy()
+    assert len(crossings(reached.numpy(), faces, timeline.body(1).numpy(), body)) == 0
+    # Cloth nearer than the smallest gap keeps nine tenths of its distance in the whole move, not in each.
+    before, ended = (np.concatenate(of) for of in ((x.numpy(), obstacle.before), (reached.numpy(), obstacle.after)))
+    assert all(np.array_equal(began, before) for began in starts)
+    pairs = obstacle.tree.pairs(before, 1e-3, ended - before)
+    assert (pairs.nearest(ended)[0] > collision_free.smallest_gaps(pairs, before)).all()

@@ -11,7 +11,6 @@ import pytest
 from pb4u.body.body_model import PosedBody
 from pb4u.collision.crossings import segments_through_faces
 from pb4u.measures.limbs import Bones, LimbWatch, limbs_sentence, limbs_through_cloth, watched
-from pb4u.measures.metrics import measure
 from pb4u.measures.run_report import run_report
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
@@ -82,7 +81,7 @@ def test_a_garment_that_is_worn_is_crossed_by_no_bone() -> None:
     assert {"lowerarm01.L", "upperleg02.R"} <= set(bones.names)
     assert not any(name.startswith("finger") for name in bones.names), "hands are left out of contact"
     assert not watched(bones, trajectory)[0].any()
-    measured = measure(trajectory, bones=bones)
+    measured = run_report(trajectory, SkinningSimulator(), scene, RunRecord())
     assert measured["limbs_through_cloth"] == []
     assert measured["metrics"]["limbs_through_cloth"]["per_frame"] == [0.0] * 4
     assert limbs_sentence([], 4) is None
@@ -133,10 +132,10 @@ def test_a_run_that_stopped_being_finite_is_reported_as_diverged_after_its_last_
 
 def test_a_body_without_a_skeleton_has_none() -> None:
     scene, trajectory = worn()
-    assert "limbs_through_cloth" not in measure(trajectory)["metrics"]
     bare = bones_of(replace(scene, colliders=()), trajectory)
     assert bare.names == ()
-    assert "limbs_through_cloth" not in measure(trajectory, bones=bare)["metrics"]
+    report = run_report(trajectory, SkinningSimulator(), scene, RunRecord(), limbs=watched(bare, trajectory))
+    assert "limbs_through_cloth" not in report["metrics"]
 
 
 def test_many_bones_of_one_name_are_one_and_the_longest_comes_first() -> None:

@@ -31,11 +31,16 @@ if TYPE_CHECKING:
     import numpy as np
 
     from pb4u.export.view import View
+    from pb4u.measures.limbs import LimbWatch
     from pb4u.scene.scene import Scene
     from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
     from pb4u.simulation.simulator import RunRecord, Simulator
 
 _OUTPUT = "Output"
+
+_PACES = {"skinning": 0.0, "quick-solver": 3e-5}
+"""Seconds a step and triangle where cloth is easy, one core (docs/performance.md); of all others `_PACE`."""
+_PACE = 1e-4
 
 
 def simulate(
@@ -191,15 +196,17 @@ def _simulate(
         from pb4u.measures.run_report import run_report
 
         with progress_bar("measuring") as progress:
-            report = run_report(trajectory, simulator, scene, record, progress, excess, against)
+            limbs = watched.over(trajectory)
+            report = run_report(trajectory, simulator, scene, record, progress, excess, against, limbs)
         write_json(report, json)
         diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
         from pb4u.measures.divergence import skinned_centres
+        from pb4u.measures.limbs import limbs_through_cloth
         from pb4u.measures.metrics import first_diverged
 
         diverged = first_diverged(trajectory, skinned_centres(scene, trajectory))
-        through = watched.found(trajectory)
+        through = limbs_through_cloth(*watched.over(trajectory))
     _say_how_it_ended(simulator.name, trajectory.frame_count, record.failed_at, diverged, through)
 
 
@@ -267,7 +274,8 @@ def _trajectory(
 
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with ExitStack() as opened:
-        told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say))
+        expected = scene.total_frames, count * _PACES.get(simulator.name, _PACE)
+        told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say, expected=expected))
         header = simulator.header(scene)
         watched = _LimbWarnings(scene, header, simulator.name)
         if live is None:
@@ -302,17 +310,16 @@ class _LimbWarnings:
             if bone not in known:
                 _warn(self.watch.sentence(bone, number, self.model))
 
-    def found(self, trajectory: Trajectory) -> list[dict[str, Any]]:
-        """What went through cloth in the frames of `trajectory`, as `limbs_through_cloth` gives it."""
+    def over(self, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
+        """Which bones are through cloth in the frames of `trajectory`, as `watched` gives it."""
         import numpy as np
 
-        from pb4u.measures.limbs import Bones, limbs_through_cloth, watched
+        from pb4u.measures.limbs import Bones, watched
 
         if trajectory.fps == self.scene.fps and trajectory.frame_count == len(self.rows):
-            return limbs_through_cloth(np.array(self.rows), self.watch)
+            return np.array(self.rows), self.watch
         # Resampled: its frames were never seen.
-        bones = Bones.of(self.scene, trajectory.frame_count, trajectory.fps)
-        return limbs_through_cloth(*watched(bones, trajectory))
+        return watched(Bones.of(self.scene, trajectory.frame_count, trajectory.fps), trajectory)
 
 
 def _export(

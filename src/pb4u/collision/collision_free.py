@@ -33,6 +33,9 @@ _ZONES = 20
 _ZONES_WITH_OBSTACLES = 8
 """The same of what touches moving obstacles, before these are let through it."""
 
+_PARTS = 4
+"""Smaller moves that are tried where an obstacle finds no room in one: a running leg goes 20 cm in a step."""
+
 
 def smallest_gaps(pairs: ElementPairs, before: np.ndarray) -> np.ndarray:
     """Gaps (pairs,) [m] that the pairs keep; less than `SMALLEST_GAP` where they are that near at rest or `before`.
@@ -67,7 +70,8 @@ def past_obstacles(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions near `wanted` that `before` reaches without an element passing through another; obstacles go first.
 
-    Where obstacles leave no room between them, those that meet an element last are let through it.
+    Where obstacles leave no room in one move they go in several, each on from where the last turned the surface aside.
+    If that leaves no room either, they are let through the elements that they meet last.
 
     Args:
         tree: of the surface, its obstacles last.
@@ -82,10 +86,32 @@ def past_obstacles(
         passed through by then.
     """
     passed = np.zeros(len(before), dtype=bool) if passed is None else passed
+    reached, through = _in_one_move(tree, before, wanted, masses, known, passed, before)
+    if through.sum() == passed.sum():
+        return reached, through
+    x, still, aside = before, passed, np.zeros_like(before)
+    for part in range(1, _PARTS + 1):
+        way = wanted + (part / _PARTS - 1.0) * (wanted - before)
+        # Gaps are those of the whole move: what is nearer than a gap has no finite energy.
+        x, still = _in_one_move(tree, x, way + aside, masses, None, still, before)
+        aside = x - way
+    return (x, still) if still.sum() < through.sum() else (reached, through)
+
+
+def _in_one_move(
+    tree: SurfaceTree,
+    before: np.ndarray,
+    wanted: np.ndarray,
+    masses: np.ndarray,
+    known: tuple[ElementPairs, np.ndarray] | None,
+    passed: np.ndarray,
+    began: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same in one linear move; pairs keep the gaps (pairs,) [m] that they have where they `began` (vertices, 3)."""
     moves = wanted - before
     if not moves.any():
         return wanted, passed
-    pairs, gaps = known or _met(tree, before, moves, passed)
+    pairs, gaps = known or _met(tree, before, moves, passed, began)
     shares = free_shares(pairs, gaps, before, moves)
     if (shares >= 1.0).all():
         return wanted, passed
@@ -98,7 +124,7 @@ def past_obstacles(
     for attempt in range(_IMPULSES + _ZONES):
         if (shares >= 1.0).all():
             # Changed moves may meet others than the first ones did.
-            pairs, gaps = _met(tree, before, moves, passed, pairs, _differ(moves, looked_up))
+            pairs, gaps = _met(tree, before, moves, passed, began, pairs, _differ(moves, looked_up))
             looked_up = moves.copy()
             shares = free_shares(pairs, gaps, before, moves)
             if (shares >= 1.0).all():
@@ -120,13 +146,13 @@ def past_obstacles(
         changed = any_corner(pairs.corners, _differ(moves, previous))
         shares[changed] = free_shares(pairs.chosen(changed), gaps[changed], before, moves)
     # All of a world together, as far as nothing touches: it always can be, but for obstacles.
-    pairs, gaps = _met(tree, before, moves, passed, pairs)
+    pairs, gaps = _met(tree, before, moves, passed, began, pairs)
     free, shares = np.ones(worlds), free_shares(pairs, gaps, before, moves)
     own = (pairs.corners < tree.first_obstacle).all(axis=1)
     np.minimum.at(free, tree.vertex_world[pairs.corners[own, 0]], shares[own])
     moves[: tree.first_obstacle] *= free[tree.vertex_world[: tree.first_obstacle], None]
     if closing:
-        pairs, gaps = _met(tree, before, moves, passed, pairs)
+        pairs, gaps = _met(tree, before, moves, passed, began, pairs)
         met = pairs.corners[free_shares(pairs, gaps, before, moves) < 1.0]
         passed = passed | _met_by_obstacles(met, tree.first_obstacle, len(moves))
     return before + moves, passed
@@ -158,6 +184,7 @@ def _met(
     before: np.ndarray,
     moves: np.ndarray,
     passed: np.ndarray,
+    began: np.ndarray,
     known: ElementPairs | None = None,
     changed: np.ndarray | None = None,
 ) -> tuple[ElementPairs, np.ndarray]:
@@ -175,7 +202,7 @@ def _met(
         pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved)
     if passed.any():
         pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, passed))
-    return pairs, smallest_gaps(pairs, before)
+    return pairs, smallest_gaps(pairs, began)
 
 
 @compiled

@@ -20,7 +20,7 @@ from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody,
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
 from pb4u.garment.source_surface import Fault, SourceSurface, first_of, surface_faults
-from pb4u.garment.support import find_holder, held_by, is_held_up, loose_straps, slide
+from pb4u.garment.support import Support, find_support, slide
 from pb4u.garment.tangles import tangles
 from pb4u.garment.untangling import untangle
 from pb4u.geometry.mesh_file import PolygonMesh
@@ -150,8 +150,9 @@ def diagnose(
         findings += _crossing_findings(surface, fit.apply(garment.vertices), measures)
         findings += _contact_findings(surface, fit, rest, measures, mend)
         if not pinned and not any(f.code in _NOT_WORN for f in findings):
-            findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest)
-            held = held_by(fit.apply(garment.vertices), surface.faces, rest)
+            support = find_support(fit.apply(garment.vertices), surface.faces, rest)
+            findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest, support)
+            held = support.name
         if isinstance(body, ShapedBody) and not any(f.code in _NOT_WORN for f in findings):
             findings += _limb_findings(fit.apply(garment.vertices), surface.faces, body)
         if not any(f.code in _NOT_WORN for f in findings):
@@ -164,16 +165,14 @@ def diagnose(
     return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures, held)
 
 
-def require_worn(
-    garment: Garment, body: ShapedBody | AnimatedBody, file: str | Path = "GARMENT.obj", *, pins_given: bool = False
-) -> None:
+def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | Path, support: Support | None) -> None:
     """Refuse a garment that the resting body does not wear; warn when it starts inside, seems turned or will fall.
 
     Args:
         garment: the garment.
         body: who should wear it.
         file: where the garment was read from, named in the cures.
-        pins_given: whether the user chose what holds it up, which is then not looked at.
+        support: what holds it up; None where that is not to be told of, such as where it is pinned.
 
     Raises:
         InputError: it is far from the body, wholly inside it, or in other units or axes.
@@ -185,10 +184,10 @@ def require_worn(
     if misfit > 0.6 * _WORST_MISFIT:  # well under it there is nothing to look for
         findings = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
     findings += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
-    if not pins_given and not garment.pinned.any():
+    if support is not None:
         source = garment.source
         names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]
-        findings += _support_findings(garment.vertices, garment.faces, rest, names)
+        findings += _support_findings(garment.vertices, garment.faces, rest, support, names)
     for finding in findings:
         if finding.severity is Severity.REFUSED:
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
@@ -342,18 +341,17 @@ def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
 
 
 def _support_findings(
-    vertices: np.ndarray, faces: np.ndarray, body: RestBody, names: np.ndarray | None = None
+    vertices: np.ndarray, faces: np.ndarray, body: RestBody, support: Support, names: np.ndarray | None = None
 ) -> list[Finding]:
     """A garment without pins, its (vertices, 3) where it is worn, that will slide down; `names` of its vertices."""
-    holder = find_holder(vertices, faces, body)
-    if holder is None and is_held_up(vertices, faces, body):
+    if support.name == "shoulders":
         return []
-    if holder is not None:
-        sentence = f"Nothing but its {holder.name}, {int(holder.vertices.sum())} vertices, can hold the garment up."
+    if support.held is not None:
+        sentence = f"Nothing but its {support.name}, {int(support.held.sum())} vertices, can hold the garment up."
         fix = "none is needed: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
         return [Finding("unsupported", Severity.NOTE, sentence, fix)]
     why, fix = "none of it lies on the shoulders", "simulate it with `--pins waist`"
-    straps = loose_straps(vertices, faces, body)
+    straps = support.loose
     names = np.arange(len(vertices)) if names is None else names
     tacks = tuple((int(names[a]), int(names[b])) for strap in straps for a, b in strap.tacks)
     if straps:

@@ -34,19 +34,6 @@ _STEP, _NEAR_AXIS, _STRETCH = 0.02, 0.25, 1.05
 how much cloth gives where it slides over what is wider."""
 
 
-def resting_area(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> float:
-    """Area [m^2] of the cloth that lies on the body's shoulders, or on other skin of its upper part that faces up.
-
-    What hangs on it on one side alone, such as a strap whose end is loose, does not count.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    return float(face_areas(vertices, faces[_closing(vertices, faces, body)[0]]).sum())
-
-
 def _resting(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndarray:
     """Mask (faces,) of the cloth that lies on skin which faces up."""
     ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
@@ -71,17 +58,6 @@ class Strap(NamedTuple):
     end: np.ndarray
     gap: float
     tacks: tuple[tuple[int, int], ...]
-
-
-def loose_straps(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> tuple[Strap, ...]:
-    """Straps that end unsewn beyond the shoulder.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    return _closing(vertices, faces, body)[1]
 
 
 def _closing(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> tuple[np.ndarray, tuple[Strap, ...]]:
@@ -191,66 +167,51 @@ def _band(parts: list[np.ndarray]) -> float:
         return 0.0
 
 
-def is_held_up(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> bool:
-    """Whether enough cloth lies on the shoulders to hold a garment up.
+class Support(NamedTuple):
+    """What holds a garment up.
 
-    Cloth stretches over hips that are wider than the waist, so a waist alone is not taken to hold. A bodice that fits
-    closely far above the waist can hold without shoulders all the same; that is not seen here.
+    Args:
+        name: "shoulders", "straps", "waistband" or "collar"; None for nothing.
+        area: cloth that lies on the shoulders, or on other skin of the upper part that faces up [m^2]; what hangs on it
+            on one side alone, such as a strap whose end is loose, does not count.
+        held: (vertices,) bool, the straps, the waistband or the collar, which cannot hold unless it is pinned; None for
+            shoulders or nothing.
+        loose: straps that end unsewn beyond the shoulder.
+    """
+
+    name: str | None
+    area: float
+    held: np.ndarray | None = None
+    loose: tuple[Strap, ...] = ()
+
+
+def find_support(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Support:
+    """Shoulders, straps too narrow to stay on them by friction, the collar of an open front, or a border at the waist.
+
+    A real waistband is elastic or buttoned, and straps are sewn on under tension; cloth alone is neither. Nor does
+    anything keep the halves of an open front from parting and sliding down the arms: who wears them does. A bodice that
+    fits closely far above the waist can hold without shoulders all the same; that is not seen here.
 
     Args:
         vertices: (vertices, 3) of the garment where it is worn [m].
         faces: (faces, 3) int64.
         body: the resting body.
     """
-    return resting_area(vertices, faces, body) >= LEAST_AREA
-
-
-def held_by(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> str | None:
-    """What holds a garment without pins: "shoulders", or the name of its `Holder`; None for nothing.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    holder = find_holder(vertices, faces, body)
-    if holder is not None:
-        return holder.name
-    return "shoulders" if is_held_up(vertices, faces, body) else None
-
-
-class Holder(NamedTuple):
-    """What holds a garment that nothing else does.
-
-    Args:
-        name: "straps", "waistband" or "collar".
-        vertices: (vertices,) bool, the cloth of it.
-    """
-
-    name: str
-    vertices: np.ndarray
-
-
-def find_holder(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
-    """Straps too narrow to stay on the shoulders by friction, the collar of an open front, or a border at the waist.
-
-    None where broad cloth that is closed in front lies on the shoulders, and where nothing of the kind is found. A real
-    waistband is elastic or buttoned, and straps are sewn on under tension; cloth alone is neither. Nor does anything
-    keep the halves of an open front from parting and sliding down the arms: who wears them does.
-
-    Args:
-        vertices: (vertices, 3) of the garment where it is worn [m].
-        faces: (faces, 3) int64.
-        body: the resting body.
-    """
-    resting = _closing(vertices, faces, body)[0]
+    resting, loose = _closing(vertices, faces, body)
     area = float(face_areas(vertices, faces[resting]).sum())
+    if area >= STRAP_AREA:
+        collar = _open_collar(vertices, faces, body)
+        return Support("shoulders" if collar is None else "collar", area, collar, loose)
     if area >= LEAST_AREA:
-        held = np.zeros(len(vertices), dtype=bool)
-        if area >= STRAP_AREA:
-            return _open_collar(vertices, faces, body)
-        held[faces[resting].ravel()] = True
-        return Holder("straps", held)
+        straps = np.zeros(len(vertices), dtype=bool)
+        straps[faces[resting].ravel()] = True
+        return Support("straps", area, straps, loose)
+    band = _waistband(vertices, faces, body)
+    return Support(None if band is None else "waistband", area, band, loose)
+
+
+def _waistband(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndarray | None:
+    """Mask (vertices,) of a level border that goes closely around the waist."""
     ground, top = float(body.vertices[:, 1].min()), float(body.vertices[:, 1].max())
     middle = 0.5 * (body.vertices.min(axis=0) + body.vertices.max(axis=0))
     for loop in sorted(Topology(faces, len(vertices)).boundary_loops, key=lambda loop: -vertices[loop, 1].mean()):
@@ -264,12 +225,12 @@ def find_holder(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Hold
         if _WAIST[0] < height < _WAIST[1] and abs(turn) > np.pi and close and level:
             held = np.zeros(len(vertices), dtype=bool)
             held[loop] = True
-            return Holder("waistband", held)
+            return held
     return None
 
 
-def _open_collar(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Holder | None:
-    """The collar of a garment that is open in front: the border at its neck goes on to below its middle."""
+def _open_collar(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> np.ndarray | None:
+    """Mask (vertices,) of the collar of an open front: the border at its neck goes on to below the garment's middle."""
     loops = Topology(faces, len(vertices)).boundary_loops
     if not loops:
         return None
@@ -280,4 +241,4 @@ def _open_collar(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> Hol
         return None
     held = np.zeros(len(vertices), dtype=bool)
     held[collar] = True
-    return Holder("collar", held)
+    return held

@@ -19,7 +19,6 @@ from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
 from pb4u.measures.divergence import first_lost
-from pb4u.measures.limbs import Bones, limbs_through_cloth, watched
 from pb4u.measures.overlaps import overlapping_faces
 from pb4u.measures.released_energies import released_potential
 from pb4u.physics.contact.skin_cover import SkinCover
@@ -53,7 +52,6 @@ def measure(
     trajectory: Trajectory,
     skinned: np.ndarray | None = None,
     progress: Progress = no_progress,
-    bones: Bones | None = None,
 ) -> dict[str, Any]:
     """Metrics of a trajectory, as the command line reports them.
 
@@ -62,14 +60,12 @@ def measure(
             has none and is judged standing still: its inertia and friction are 0.
         skinned: as `skinned_centres`, or (frames, 3) of one garment [m]; without it falling off is not judged.
         progress: called with (frames done, frames in all).
-        bones: of the bodies; without them limbs that have gone through cloth are not looked for.
 
     Returns:
         `metrics` and `metrics_paper`, the energies by the released convention: name -> {per_frame, mean, max};
         energies of several garments are summed, strains are taken over all faces. `diverged` and the frame
         `diverged_at` (or None) of the garment that diverges first. `garments`, one entry a garment in the order of
-        the file: its `name`, `metrics` (energies and strains), `diverged` and `diverged_at`. With bones also
-        `limbs_through_cloth`, those that cross cloth; a metric of that name counts them in each frame.
+        the file: its `name`, `metrics` (energies and strains), `diverged` and `diverged_at`.
 
     Raises:
         InputError: it is no trajectory, or its metadata do not say what the garments are made of.
@@ -90,19 +86,12 @@ def measure(
         measured = _series(rows, (*ENERGIES, *STRAINS))
         garments.append({"name": garment.name, "metrics": measured, "diverged": at is not None, "diverged_at": at})
     first = _earliest(diverged_at)
-    limbs: dict[str, Any] = {}
-    if bones is not None and bones.names:
-        crossed, watch = watched(bones, trajectory)
-        limbs["limbs_through_cloth"] = limbs_through_cloth(crossed, watch)
-        for frame, count in zip(frames, crossed.sum(axis=1), strict=True):
-            frame.metrics["limbs_through_cloth"] = float(count)
     return {
         "metrics": _series([frame.metrics for frame in frames], OF_A_CLIP),
         "metrics_paper": _series([frame.paper for frame in frames], ENERGIES),
         "diverged": first is not None,
         "diverged_at": first,
         "garments": garments,
-        **limbs,
     }
 
 

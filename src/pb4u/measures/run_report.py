@@ -6,11 +6,12 @@ import os
 import platform
 from typing import Any
 
+import numpy as np
 import torch
 
 from pb4u.measures.divergence import skinned_centres
 from pb4u.measures.excess import BEATEN_BY, distance_to, excess_heights, series
-from pb4u.measures.limbs import Bones, limbs_sentence
+from pb4u.measures.limbs import Bones, LimbWatch, limbs_sentence, limbs_through_cloth, watched
 from pb4u.measures.metrics import measure
 from pb4u.progress import Progress, no_progress
 from pb4u.scene.scene import Scene
@@ -26,6 +27,7 @@ def run_report(
     progress: Progress = no_progress,
     excess: bool = False,
     reference: Trajectory | None = None,
+    limbs: tuple[np.ndarray, LimbWatch] | None = None,
 ) -> dict[str, Any]:
     """Names, counts, timing and metrics of a run, as JSON but for numbers that are not finite.
 
@@ -37,12 +39,16 @@ def run_report(
         progress: called with (frames measured, frames in all).
         excess: also measure `excess_height`, three solves a frame, and count the frames that lie below their reference.
         reference: also measure `distance_to_reference`.
+        limbs: which were found through cloth, as `watched` gives it; looked for where left out.
 
     Raises:
         InputError: the trajectory does not say what its garments are made of, or the reference is of other meshes.
     """
-    bones = Bones.of(scene, trajectory.frame_count, trajectory.fps)
-    measured = measure(trajectory, skinned_centres(scene, trajectory), progress, bones)
+    measured = measure(trajectory, skinned_centres(scene, trajectory), progress)
+    crossed, watch = limbs or watched(Bones.of(scene, trajectory.frame_count, trajectory.fps), trajectory)
+    if watch.bones.names:
+        measured["limbs_through_cloth"] = limbs_through_cloth(crossed, watch)
+        measured["metrics"]["limbs_through_cloth"] = series(crossed.sum(axis=1).astype(float).tolist())
     if record.failed_at is not None and not measured["diverged"]:
         # The frames that are not finite are not written.
         measured |= {"diverged": True, "diverged_at": trajectory.frame_count}

@@ -25,7 +25,7 @@ from pb4u.garment.fit import RestBody, is_inside_out
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import nearest_places
 from pb4u.garment.material import MATERIALS, Material
-from pb4u.garment.support import find_holder
+from pb4u.garment.support import find_support
 from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.principal_stretch import face_strains
 from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
@@ -382,8 +382,8 @@ class _Sewing:
     def hung(self, places: np.ndarray, most: int) -> np.ndarray:
         """Places (vertices, 3) [m] of the garment settled under gravity, held by what would hold it in life."""
         garment = self.garment(places)
-        holder = find_holder(places, garment.faces, self.rest_body)
-        held = garment if holder is None else garment.with_pins(holder.vertices)
+        support = find_support(places, garment.faces, self.rest_body)
+        held = garment if support.held is None else garment.with_pins(support.held)
         packed, x = pack([held]), torch.from_numpy(places)
         solver = Solver(tolerance=0.05, max_iterations=_ITERATIONS)
         for _ in range(most):

@@ -76,7 +76,7 @@ def _relaxed(points: np.ndarray, faces: np.ndarray, fixed: int) -> np.ndarray:
 
 
 def _delaunay(points: np.ndarray, loop: int) -> np.ndarray:
-    """Triangles within the loop of the first `loop` points, all of whose edges they have."""
+    """Triangles within the loop of the first `loop` points; every edge of the loop is an edge of a triangle."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import Delaunay

@@ -32,7 +32,7 @@ from pb4u.garment.limbs_inside import with_limbs_inside
 from pb4u.garment.material import Material, load_material
 from pb4u.garment.pins import resolve_pins
 from pb4u.garment.repair import push_out
-from pb4u.garment.support import find_holder
+from pb4u.garment.support import Support, find_support
 from pb4u.garment.tacks import tacked
 from pb4u.geometry.appearance import read_image
 from pb4u.geometry.mesh_file import PolygonMesh
@@ -342,15 +342,16 @@ def load_garment(worn: WornGarment, body: ShapedBody | VertexSequence) -> Garmen
         return _worn(tacked(_remeshed(read(entry, cloth), triangles), worn.tacks), body)
     if loader := SEWN.get(Path(garment).suffix.lower()):
         loaded = tacked(resolve_name(loader)(Path(garment), body, cloth, triangles), worn.tacks)
-        return _held(loaded, body) if worn.pins is None else loaded
+        return _held(loaded, body)[0] if worn.pins is None else loaded
     if Path(garment).suffix:
         loaded = read_garment(Path(garment), cloth, triangles=triangles)
         if triangles is not None:
             loaded = _outside_as_made(loaded, RestBody.of(body))
         loaded = tacked(loaded, worn.tacks)
+        support = None
         if worn.pins is None:
-            loaded = _held(loaded, body)
-        require_worn(loaded, body, garment, pins_given=worn.pins is not None)
+            loaded, support = _held(loaded, body)
+        require_worn(loaded, body, garment, None if loaded.pinned.any() else support)
         return with_limbs_inside(loaded, body)
     if not isinstance(body, ShapedBody):
         near = ", ".join(garment_names())
@@ -368,7 +369,9 @@ def _worn(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
         garment = replace(garment, vertices=garment.vertices + np.array([0.0, body.lift, 0.0]))
         if garment.skinning is not None and garment.skinning.bone_count == body.skeleton.bone_count:
             return garment  # its file says how this body wears it
-    require_worn(garment, body, garment.name, pins_given=bool(garment.pinned.any()))
+    places, faces = garment.vertices, garment.faces
+    support = None if garment.pinned.any() else find_support(places, faces, RestBody.of(body))
+    require_worn(garment, body, garment.name, support)
     return garment
 
 
@@ -382,16 +385,16 @@ def _outside_as_made(garment: Garment, body: RestBody) -> Garment:
     return replace(garment, vertices=push_out(garment.vertices, garment.topology, body))
 
 
-def _held(garment: Garment, body: ShapedBody | VertexSequence) -> Garment:
-    """The garment, pinned by what was found to hold it."""
-    holder = find_holder(garment.vertices, garment.faces, RestBody.of(body))
-    if holder is None:
-        return garment
+def _held(garment: Garment, body: ShapedBody | VertexSequence) -> tuple[Garment, Support]:
+    """The garment, pinned by what was found to hold it, and that."""
+    support = find_support(garment.vertices, garment.faces, RestBody.of(body))
+    if support.held is None:
+        return garment, support
     _say(
-        f"{garment.name}: its {holder.name}, {int(holder.vertices.sum())} vertices, was found and holds it; --pins "
+        f"{garment.name}: its {support.name}, {int(support.held.sum())} vertices, was found and holds it; --pins "
         "none lets it go."
     )
-    return garment.with_pins(holder.vertices)
+    return garment.with_pins(support.held), support
 
 
 def _load_material(material: str | Path | Material) -> Material:

@@ -214,7 +214,7 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
 
 
 def _affine_functions(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values, vertices and columns of 1, u and v on each patch, u and v being its main axes, scaled to order 1."""
+    """The functions 1, u and v of each patch (u and v: its main axes, scaled to order 1): values, vertices, columns."""
     from scipy.cluster.vq import kmeans2
 
     count = min(_PATCHES_PER_GARMENT, max(1, len(rest) // 12))
