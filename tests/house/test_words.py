@@ -10,7 +10,7 @@ import pb4u
 
 RETIRED = (
     "led over by slerp", "nothing: they are cut", "Left where it is", "is made anew", "leave torn",
-    "There is no entry of", "nor a .json file of one", "is no whole archive of", "the flag is given",
+    "There is no entry of", "nor a .json file of one", "is no whole archive of torch.save", "the flag is given",
     "was asked for a point", "does not tell its front", "Cannot tell what to write", "is no jobs file, which",
     "degrees of the way round",
 )  # fmt: skip
