@@ -191,15 +191,15 @@ def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
     return StepMethod(start_of(network), passes, search=search_of(network))
 
 
-def count(name: str, scene: Scene, card: torch.device = CARD) -> tuple[Counted, str]:
+def count(name: str, *scenes: Scene, card: torch.device = CARD) -> tuple[Counted, str]:
     """What a step does, its first pose left out, and how many passes it took.
 
     Args:
         name: of the network.
-        scene: of at least four frames.
+        scenes: of at least four frames, each a world of one pack.
         card: fake CUDA device, or "meta", which is quicker and needs no process of its own.
     """
-    timeline, model = Timeline.of(scene).to(torch.device("cpu"), Rooms()), model_of(name)
+    timeline, model = Timeline.of_worlds(scenes).to(torch.device("cpu"), Rooms()), model_of(name)
     method, rooms = method_of(model, timeline), timeline.colliders.rooms
     assert rooms is not None
     with torch.no_grad():

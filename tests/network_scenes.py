@@ -106,14 +106,14 @@ def accelerations(
     at: Moment,
     steps: int | tuple[int, ...] | None = None,
     dtype: torch.dtype = torch.float64,
-    origin: Tensor | None = None,
+    origins: Tensor | None = None,
 ) -> Tensor:
     prepared = prepared_for(model, at, steps, dtype)
     extra = {
         feature.name: torch.zeros(at.garments.vertex_count, feature.width, dtype=dtype)
         for feature in model.network.layout.extra
     }
-    return model(prepared.graph(at.state, at.collider, DT, origin, extra), prepared)
+    return model(prepared.graph(at.state, at.collider, DT, origins, extra), prepared)
 
 
 def prepared_for(

@@ -12,6 +12,7 @@ import pytest
 from tests.paper.quick_rollouts import attempt, job, note, noted
 
 from pb4u.errors import InputError, MissingExtraError
+from pb4u.jobs.job import JobPack
 from pb4u.jobs.job_folder import MOST_TRIES, JobFolder
 from pb4u.jobs.worker_pool import LocalPool, RayPool, WorkerPool
 from pb4u.measures.run_job import RunJob
@@ -56,6 +57,32 @@ def test_dying_workers_lose_nothing_and_nothing_is_done_twice(pool: WorkerPool, 
     workers = {result["worker"] for result in results.values() if result}
     assert os.getpid() not in workers
     assert len(workers) >= 2
+
+
+def attempt_pack(work: RunJob | JobPack) -> object:
+    return [attempt(each) for each in work.jobs] if isinstance(work, JobPack) else attempt(work)
+
+
+def test_the_jobs_of_a_pack_are_kept_singly_and_done_alone_where_one_ends_the_worker(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    jobs = {name: job(name, log) for name in ("a", "b", "refused", "c", "dies")}
+    packs = [JobPack(tuple(jobs[name] for name in names)) for names in (("a", "b", "refused"), ("c", "dies"))]
+    seen: list[tuple[int, int]] = []
+    pool = LocalPool(1, attempt_pack)
+    try:
+        with JobFolder(tmp_path / "run", "a dataset", {}) as folder:
+            folder.work_through(packs, pool, lambda done, total: seen.append((done, total)))
+            done = {name for name, each in jobs.items() if folder.result(each) is not None}
+            failures = {name: folder.failure(each) for name, each in jobs.items() if folder.failure(each)}
+    finally:
+        pool.close()
+    assert done == {"a", "b", "c"}
+    assert {name: failure.sentence for name, failure in failures.items() if failure} == {
+        "refused": "It is refused.",
+        "dies": f"Its worker died {MOST_TRIES} times, for want of memory perhaps; try fewer --workers.",
+    }
+    assert noted(log)["begin c"] == 2
+    assert seen == [(0, 5), (3, 5), (4, 5), (5, 5)]
 
 
 def test_an_idle_worker_that_died_is_replaced(tmp_path: Path) -> None:

@@ -55,8 +55,8 @@ def test_moving_everything_10_m_changes_nothing_in_float32_around_an_origin_of_t
     # arithmetic is compared.
     at = _on_grid(moment([sheet(8, 9)]))
     shift = torch.tensor([10.0, 0.0, -10.0])
-    here = accelerations(model, at, dtype=torch.float32, origin=torch.zeros(3))
-    there = accelerations(model, at.shifted(shift), dtype=torch.float32, origin=shift)
+    here = accelerations(model, at, dtype=torch.float32, origins=torch.zeros(1, 3))
+    there = accelerations(model, at.shifted(shift), dtype=torch.float32, origins=shift[None])
     assert torch.equal(here, there)
 
 
@@ -64,7 +64,7 @@ def test_float64_positions_10_m_away_lose_nothing_in_a_float32_network():
     model, at = model_of(TINY, torch.float32), moment([sheet(8, 9)])
     shift = torch.tensor([10.0, 0.0, -10.0], dtype=torch.float64)
     here = accelerations(model, at, dtype=torch.float32)
-    with_origin = accelerations(model, at.shifted(shift), dtype=torch.float32, origin=shift)
+    with_origin = accelerations(model, at.shifted(shift), dtype=torch.float32, origins=shift[None])
     without_origin = accelerations(model, at.shifted(shift), dtype=torch.float32)
     assert difference(with_origin, here) < 1e-6
     assert difference(without_origin, here) > 10 * difference(with_origin, here)

@@ -5,14 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from pb4u.dataset.planning import together
 from pb4u.jobs import job_folder
+from pb4u.jobs.job import Failure, JobPack, jobs_of
 from pb4u.measures import run_job
 from pb4u.measures.job_planner import JobPlanner
-from pb4u.measures.run_job import RunJob, make
+from pb4u.measures.run_job import MOST_TOGETHER, RunJob, attempt, make
 from pb4u.paper.protocol_plan import ALONE
 from pb4u.run import Run, WornGarment
+from pb4u.scene.trajectory import Trajectory
+from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
 RUN = Run((WornGarment("tshirt", triangles=400),), motion="walk", frames=3, model="solver", seed=2000, device="cpu")
 JOB = RunJob(RUN)
@@ -77,3 +82,38 @@ def test_excess_is_measured_on_states_that_all_models_share() -> None:
     assert 0.0 < descent["excess_height"]["mean"] < start["excess_height"]["mean"]
     assert len(start["distance_to_reference"]["per_frame"]) == 4
     assert 0.0 < start["distance_to_reference"]["mean"] < 0.2
+
+
+def test_jobs_of_a_pack_have_the_results_of_each_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Steps as on a card, on a processor; a job that cannot be built fails by itself."""
+    monkeypatch.setattr(NetworkSimulator, "on_card", True)
+    monkeypatch.setattr("torch.cuda.mem_get_info", lambda device: (10**10, 10**11))
+    packed, simulated = [], NetworkSimulator.together
+    monkeypatch.setattr(NetworkSimulator, "together", lambda *given: packed.append(len(given[1])) or simulated(*given))
+    bare = replace(RUN, **ALONE, model="pb4u-small", lead_in=2)
+    jobs = [JobPlanner().job(run) for run in (bare, replace(bare, motion="jump", frames=4))]
+    lost = replace(jobs[0], run=replace(jobs[0].run, garments=(WornGarment("tshirt", material="absent.toml"),)))
+    *together, failure = attempt(JobPack((*jobs, lost)))  # type: ignore[misc]
+    assert packed == [2]
+    assert isinstance(failure, Failure)
+    for job, one in zip(jobs, together, strict=True):
+        alone = make(job)
+        assert one.result["notes"] == alone.result["notes"]
+        read = []
+        for made in (one, alone):
+            (tmp_path / "one.npz").write_bytes(made.trajectory or b"")
+            read.append(Trajectory.open(tmp_path / "one.npz").positions)
+        assert len(read[0]) == job.run.frames
+        np.testing.assert_allclose(*read, rtol=0, atol=1e-5)
+
+
+def test_what_a_card_takes_whole_is_packed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    monkeypatch.setattr(NetworkSimulator, "__init__", lambda self, *given: None)
+    monkeypatch.setattr(NetworkSimulator, "on_card", True)
+    on_card = replace(RUN, **ALONE, model="pb4u-small", device="cuda")
+    jobs = [RunJob(replace(on_card, seed=seed), weights="digest") for seed in range(MOST_TOGETHER + 2)]
+    others = [RunJob(replace(on_card, device="cpu")), RunJob(replace(on_card, model="pb4u-wide"))]
+    packs = together([*jobs, *others])
+    assert [len(jobs_of(pack)) for pack in packs] == [MOST_TOGETHER, 2, 1, 1]
+    assert sorted(each.key for pack in packs for each in jobs_of(pack)) == sorted(job.key for job in [*jobs, *others])

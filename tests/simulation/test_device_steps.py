@@ -9,19 +9,22 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 import torch
 from tests.network_scenes import accelerations, moment, sheet
-from tests.simulation.ball_scene import ball_scene
+from tests.simulation.ball_scene import Ball, ball_scene
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError
+from pb4u.garment.dressing import AttachedPlacement
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.paper.network_presets import NETWORKS
 from pb4u.physics.contact.contact_set import ContactPlanes
+from pb4u.scene.scene import DressedGarment, Scene
 from pb4u.simulation.checkpoint import from_pretrained
 from pb4u.simulation.device_steps import states_after
 from pb4u.simulation.models import load_simulator
@@ -159,13 +162,57 @@ def test_what_a_card_cannot_do_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         load_simulator("pb4u-small", device="cuda", precision="bfloat16")
 
 
+def worlds(shift: float = 0.0) -> list[Scene]:
+    """Scenes of other cloth, motion and length, one of them elsewhere."""
+    scenes = [ball_scene(frames=4, cells=7), ball_scene(frames=3, cells=5, speed=2.0), ball_scene(frames=4, cells=4)]
+    body, garment = scenes[2].colliders[0], scenes[2].garments[0].garment
+    assert isinstance(body, Ball)
+    body.rest_vertices = body.rest_vertices + [shift, 0.0, 0.0]
+    garment = replace(garment, vertices=garment.vertices + [shift, 0.0, 0.0])
+    scenes[2] = replace(scenes[2], garments=(DressedGarment(garment, AttachedPlacement(garment, body)),))
+    return scenes
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+@pytest.mark.parametrize(("dtype", "near", "shift"), [(torch.float64, 1e-8, 3.0), (torch.float32, 1e-5, 4000.0)])
+def test_a_scene_of_a_pack_is_the_scene_alone(
+    dtype: torch.dtype, near: float, shift: float, fixed: bool, in_tensors: None
+) -> None:
+    """Starts, lengths, further passes and origins are those of each world."""
+    model, passes = from_pretrained("pb4u-wide").model.to(dtype), []
+
+    def rolled(scenes: list[Scene]) -> list[torch.Tensor]:
+        timeline, frames = Timeline.of_worlds(scenes), max(scene.total_frames for scene in scenes)
+        timeline = timeline.to(torch.device("cpu"), Rooms()) if fixed else timeline
+        method, state = method_of(model, timeline), timeline.skinned_state(1)
+        if fixed:
+            return [state.positions for state in states_after(timeline, method, state, frames)]
+        states = []
+        for _ in range(2, frames):
+            made = list(predictions(timeline.step_from(state), method))
+            passes.append(len(made))
+            state = made[-1]
+            states.append(state.positions.detach())
+        return states
+
+    scenes = worlds(shift)
+    together, offsets = rolled(scenes), Timeline.of_worlds(scenes).garments.world_offsets
+    for scene, (start, stop) in zip(scenes, pairwise(offsets), strict=True):
+        alone = rolled([scene])
+        assert float((alone[-1] - alone[0]).abs().max()) > 5e-3
+        for one, other in zip(alone, together, strict=False):
+            torch.testing.assert_close(other[start:stop], one, rtol=0, atol=near)
+    assert fixed or len(set(passes)) > 1, "scenes that take different numbers of passes"
+
+
 COUNT = """
 from dataclasses import replace
 from accelerator import NETWORKS, count
 from tests.simulation.ball_scene import ball_scene
 NETWORKS["bare"] = replace(NETWORKS["literal"], width=8, blocks=1)
 counted, _ = count("bare", ball_scene(cells=4))
-print(sum(counted.launches.values()), dict(counted.transfers))
+pack, _ = count("bare", ball_scene(cells=4), ball_scene(cells=3, speed=1.0))
+print(sum(counted.launches.values()), sum(pack.launches.values()), dict(counted.transfers + pack.transfers))
 """
 
 
@@ -180,20 +227,22 @@ def test_a_step_on_a_card_copies_nothing() -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    launches, transfers = done.stdout.split(" ", 1)
+    launches, of_pack, transfers = done.stdout.split(" ", 2)
     assert 100 < int(launches) < 1000
+    assert int(launches) <= int(of_pack) < 1.2 * int(launches)
     assert transfers.strip() == "{}", "copies between processor and card in a step"
 
 
 def test_a_step_with_start_search_and_features_copies_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same on tensors without values, "meta"."""
+    """The same on tensors without values, "meta", for one scene and for several in a pack."""
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     accelerator = import_module("accelerator")
     small = replace(NETWORKS["pb4u_small_conjugate"], passes=1, further_passes=1, width=8, blocks=1)
     monkeypatch.setitem(NETWORKS, "whole", small)
-    counted, _ = accelerator.count("whole", ball_scene(cells=4), torch.device("meta"))
-    assert sum(counted.launches.values()) > 1000
-    assert not counted.transfers
+    for scenes in ([ball_scene(cells=4)], worlds()):
+        counted, _ = accelerator.count("whole", *scenes, card=torch.device("meta"))
+        assert sum(counted.launches.values()) > 1000
+        assert not counted.transfers
 
 
 def test_garments_of_different_k_step_side_by_side() -> None:

@@ -20,7 +20,7 @@ from pb4u.scene.packed import pack
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.network_pass import NetworkPass, StepFeatures, local_origin
+from pb4u.simulation.network_pass import NetworkPass, StepFeatures, local_origins
 from pb4u.simulation.step import StepMethod, predictions, take
 from pb4u.simulation.step_start import BodyMotionWarmStart
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
@@ -115,7 +115,7 @@ def test_every_pass_starts_where_the_last_left_off() -> None:
     found = torch.zeros_like(at.state.positions)
     with torch.no_grad():
         for _ in range(3):
-            graph = prepared.graph(at.state, at.collider, at.dt, local_origin(at.collider), features.of(at, found))
+            graph = prepared.graph(at.state, at.collider, at.dt, local_origins(at.collider, 1), features.of(at, found))
             found = found + network(graph, prepared).to(found)
     taken = take(at, StepMethod(network=NetworkPass(network, prepared, 3)))
     assert torch.allclose(taken.positions, integrate(at, found).positions, atol=1e-7)

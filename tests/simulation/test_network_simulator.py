@@ -19,7 +19,7 @@ from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.network_pass import local_origin
+from pb4u.simulation.network_pass import local_origins
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
@@ -104,7 +104,7 @@ def test_rollout_is_the_same_wherever_the_scene_stands(weights: Path) -> None:
     worn = replace(worn, placement=AttachedPlacement(worn.garment, body))
     moved = simulator.simulate(replace(there, garments=(worn,)))
     np.testing.assert_allclose(moved.positions - shift, here.positions, atol=2e-5)
-    origin = local_origin(Timeline.of(there).step_from(Timeline.of(there).skinned_state(0)).collider)
+    origin = local_origins(Timeline.of(there).step_from(Timeline.of(there).skinned_state(0)).collider, 1)
     assert torch.equal(origin * 16, (origin * 16).round())
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from pb4u.dataset.dataset_folder import CLIPS, INDEX, DatasetFolder
 from pb4u.dataset.index import require_parquet, write_index
-from pb4u.dataset.planning import footprints, plan_clips
+from pb4u.dataset.planning import footprints, plan_clips, together
 from pb4u.errors import InputError
 from pb4u.jobs.job_folder import quiet
 from pb4u.jobs.worker_pool import WorkerPool
@@ -82,7 +82,7 @@ def make_dataset(
             folder.pack(jobs)
             write_index(folder, jobs)
 
-        folder.complete(jobs, missing, "clips", pool, progress, finish)
+        folder.complete(jobs, together(missing), "clips", pool, progress, finish)
         return _summary(jobs, folder)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 from pb4u.body.body_model import ShapedBody
@@ -15,11 +15,14 @@ from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.garment_file import read_source
 from pb4u.garment.library import LEVELS
 from pb4u.garment.material import MATERIALS
+from pb4u.jobs.job import JobPack
 from pb4u.measures.job_planner import JobPlanner
-from pb4u.measures.run_job import RunJob
+from pb4u.measures.run_job import MOST_TOGETHER, RunJob
 from pb4u.motion.library import load_motion, motion_names
 from pb4u.run import Run, WornGarment
 from pb4u.scene.assembly import DEFAULT_FRAMES
+from pb4u.simulation.models import simulator_of
+from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
 _RECORD_BYTES = (6_000, 700)
 """Bytes of a clip's record, and more for each frame: some fifteen series of numbers as text."""
@@ -46,6 +49,29 @@ def plan_clips(runs: Sequence[Run], half: bool, say: Callable[[str], None]) -> t
     if len(unique) < len(jobs):
         say(f"{len(jobs) - len(unique)} of {len(jobs)} clips are described twice; each is made once.")
     return tuple(unique.values())
+
+
+def together(jobs: Sequence[RunJob]) -> list[RunJob | JobPack]:
+    """The clips in packs, where a card takes their steps whole: launches are the same for many as for one.
+
+    Args:
+        jobs: the clips.
+    """
+
+    @cache
+    def on_card(options: Run) -> bool:
+        simulator = simulator_of(options)
+        return isinstance(simulator, NetworkSimulator) and simulator.on_card
+
+    alike: dict[object, list[RunJob]] = {}
+    for job in jobs:
+        packs = job.device == "cuda" and on_card(job.run.options)
+        alike.setdefault((job.run.options, job.weights) if packs else job, []).append(job)
+    made: list[RunJob | JobPack] = []
+    for group in alike.values():
+        chunks = (tuple(group[first : first + MOST_TOGETHER]) for first in range(0, len(group), MOST_TOGETHER))
+        made += [chunk[0] if len(chunk) == 1 else JobPack(chunk) for chunk in chunks]
+    return made
 
 
 def _named(run: Run) -> str:

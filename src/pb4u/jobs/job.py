@@ -27,6 +27,32 @@ class Job(Protocol):
         """Where it computes: "cpu" or "cuda"."""
 
 
+@dataclass(frozen=True)
+class JobPack:
+    """Jobs that one worker does together; an attempt at it gives a list of their outcomes.
+
+    Args:
+        jobs: of one device.
+    """
+
+    jobs: tuple[Any, ...]
+
+    @property
+    def key(self) -> str:
+        """Addresses of their results."""
+        return " ".join(job.key for job in self.jobs)
+
+    @property
+    def device(self) -> str:
+        """Where they compute: "cpu" or "cuda"."""
+        return str(self.jobs[0].device)
+
+
+def jobs_of(job: Job) -> tuple[Any, ...]:
+    """The jobs of a pack, or the one that is none."""
+    return job.jobs if isinstance(job, JobPack) else (job,)
+
+
 class Made(NamedTuple):
     """What a job made.
 

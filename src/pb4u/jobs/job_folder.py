@@ -24,7 +24,7 @@ from pb4u import __version__
 from pb4u.errors import InputError, Pb4uError
 from pb4u.io.atomic_file import json_text, replace_file
 from pb4u.io.reading_limits import read_json
-from pb4u.jobs.job import Failure, Job, Made
+from pb4u.jobs.job import Failure, Job, JobPack, Made, jobs_of
 from pb4u.jobs.worker_pool import WorkerPool
 from pb4u.progress import Progress, no_progress
 
@@ -232,15 +232,15 @@ class JobFolder:
         return missing
 
     def work_through(self, jobs: Sequence[Job], pool: WorkerPool, progress: Progress) -> None:
-        """Do all jobs. What ends is kept at once; a job whose worker died is given to another.
+        """Do all jobs. What ends is kept at once; a job whose worker died is given to another, those of a pack singly.
 
         Args:
-            jobs: in the order to start them.
+            jobs: or packs of them, in the order to start them.
             pool: who does them.
             progress: called with (jobs ended, jobs in all).
         """
         waiting = deque(jobs)
-        ended, total, under_way = 0, len(waiting), 0
+        ended, total, under_way = 0, sum(len(jobs_of(job)) for job in jobs), 0
         tries: Counter[str] = Counter()
         progress(ended, total)
         while waiting or under_way:
@@ -251,15 +251,17 @@ class JobFolder:
                 under_way += 1
             job, outcome = pool.next_outcome()
             under_way -= 1
-            if outcome is None and tries[job.key] < MOST_TRIES:
-                waiting.appendleft(job)
+            if outcome is None and (tries[job.key] < MOST_TRIES or isinstance(job, JobPack)):
+                waiting.extendleft(jobs_of(job))
                 continue
             if outcome is None:
                 outcome = Failure(
                     f"Its worker died {MOST_TRIES} times, for want of memory perhaps; try fewer --workers."
                 )
-            self.take(job, outcome)
-            ended += 1
+            outcomes = outcome if isinstance(outcome, list) else [outcome] * len(jobs_of(job))
+            for one, its in zip(jobs_of(job), outcomes, strict=True):
+                self.take(one, its)
+            ended += len(outcomes)
             progress(ended, total)
 
     def complete(
@@ -276,7 +278,7 @@ class JobFolder:
 
         Args:
             jobs: every job of the run.
-            missing: what `still_to_do` gives, in the order to start them.
+            missing: what `still_to_do` gives, or packs of it, in the order to start them.
             noun: what the jobs are called, in the plural.
             pool: makes those who do the jobs; called only where there are some.
             progress: opens a display for a label.
@@ -286,7 +288,7 @@ class JobFolder:
         Raises:
             Pb4uError: the user ended it, or what came of a job cannot be kept.
         """
-        label = f"{title}{len(missing)} {noun}"
+        label = f"{title}{sum(len(jobs_of(job)) for job in missing)} {noun}"
         try:
             if missing:
                 with progress(label) as show, closing(pool()) as workers:

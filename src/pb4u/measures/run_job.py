@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pb4u import __version__
 from pb4u.errors import InputWarning, Pb4uError
-from pb4u.jobs.job import Failure, Made, address, attempted, require_content
+from pb4u.jobs.job import Failure, JobPack, Made, address, attempted, require_content
 from pb4u.jobs.job_folder import FOLDER_VERSION
 from pb4u.run import Run, WornGarment
 
@@ -20,11 +21,24 @@ from pb4u.run import Run, WornGarment
 if TYPE_CHECKING:
     from pb4u.measures.excess import Reference
     from pb4u.scene.scene import Scene
+    from pb4u.scene.state import State
     from pb4u.scene.trajectory import Trajectory
-    from pb4u.simulation.simulator import Simulator
+    from pb4u.simulation.simulator import RunRecord, Simulator
+
+MOST_TOGETHER = 16
+"""Clips simulated together at most: so many are lost where a run is killed."""
 
 PICTURED = 0.6
 """Where in the clip, as a fraction of its length, the frame to draw lies: by then every motion is under way."""
+
+
+class Simulated(NamedTuple):
+    """A scene, what was warned of it, its states and what they cost."""
+
+    scene: Scene
+    warned: tuple[str, ...]
+    states: list[State]
+    record: RunRecord
 
 
 @dataclass(frozen=True)
@@ -108,20 +122,40 @@ _AS_THEY_ARE = (
 )  # fmt: skip
 
 
-def attempt(job: RunJob) -> Made | Failure:
-    """Do a job; whatever goes wrong comes back as a `Failure` with a sentence.
+def attempt(job: RunJob | JobPack) -> Made | Failure | list[Made | Failure]:
+    """Do a job, or those of a pack; whatever goes wrong comes back as a `Failure` with a sentence.
 
     Args:
-        job: the job.
+        job: the job, or the pack, which gives a list.
     """
-    return attempted(make, job)
+    if not isinstance(job, JobPack):
+        return attempted(make, job)
+    simulated = _together(job.jobs)
+    return [attempted(partial(make, simulated=simulated.get(each)), each) for each in job.jobs]
 
 
-def make(job: RunJob) -> Made:
+def _together(jobs: Sequence[RunJob]) -> dict[RunJob, Simulated]:
+    """States of the jobs that could be simulated together; the others have to be simulated alone."""
+    simulator, scenes = _simulator(jobs[0].run.options, jobs[0].weights), {}
+    found: dict[RunJob, Simulated] = {}
+    for job in jobs:
+        with suppress(Pb4uError):
+            scenes[job] = _scene_of(job, simulator)
+    for numbers in simulator.packs([scene for scene, _ in scenes.values()]):  # type: ignore[attr-defined]
+        pack = [list(scenes)[number] for number in numbers]
+        # A job that has no finite first frame, or too little memory, says so when it is simulated alone.
+        with suppress(Pb4uError, RuntimeError):
+            made = simulator.together([scenes[job][0] for job in pack])  # type: ignore[attr-defined]
+            found |= {job: Simulated(*scenes[job], *its) for job, its in zip(pack, made, strict=True)}
+    return found
+
+
+def make(job: RunJob, simulated: Simulated | None = None) -> Made:
     """Simulate, measure and encode.
 
     Args:
         job: the run to make.
+        simulated: its states and what they cost, where it was simulated with others.
 
     Raises:
         InputError: something of it cannot be used, or changed since it was planned.
@@ -129,20 +163,22 @@ def make(job: RunJob) -> Made:
     """
     from pb4u.measures.divergence import hold_shifts, slid_from
     from pb4u.measures.run_report import machine, run_facts, run_report
-    from pb4u.simulation.run_simulation import roll_out, simulated_fps
+    from pb4u.simulation.run_simulation import roll_out
     from pb4u.simulation.simulator import RunRecord
 
     began = time.perf_counter()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("always", InputWarning)
+    with _noted() as caught:
         for _, file, expected in job.contents:
             require_content(Path(file), expected)
         simulator = _simulator(job.run.options, job.weights)
-        scene, warned = _scene(job.run.at_rate(simulated_fps(job.run, simulator)).scene)
-        record, trajectory = RunRecord(), None
+        if simulated is None:
+            (scene, warned), states, record = _scene_of(job, simulator), None, RunRecord()
+        else:
+            scene, warned, states, record = simulated
+            simulator.warn_of(scene)  # type: ignore[attr-defined]
+        trajectory = None
         try:
-            trajectory = roll_out(job.run, simulator, scene, record=record)
+            trajectory = roll_out(job.run, simulator, scene, record=record, simulated=states)
         except Pb4uError as error:
             if record.failed_at is None:
                 raise
@@ -178,7 +214,7 @@ def make(job: RunJob) -> Made:
         "machine": machine(job.device),
         "notes": list(dict.fromkeys(told)),
         "bytes": len(content or b""),
-        "seconds": time.perf_counter() - began,
+        "seconds": time.perf_counter() - began + (0.0 if simulated is None else sum(record.step_seconds)),
     }
     return Made({**result, **job.labels}, content)
 
@@ -195,15 +231,32 @@ def _simulator(options: Run, weights: str | None) -> Simulator:
     return simulator_of(options)
 
 
+def _scene_of(job: RunJob, simulator: Simulator) -> tuple[Scene, tuple[str, ...]]:
+    """The scene of a job at the rate of its simulator, and what is warned of."""
+    from pb4u.simulation.run_simulation import simulated_fps
+
+    with _noted() as caught:
+        fps = simulated_fps(job.run, simulator)
+    scene, warned = _scene(job.run.at_rate(fps).scene)
+    return scene, (*warned, *(str(each.message) for each in caught))
+
+
+@contextmanager
+def _noted() -> Iterator[list[warnings.WarningMessage]]:
+    """List that receives each `InputWarning`; other warnings are left out."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", InputWarning)
+        yield caught
+
+
 # Jobs of an evaluation come sorted by scene: the garment is cut and meshed once for all the models.
 @lru_cache(maxsize=1)
 def _scene(run: Run) -> tuple[Scene, tuple[str, ...]]:
     """The scene of a run, and what is warned of."""
     from pb4u.scene.assembly import build_scene
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("always", InputWarning)
+    with _noted() as caught:
         scene = build_scene(run)
     return scene, tuple(str(each.message) for each in caught)
 

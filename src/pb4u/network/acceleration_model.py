@@ -239,7 +239,7 @@ def require_propagation_steps(number: int) -> None:
 class AccelerationModel(nn.Module):
     """A network between its normalisers: acceleration x dt^2 from a graph of raw features.
 
-    Called as `model(prepared.graph(state, collider, dt, origin), prepared)`.
+    Called as `model(prepared.graph(state, collider, dt, origins), prepared)`.
 
     Args:
         network: maps normalised features to normalised accelerations.

@@ -104,12 +104,9 @@ class TimeStep:
         The mean vertex of the bodies of the garment's world at t+1; the origin without a body.
         """
         x, garments = self.state.positions, self.garments
-        origins = x.new_zeros((garments.world_count, 3))
-        if self.bodies is not None:
-            owner = self.bodies.colliders.vertex_world
-            counts = torch.zeros_like(origins[:, 0]).index_add(0, owner, torch.ones_like(owner).to(x)).clamp_min(1.0)
-            origins = origins.index_add(0, owner, self.bodies.following.positions.to(x)) / counts[:, None]
-        return origins[garments.garment_world]
+        if self.bodies is None:
+            return x.new_zeros((garments.garment_count, 3))
+        return self.bodies.following.middles(garments.world_count, x.dtype)[garments.garment_world]
 
     def with_pins(self, positions: Tensor) -> Tensor:
         """Positions (vertices, 3) [m] with the pinned vertices where they will be after the step.

@@ -394,6 +394,12 @@ class ColliderPose:
             self._batch = None if groups is None else PosedBatch(groups, self.positions.to(torch.float64))
         return self._batch
 
+    def middles(self, worlds: int, dtype: torch.dtype) -> Tensor:
+        """Mean vertex (worlds, 3) [m] of the bodies of each of so many worlds; 0 for a world without."""
+        positions, owner = self.positions.to(dtype), self.colliders.vertex_world
+        counts = positions.new_zeros(worlds).index_add(0, owner, torch.ones_like(positions[:, 0])).clamp_min(1.0)
+        return positions.new_zeros((worlds, 3)).index_add(0, owner, positions) / counts[:, None]
+
     @cached_property
     def whole_surfaces(self) -> tuple[PosedSurface | None, ...]:
         """Surface of each world's bodies, regions left out of contact included; None for a world without any."""

@@ -97,18 +97,26 @@ class Checkpoint:
             dtype: precision of features and accelerations.
         """
         prepared = self.model.prepare(garments, propagation_steps, dtype)
-        for garment in garments.garments:
-            self.warn_of_resolution(garment)
-        fewest, most = self.record.propagation_steps
         for garment, steps in zip(garments.garments, prepared.steps, strict=True):
-            if steps != 0 and not fewest <= steps <= most:
-                warnings.warn(
-                    f"{garment.name}: {steps} propagation steps, where the weights {self.name} were trained with "
-                    f"{fewest} to {most}; expect over-stretched or unsteady cloth.",
-                    InputWarning,
-                    stacklevel=2,
-                )
+            self.warn_of(garment, steps)
         return prepared
+
+    def warn_of(self, garment: Garment, steps: int) -> None:
+        """Warn where a garment's resolution or number of propagation steps was never seen in training.
+
+        Args:
+            garment: that is simulated.
+            steps: its propagation steps; 0 for a method without them.
+        """
+        self.warn_of_resolution(garment)
+        fewest, most = self.record.propagation_steps
+        if steps != 0 and not fewest <= steps <= most:
+            warnings.warn(
+                f"{garment.name}: {steps} propagation steps, where the weights {self.name} were trained with "
+                f"{fewest} to {most}; expect over-stretched or unsteady cloth.",
+                InputWarning,
+                stacklevel=3,
+            )
 
     def warn_of_resolution(self, garment: Garment) -> None:
         """Warn where a garment is finer or coarser than those in training, and say what to expect.

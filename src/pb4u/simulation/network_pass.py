@@ -19,7 +19,7 @@ from pb4u.physics.time_step import TimeStep, integrate
 from pb4u.scene.packed import ColliderFrame, PackedColliders, PackedGarments
 
 _ORIGIN_GRID = 1.0 / 16.0
-"""Grid of a step's origin [m], coarse in binary, so that float32 differences of positions stay exact."""
+"""Grid of the origins of a step [m], coarse in binary, so that float32 differences of positions stay exact."""
 
 _LINEAR_UP_TO = 0.05
 """Share of an edge up to which the gradient feature is left as it is."""
@@ -83,9 +83,9 @@ class NetworkPass:
             positions=step.state.positions.to(self.device),
             velocities=step.state.velocities.to(self.device),
         )
-        origin = local_origin(step.collider).to(self.device)
+        origins = local_origins(step.collider, step.garments.world_count).to(self.device)
         pins = None if step.pin_positions is None else step.pin_positions.to(self.device)
-        return self.prepared.graph(state, self._on_device(step.collider), step.dt, origin, extra, pins)
+        return self.prepared.graph(state, self._on_device(step.collider), step.dt, origins, extra, pins)
 
     def _on_device(self, collider: ColliderFrame) -> ColliderFrame:
         """The bodies where the network computes; what never changes is moved once."""
@@ -98,14 +98,14 @@ class NetworkPass:
         return ColliderFrame(*(moved.pose(pose.positions.to(self.device)) for pose in poses))
 
 
-def local_origin(collider: ColliderFrame) -> Tensor:
-    """(3,) [m] middle of the bodies, rounded so that float32 differences of positions stay exact.
+def local_origins(collider: ColliderFrame, worlds: int) -> Tensor:
+    """Middle (worlds, 3) [m] of the bodies of each world, rounded so that float32 differences of positions stay exact.
 
     Args:
-        collider: the bodies during the step.
+        collider: the bodies around a step.
+        worlds: number of worlds.
     """
-    middle = collider.now.positions.mean(0)
-    return (middle / _ORIGIN_GRID).round() * _ORIGIN_GRID
+    return (collider.now.middles(worlds, torch.float64) / _ORIGIN_GRID).round() * _ORIGIN_GRID
 
 
 class DescentFeature:

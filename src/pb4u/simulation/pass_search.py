@@ -20,7 +20,7 @@ class PassSearch:
     Attributes:
         decrease: (worlds,) energy decrease [J] of the last pass; None where it is not measured.
         last: (vertices, 3) move of the last pass [m per step^2], where it serves the next.
-        worth: () bool whether the last pass was worth its time; None where one that is not is never made.
+        worth: (worlds,) bool where the last pass was worth its time; None where one that is not is never made.
     """
 
     decrease: Tensor | None = None
@@ -28,15 +28,15 @@ class PassSearch:
     worth: Tensor | None = None
 
     def decrease_height(self, garments: PackedGarments) -> Tensor:
-        """Height () [m] to which that energy would lift the garments, the most of any world; 0 where it is not
+        """Heights (worlds,) [m] to which that energy would lift the garments of each world; 0 where it is not
         measured.
 
         Args:
             garments: of the step that the pass was of.
         """
         if self.decrease is None:
-            return garments.vertex_masses.new_zeros(())
-        return (self.decrease / garments.world_weights).max()
+            return garments.vertex_masses.new_zeros(garments.world_count)
+        return self.decrease / garments.world_weights
 
     def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
         """Accelerations (vertices, 3) [m per step^2] to add; differentiable in `correction`.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from pb4u.errors import InputWarning, Interrupted
@@ -13,6 +13,7 @@ from pb4u.progress import Progress, no_progress, shown
 from pb4u.run import Run
 from pb4u.scene.assembly import build_scene
 from pb4u.scene.scene import Scene
+from pb4u.scene.state import State
 from pb4u.scene.trajectory import Frame, Trajectory, kept_sentence
 from pb4u.simulation.models import simulator_of
 from pb4u.simulation.simulator import RunRecord, Simulator
@@ -78,6 +79,7 @@ def roll_out(
     progress: Progress = no_progress,
     interrupted: Path | None = None,
     seen: Callable[[Frame], None] | None = None,
+    simulated: Iterable[State] | None = None,
 ) -> Trajectory:
     """Frames of a scene that `scene_for` made of a run, at the run's own rate.
 
@@ -90,6 +92,7 @@ def roll_out(
         progress: called with (frames done, frames in all), lead-in included.
         interrupted: trajectory file for the frames until an interrupt, where they were kept in memory.
         seen: called with every frame, at the rate it is simulated at.
+        simulated: states of the scene, where they are there already; without a `path`.
 
     Raises:
         Interrupted: the frames until an interrupt are in a file, which it names.
@@ -99,7 +102,7 @@ def roll_out(
         return simulator.simulate_to(scene, path, record, progress, seen)
     header, rows = simulator.header(scene), list[Frame]()
     try:
-        for frame in simulator.written_frames(scene, record, progress):
+        for frame in simulator.written_frames(scene, record, progress, simulated):
             rows.append(frame)
             if seen is not None:
                 seen(frame)

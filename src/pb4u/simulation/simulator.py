@@ -6,7 +6,7 @@ import math
 import statistics
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -88,7 +88,11 @@ class Simulator(ABC):
         return {}
 
     def written_frames(
-        self, scene: Scene, record: RunRecord | None = None, progress: Progress = no_progress
+        self,
+        scene: Scene,
+        record: RunRecord | None = None,
+        progress: Progress = no_progress,
+        simulated: Iterable[State] | None = None,
     ) -> Iterator[Frame]:
         """Frames to write, as they are simulated.
 
@@ -96,9 +100,10 @@ class Simulator(ABC):
             scene: garments and bodies.
             record: receives the cost of the run and how it ended.
             progress: called with (frames done, frames in all), lead-in included.
+            simulated: its states, where they are there already, and noted in `record`.
         """
         record = record or RunRecord()
-        states = self.rollout(scene, record)
+        states = self.rollout(scene, record) if simulated is None else iter(simulated)
         for frame in range(scene.total_frames):
             began = time.perf_counter()
             try:
@@ -107,7 +112,8 @@ class Simulator(ABC):
                 raise interrupt_behind(error) or error from None
             if state is None:
                 return
-            record.step_seconds.append(time.perf_counter() - began)
+            if simulated is None:
+                record.step_seconds.append(time.perf_counter() - began)
             progress(frame + 1, scene.total_frames)
             if frame >= scene.lead_in:
                 yield Frame(

@@ -131,15 +131,19 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
 
 
 def _decided(step: TimeStep, method: StepMethod, network: Pass, accelerations: Tensor) -> Iterator[Tensor]:
-    """Accelerations after each pass of the network, up to the first that is not worth its time."""
+    """Accelerations after each pass of the network, up to the first that is not worth its time in any world."""
+    search, worth = method.search, None
     for number in range(network.passes + network.further):
-        if number >= network.passes and not bool(_is_worth_another(step, method)):
-            return
-        reached = accelerations.detach()
+        if number >= network.passes:
+            worth = _is_worth_another(step, method, worth)
+            if not bool(worth.any()):
+                return
+        reached, last = accelerations.detach(), search.last
         if not bool(torch.isfinite(reached).all()):
             return
-        method.search.worth = None
-        accelerations = reached + method.search.move(step, reached, network.correction(step, reached))
+        search.worth = None
+        move = search.move(step, reached, network.correction(step, reached))
+        accelerations = reached + _where_worth(step, search, move, last, worth)
         yield accelerations
 
 
@@ -150,22 +154,28 @@ def _masked(step: TimeStep, method: StepMethod, network: Pass, accelerations: Te
     worth: list[Tensor] = []
     for number in range(min(made + 1, most)):
         if number >= passes:
-            another = _is_worth_another(step, method)
-            worth.append(another & worth[-1] if worth else another)
+            worth.append(_is_worth_another(step, method, worth[-1] if worth else None))
         if number == made:
             break
         reached, last = accelerations.detach(), search.last
         move = search.move(step, reached, network.correction(step, reached))
         search.worth = worth[-1] if worth else None
-        if worth and last is not None and search.last is not None:
-            move = torch.where(worth[-1], move, 0.0)
-            search.last = torch.where(worth[-1], search.last, last)
-        accelerations = reached + move
+        accelerations = reached + _where_worth(step, search, move, last, search.worth)
         yield accelerations
     if most > passes:
-        rooms.note("passes", passes + torch.stack(worth).sum())
+        rooms.note("passes", passes + torch.stack(worth).any(1).sum())
 
 
-def _is_worth_another(step: TimeStep, method: StepMethod) -> Tensor:
-    """Whether () bool another pass is worth its time."""
-    return ~(method.search.decrease_height(step.garments) < LARGE_DECREASE)
+def _is_worth_another(step: TimeStep, method: StepMethod, before: Tensor | None) -> Tensor:
+    """Where (worlds,) bool another pass is worth its time, and the pass `before` was."""
+    worth = ~(method.search.decrease_height(step.garments) < LARGE_DECREASE)
+    return worth if before is None else worth & before
+
+
+def _where_worth(step: TimeStep, search: PassSearch, move: Tensor, last: Tensor | None, worth: Tensor | None) -> Tensor:
+    """`move` (vertices, 3) in the worlds where it is worth its time; the others stay, and keep their last."""
+    if worth is None or last is None or search.last is None:
+        return move
+    goes_on = worth[step.garments.vertex_world, None]
+    search.last = torch.where(goes_on, search.last, last)
+    return torch.where(goes_on, move, 0.0)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import copy
+import time
+import warnings
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
-from pb4u.errors import InputError
+from pb4u.errors import InputError, InputWarning
 from pb4u.network.acceleration_model import require_propagation_steps
 from pb4u.network.graph.features import ADVANCE
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -106,16 +108,16 @@ class StepwiseSimulator(Simulator):
             yield state
         yield from self.steps(timeline, method, state, frames)
 
-    def timeline(self, scene: Scene) -> Timeline:
-        """Frames of a scene, on the device that takes its steps.
+    def timeline(self, *scenes: Scene) -> Timeline:
+        """Frames of scenes, each in a world of its own, on the device that takes their steps.
 
         Args:
-            scene: what is simulated.
+            scenes: what is simulated.
 
         Raises:
-            InputError: the device has no room for it.
+            InputError: the device has no room for them.
         """
-        return Timeline.of(scene)
+        return Timeline.of_worlds(scenes)
 
     def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
         """States after `state`, one a frame.
@@ -274,13 +276,100 @@ class NetworkSimulator(StepwiseSimulator):
             "weights_licence": self.checkpoint.licence,
         }
 
-    def timeline(self, scene: Scene) -> Timeline:
-        host = super().timeline(scene)
+    def timeline(self, *scenes: Scene) -> Timeline:
+        host = super().timeline(*scenes)
         if not self.on_card:
             return host
-        each = bytes_a_vertex(self.checkpoint.model.network, len(host.colliders.faces))
-        require_memory("the scene", host.garments.vertex_count, each, self.device)
+        require_memory("the scene", *self._vertices_and_bytes(scenes), self.device)
         return host.to(self.device, Rooms())
+
+    def _vertices_and_bytes(self, scenes: Sequence[Scene]) -> tuple[int, int]:
+        """Vertices of all garments, those of smaller worlds filled up, and the bytes that a card takes for each."""
+        vertices = max(sum(len(worn.garment.vertices) for worn in scene.garments) for scene in scenes)
+        faces = max(sum(len(body.faces) for body in scene.colliders) for scene in scenes)
+        return len(scenes) * vertices, bytes_a_vertex(self.checkpoint.model.network, faces)
+
+    def packs(self, scenes: Sequence[Scene]) -> list[list[int]]:
+        """Numbers of the scenes to simulate together: as many as take up to half of the memory that the card has left.
+
+        Args:
+            scenes: for a simulator that is `on_card`.
+        """
+
+        def shared(scene: Scene) -> tuple[object, ...]:
+            return scene.fps, tuple(scene.gravity.tolist()), scene.ground_height, bool(scene.colliders)
+
+        free, _ = torch.cuda.mem_get_info(self.device)
+        packs: list[list[int]] = []
+        for number, scene in enumerate(scenes):
+            grown = [*packs[-1], number] if packs else [number]
+            vertices, each = self._vertices_and_bytes([scenes[k] for k in grown])
+            if packs and shared(scene) == shared(scenes[grown[0]]) and 2 * vertices * each <= free:
+                packs[-1] = grown
+            else:
+                packs.append([number])
+        return packs
+
+    def together(self, scenes: Sequence[Scene]) -> list[tuple[list[State], RunRecord]]:
+        """States of each scene, on the processor, and what they cost; each ends where it is not finite.
+
+        Args:
+            scenes: one of `packs`.
+
+        Raises:
+            DivergedError: one of them has no finite first frame.
+            InputError: the card has no room for them.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InputWarning)
+            timeline = self.timeline(*scenes)
+            method = self.method(timeline, RunRecord())
+        made: list[tuple[list[State], RunRecord]] = [([], RunRecord()) for _ in scenes]
+        going, began, spans = (
+            set(range(len(scenes))),
+            time.perf_counter(),
+            list(pairwise(timeline.garments.world_offsets)),
+        )
+        for state in self._moved(timeline, method, max(scene.total_frames for scene in scenes)):
+            x, v, seconds = state.positions.cpu(), state.velocities.cpu(), time.perf_counter() - began
+            share = seconds / len(going)
+            for world in sorted(going):
+                (states, record), rows = made[world], slice(*spans[world])
+                try:
+                    states.append(require_finite(State(x[rows], v[rows], state.frame)))
+                    record.step_seconds.append(share)
+                except DivergedError:
+                    record.failed_at = state.frame - scenes[world].lead_in
+                if record.failed_at is not None or len(states) == scenes[world].total_frames:
+                    going.remove(world)
+            if not going:
+                break
+            began = time.perf_counter()
+        return made
+
+    def warn_of(self, scene: Scene) -> None:
+        """Warn of each garment that the network was not trained for.
+
+        Args:
+            scene: what is simulated.
+        """
+        for worn in scene.garments:
+            ruled = self.checkpoint.model.network.propagation_steps(worn.garment.mean_edge_length)
+            self.checkpoint.warn_of(worn.garment, self.override if ruled and self.override else ruled)
+
+    def _moved(self, timeline: Timeline, method: StepMethod, frames: int) -> Iterator[State]:
+        if not self.on_card:
+            yield from super()._moved(timeline, method, frames)
+            return
+        rooms = timeline.colliders.rooms
+        assert rooms is not None
+        first = self.first_frame.start(timeline, method)
+        while rooms.grow(*rooms.taken()):
+            # Searches were short of room.
+            method.search.last = None
+            first = self.first_frame.start(timeline, method)
+        yield first
+        yield from self.steps(timeline, method, first, frames)
 
     def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
         return (states_after if self.on_card else super().steps)(timeline, method, state, frames)

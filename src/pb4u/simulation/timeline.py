@@ -58,6 +58,13 @@ class BlockedFrames:
         return self._kept[block][frame - block * _BLOCK]
 
 
+def _held(positions: Callable[[int, int], Tensor], length: int, start: int, stop: int) -> Tensor:
+    """Frames (stop - start, vertices, 3) [m] of `positions`, which has `length`; the last stands for those beyond."""
+    rows = positions(min(start, length - 1), min(stop, length))
+    beyond = stop - start - len(rows)
+    return torch.cat([rows, rows[-1:].expand(beyond, -1, -1)]) if beyond else rows
+
+
 class Timeline:
     """Worlds of garments and bodies over frames; the first and last frame stand for those beyond.
 
@@ -92,23 +99,40 @@ class Timeline:
             dtype: data type of positions and static quantities.
             device: device of the arrays.
         """
-        garments = pack([worn.garment for worn in scene.garments], dtype, device, [0] * len(scene.garments))
-        bodies = scene.colliders
+        return Timeline.of_worlds([scene], dtype, device)
+
+    @staticmethod
+    def of_worlds(
+        scenes: Sequence[Scene], dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
+    ) -> Timeline:
+        """Timeline of scenes, each in a world of its own; in a shorter one the last frame stands for those beyond.
+
+        Args:
+            scenes: garments and bodies, of one frame rate, gravity and ground.
+            dtype: data type of positions and static quantities.
+            device: device of the arrays.
+        """
+        worn = [(world, each) for world, scene in enumerate(scenes) for each in scene.garments]
+        bodies = [(world, body) for world, scene in enumerate(scenes) for body in scene.colliders]
+        garments = pack([each.garment for _, each in worn], dtype, device, [world for world, _ in worn])
         colliders = pack_colliders(
-            [torch.as_tensor(body.faces, device=device) for body in bodies],
-            [torch.as_tensor(body.contact, device=device) for body in bodies],
-            [0] * len(bodies),
-            scene.ground_height,
+            [torch.as_tensor(body.faces, device=device) for _, body in bodies],
+            [torch.as_tensor(body.contact, device=device) for _, body in bodies],
+            [world for world, _ in bodies],
+            scenes[0].ground_height,
         )
 
-        def frames(parts: Sequence[Callable[[int, int], Tensor]]) -> BlockedFrames:
-            return BlockedFrames(
-                lambda a, b: torch.cat([part(a, b) for part in parts], dim=1).to(device, dtype), scene.total_frames
-            )
+        def frames(parts: Sequence[tuple[int, Callable[[int, int], Tensor]]]) -> BlockedFrames:
+            def block(start: int, stop: int) -> Tensor:
+                rows = [_held(part, scenes[world].total_frames, start, stop) for world, part in parts]
+                return torch.cat(rows, dim=1).to(device, dtype)
 
-        body, skinned = frames([b.positions for b in bodies]), frames([w.placement.positions for w in scene.garments])
-        gravity = torch.as_tensor(scene.gravity, dtype=dtype, device=device)
-        return Timeline(garments, colliders, body, skinned, scene.dt, gravity)
+            return BlockedFrames(block, max(scene.total_frames for scene in scenes))
+
+        body = frames([(world, body.positions) for world, body in bodies])
+        skinned = frames([(world, each.placement.positions) for world, each in worn])
+        gravity = torch.as_tensor(scenes[0].gravity, dtype=dtype, device=device)
+        return Timeline(garments, colliders, body, skinned, scenes[0].dt, gravity)
 
     def to(self, device: torch.device, rooms: Rooms) -> Timeline:
         """This timeline with all that a step reads on `device`.

@@ -392,7 +392,7 @@ class Trainer:
         terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
         self.latest_collision = terms["collision"].detach().double() / weight
         none = finite.new_zeros(())
-        idle = none if search is None or search.worth is None else ~search.worth
+        idle = none if search is None or search.worth is None else ~search.worth.any()
         lost = none if self.rooms is None else self.rooms.too_little()
         if self.rooms is not None and watch is not None:
             # What a search short of room gave is not worth going on from.

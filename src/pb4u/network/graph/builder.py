@@ -96,7 +96,7 @@ class GraphBuilder:
         state: State,
         collider: ColliderFrame | None,
         dt: float,
-        origin: Tensor | None = None,
+        origins: Tensor | None = None,
         extra: Mapping[str, Tensor] | None = None,
         pin_positions: Tensor | None = None,
     ) -> Graph:
@@ -106,7 +106,8 @@ class GraphBuilder:
             state: packed garments at time t.
             collider: bodies around t; None where there are none.
             dt: time step [s].
-            origin: (3,) subtracted from all positions before they are rounded to the graph's precision [m].
+            origins: (worlds, 3) subtracted from the positions of each world before they are rounded to the graph's
+                precision [m].
             extra: (vertices, width) node features that the layout names as `extra`, each in the unit of its `Feature`.
             pin_positions: (vertices, 3) where pinned vertices will be after the step [m], or None where that is open;
                 other rows are not read.
@@ -114,6 +115,7 @@ class GraphBuilder:
         Raises:
             InputError: an extra feature of the layout is absent or of another width.
         """
+        origin = None if origins is None else origins[self.static.node_world]
         positions = self._localise(state.positions, origin)
         velocities = (state.velocities * dt).to(self.dtype)
         seen = self._seen(positions, velocities, pin_positions, origin)
@@ -129,7 +131,7 @@ class GraphBuilder:
         for name, found in ({} if self.finder is None else self.finder.found(seen)).items():
             edges[name] = self._found_edges(name, found, positions, velocities, duration)
         if collider is not None:
-            self._add_body(nodes, edges, collider, positions, velocities, origin, duration)
+            self._add_body(nodes, edges, collider, positions, velocities, origins, duration)
         return Graph(nodes, edges, self.static.vertex_offsets, self.rest)
 
     def _localise(self, positions: Tensor, origin: Tensor | None) -> Tensor:
@@ -214,10 +216,11 @@ class GraphBuilder:
         collider: ColliderFrame,
         positions: Tensor,
         velocities: Tensor,
-        origin: Tensor | None,
+        origins: Tensor | None,
         duration: Columns,
     ) -> None:
         """Add the body vertices that a garment vertex sees, and the edges between them, where there are any."""
+        origin = None if origins is None else origins[collider.colliders.vertex_world]
         now = self._localise(collider.now.positions, origin)
         following = self._localise(collider.following.positions, origin)
         rooms = collider.colliders.rooms
