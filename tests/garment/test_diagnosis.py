@@ -9,14 +9,23 @@ from cloth_shapes import quad_tube, triangle_tube, tube_garment, with_open_seam
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.diagnosis import Severity, diagnose, require_worn
+from pb4u.garment.fit import RestBody
 from pb4u.garment.library import build_garment
 from pb4u.garment.pins import resolve_pins
+from pb4u.garment.support import find_support
 from pb4u.geometry.mesh_file import PolygonMesh
 
 
 @pytest.fixture(scope="module")
 def woman():
     return load_body("woman")
+
+
+FILE = "GARMENT.obj"
+
+
+def found_support(garment, body):
+    return find_support(garment.vertices, garment.faces, RestBody.of(body))
 
 
 def finding(diagnosis, code):
@@ -46,11 +55,10 @@ def test_what_nothing_holds_up_is_a_hint_and_no_damage(woman):
     )
     assert "`--pins waist`" in hint.fix
     with pytest.warns(InputWarning, match=r"^tube: Nothing holds the garment up.*; simulate it with `--pins waist`\.$"):
-        require_worn(garment, woman)
+        require_worn(garment, woman, FILE, found_support(garment, woman))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        require_worn(garment, woman, pins_given=True)
-        require_worn(garment.with_pins(resolve_pins("waist", garment)), woman)
+        require_worn(garment, woman, FILE, None)
     assert diagnose(garment.with_pins(resolve_pins("waist", garment)), woman).codes == ()
 
 
@@ -122,7 +130,7 @@ def test_first_frame_penetration_is_measured(woman):
     assert 1.0 < diagnosis.measures["penetration_percent"] < 60.0
     assert diagnosis.measures["penetration_depth_max"] > 0.002
     with pytest.warns(InputWarning, match="start inside the body, the deepest"):
-        require_worn(garment, woman, pins_given=True)
+        require_worn(garment, woman, FILE, None)
 
 
 def test_a_garment_wholly_inside_is_refused(woman):
@@ -130,7 +138,7 @@ def test_a_garment_wholly_inside_is_refused(woman):
     garment = replace(garment, vertices=garment.vertices + np.array([0.0, 0.0, 0.03]))
     assert finding(diagnose(garment, woman), "inside").severity is Severity.REFUSED
     with pytest.raises(InputError, match="wholly inside the body"):
-        require_worn(garment, woman)
+        require_worn(garment, woman, FILE, found_support(garment, woman))
 
 
 def test_a_garment_far_from_the_body_is_refused(woman):
@@ -139,7 +147,7 @@ def test_a_garment_far_from_the_body_is_refused(woman):
     assert finding(diagnose(far, woman), "far").severity is Severity.REFUSED
     assert "unsupported" not in diagnose(far, woman).codes
     with pytest.raises(InputError, match=r"far from the body.*2.[0-9]+ m away"):
-        require_worn(far, woman)
+        require_worn(far, woman, FILE, found_support(far, woman))
 
 
 def test_z_up_is_told_and_a_garment_that_lies_on_the_floor_is_refused(woman):
@@ -150,7 +158,7 @@ def test_z_up_is_told_and_a_garment_that_lies_on_the_floor_is_refused(woman):
     assert finding(diagnosis, "axes").severity is Severity.WARNING
     assert finding(diagnosis, "misplaced").severity is Severity.REFUSED
     with pytest.raises(InputError, match=r"not on the body.*check GARMENT.obj --fix"):
-        require_worn(lying, woman)
+        require_worn(lying, woman, FILE, found_support(lying, woman))
 
 
 def test_other_units_are_named(woman):
@@ -171,7 +179,7 @@ def test_penetration_is_not_reported_for_a_body_with_holes(woman):
     assert diagnosis.measures["penetration_depth_max"] is None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        require_worn(garment, open_body)
+        require_worn(garment, open_body, FILE, found_support(garment, open_body))
     assert "not a closed surface" in str(caught[0].message)
 
 

@@ -174,7 +174,7 @@ def worlds(shift: float = 0.0) -> list[Scene]:
 
 
 @pytest.mark.parametrize("fixed", [False, True])
-@pytest.mark.parametrize(("dtype", "near", "shift"), [(torch.float64, 1e-8, 3.0), (torch.float32, 1e-5, 40.0)])
+@pytest.mark.parametrize(("dtype", "near", "shift"), [(torch.float64, 1e-8, 3.0), (torch.float32, 1e-5, 400.0)])
 def test_a_scene_of_a_pack_is_the_scene_alone(
     dtype: torch.dtype, near: float, shift: float, fixed: bool, in_tensors: None
 ) -> None:

@@ -124,9 +124,9 @@ def simulate(
     if (measure or reference) and not json:
         raise InputError("--measure and --reference add to the report of --json; give --json FILE too.")
     targets = list(out) if out else _default_targets(run)
-    keep_inputs([scene, reference, *run.files], [("--save-scene", save_scene), ("--json", json)], targets)
     for target in targets:
         check_target(target)
+    keep_inputs([scene, reference, *run.files], [("--save-scene", save_scene), ("--json", json)], targets)
     baked = [target for target in targets if target.suffix.lower() == ".glb"]
     if bones is not None:
         for target in baked or targets[:1]:
