@@ -75,7 +75,7 @@ def on_device(model: AccelerationModel, steps: int, rooms: Rooms, replays: bool 
     return [state.positions for state in states]
 
 
-@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 5)])
+@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 20)])
 def test_both_ways_lead_to_the_same_states(dtype: torch.dtype, near: float, steps: int, in_tensors: None) -> None:
     model = from_pretrained("pb4u-wide").model.to(dtype)
     expected = on_host(model, steps)
