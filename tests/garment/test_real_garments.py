@@ -12,6 +12,7 @@ from pb4u.garment.diagnosis import diagnose, require_worn
 from pb4u.garment.fit import AXES, UNITS, UPRIGHT, RestBody, find_fit
 from pb4u.garment.garment_file import read_garment, read_source
 from pb4u.garment.repair import repair
+from pb4u.garment.support import find_support
 from pb4u.geometry.obj_file import write_obj
 
 NAMES = (
@@ -46,7 +47,7 @@ def test_a_real_garment_is_diagnosed_mended_and_worn(name, test_data, bodies, tm
         assert 14.0 < found.measures["penetration_percent"] < 16.5
         assert 0.0065 < found.measures["penetration_depth_max"] < 0.0085
     with pytest.raises(InputError, match="not on the body"):
-        require_worn(read_garment(path, CLOTH), body)
+        require_worn(read_garment(path, CLOTH), body, path, None)
 
     if name.endswith(("lod1", "lod2")) and not name.startswith("croptop"):
         return  # the same clothes, finer: mending them again would show nothing new
@@ -64,7 +65,8 @@ def test_a_real_garment_is_diagnosed_mended_and_worn(name, test_data, bodies, tm
     assert again.measures["penetration_percent"] == 0.0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        require_worn(garment, body, pins_given=name.startswith(BOTTOMS))
+        support = find_support(garment.vertices, garment.faces, RestBody.of(body))
+        require_worn(garment, body, name, None if name.startswith(BOTTOMS) else support)
 
 
 def test_shorts_pushed_out_of_another_s_body_do_not_cross_themselves(test_data, bodies):
