@@ -8,16 +8,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from pb4u.body.bone_names import smpl_names
 from pb4u.body.character import Character, Morph, Rig
+from pb4u.body.character_animation import clip_names, node_tree, read_clip
+from pb4u.body.character_bones import (
+    bind_spaces,
+    completed_bones,
+    merged_bones,
+    nearest_axes,
+    ordered_bones,
+    read_skins,
+)
+from pb4u.body.character_surface import CharacterSurface
 from pb4u.body.contact_region import reachable
-from pb4u.body.node_animation import Channel, Clip, NodePoses, NodeTree, parted
 from pb4u.body.skeleton import Skeleton, branch
 from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
-from pb4u.geometry.topology import Topology, connected_labels
+from pb4u.geometry.topology import Topology
 from pb4u.io.gltf_file import GltfFile, read_gltf
 from pb4u.io.reading_limits import refusing, told_names
 
@@ -29,11 +36,9 @@ _NOT_SKIN = re.compile(
     re.IGNORECASE,
 )
 _SKIN = re.compile(r"skin|body|face|flesh", re.IGNORECASE)
-# Vertices nearer than this share of the height are one where the same bones move them, to this much of a weight.
-_SAME_PLACE, _SAME_WEIGHT = 1e-5, 0.02
 # Extent [m] of a character; a larger one is in centimetres or millimetres.
 _SIZES = {1.0: (0.1, 10.0), 0.01: (10.0, 1000.0), 0.001: (1000.0, 1e4)}
-_MOST_TRIANGLES, _MOST_BONES = 1_000_000, 2000
+_MOST_TRIANGLES = 1_000_000
 # Rays with which it is seen whether cloth can reach a vertex: a tenth of a millisecond each vertex.
 _RAYS = 32
 _OTHER_SIDE = re.compile("left|right")
@@ -99,15 +104,15 @@ def read_character(path: Path, clip: str | None = None, parts: Collection[str] |
 
 def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) -> Character:
     path = file.path
-    tree = _tree(file)
+    tree = node_tree(file)
     chosen, left = _chosen(path, _parts(file), parts)
     still = tree.globals(tree.poses)[0]
-    nodes, inverses = _skins(file, {part.skin for part in chosen})
-    places = _bind_spaces(tree, still, nodes, inverses)
+    nodes, inverses = read_skins(file, {part.skin for part in chosen})
+    places = bind_spaces(tree, still, nodes, inverses)
 
-    bones, matrices, bone_of = _merged_bones(path, nodes, inverses, places)
+    bones, matrices, bone_of = merged_bones(path, nodes, inverses, places)
     surface = _joined(chosen, places, nodes, bone_of)
-    order, names, parents = _ordered(file, tree, bones)
+    order, names, parents = ordered_bones(file, tree, bones)
     rank = np.argsort(order)
     binds = np.stack(matrices)[order]
     ranked = np.array(bones)[order]
@@ -126,7 +131,7 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
     if not (np.abs(np.linalg.det(binds)) > 1e-20).all():
         raise ValueError("a bone is flattened by the scale of a node")
     heads = binds[:, :3, 3]
-    names, parents, heads, bone_nodes, binds = _completed(names, parents, heads, ranked, binds, surface.vertices)
+    names, parents, heads, bone_nodes, binds = completed_bones(names, parents, heads, ranked, binds, surface.vertices)
     skinning = SkinningWeights(surface.bones, surface.weights.astype(np.float32))
     hands = branch(parents, [k for k, name in enumerate(names) if name in _HANDS])
     contact = reachable(surface.vertices, surface.faces, skinning.share_of(hands) <= 0.5, _RAYS)
@@ -146,31 +151,10 @@ def _character(file: GltfFile, clip: str | None, parts: Collection[str] | None) 
         contact=contact,
         rig=Rig(replace(tree, world=world), bone_nodes, binds, tuple(morphs)),
         source_vertices=welded,
-        clip=_clip(file, tree, clip),
-        clip_names=tuple(_clip_names(file)),
+        clip=read_clip(file, tree, clip),
+        clip_names=tuple(clip_names(file)),
         notes=tuple(notes),
     )
-
-
-def _merged_bones(
-    path: Path, nodes: Mapping[int, list[int]], inverses: Mapping[int, np.ndarray], places: Mapping[int, np.ndarray]
-) -> tuple[list[int], list[np.ndarray], dict[tuple[int, int], int]]:
-    """Node and bind transform (4, 4) of each bone, and the bone of each (skin, joint); equal bones of skins are one."""
-    bones: list[int] = []
-    matrices: list[np.ndarray] = []
-    bone_of: dict[tuple[int, int], int] = {}
-    for skin, joints in nodes.items():
-        for k, node in enumerate(joints):
-            bind = places[skin] @ np.linalg.inv(inverses[skin][k])
-            same = [b for b, (n, m) in enumerate(zip(bones, matrices, strict=True)) if n == node]
-            near = [b for b in same if np.abs(matrices[b] - bind).max() < 1e-4 * max(1.0, np.abs(bind).max())]
-            if not near:
-                bones.append(node)
-                matrices.append(bind)
-            bone_of[skin, k] = near[0] if near else len(bones) - 1
-    if len(bones) > _MOST_BONES:
-        raise InputError(f"{path} has {len(bones):,} bones, and {_MOST_BONES:,} are the most.")
-    return bones, matrices, bone_of
 
 
 def _joined(
@@ -178,7 +162,7 @@ def _joined(
     places: Mapping[int, np.ndarray],
     nodes: Mapping[int, list[int]],
     bone_of: Mapping[tuple[int, int], int],
-) -> _Surface:
+) -> CharacterSurface:
     """All parts in the bind pose as one surface."""
     width = max(part.joints.shape[1] for part in parts)
     vertices, faces, indices, weights, count = [], [], [], [], 0
@@ -192,7 +176,7 @@ def _joined(
         indices.append(np.pad(table[part.joints], rest))
         weights.append(np.pad(part.weights, rest))
         count += len(part.vertices)
-    return _Surface(*(np.concatenate(each) for each in (vertices, faces, indices, weights)))
+    return CharacterSurface(*(np.concatenate(each) for each in (vertices, faces, indices, weights)))
 
 
 def _morphs(parts: list[_Part], places: Mapping[int, np.ndarray], world: np.ndarray, welded: np.ndarray) -> list[Morph]:
@@ -206,54 +190,6 @@ def _morphs(parts: list[_Part], places: Mapping[int, np.ndarray], world: np.ndar
             morphs.append(Morph(part.node, rows[kept], part.targets[:, kept] @ at.T, part.morphed))
         row += len(part.vertices)
     return morphs
-
-
-def _tree(file: GltfFile) -> NodeTree:
-    entries = file.entries("nodes")
-    parents = np.full(len(entries), -1, dtype=np.int64)
-    for node, entry in enumerate(entries):
-        for child in entry.get("children", ()):
-            if parents[child] >= 0 or child == node:
-                raise ValueError(f"node {child} has two parents")
-            parents[child] = node
-    order: list[int] = []
-    reached = np.zeros(len(entries), dtype=bool)
-    waiting = np.flatnonzero(parents < 0).tolist()
-    while waiting:
-        node = waiting.pop()
-        reached[node] = True
-        order.append(node)
-        waiting += entries[node].get("children", ())
-    if not reached.all():
-        raise ValueError("its nodes hang on each other in a circle")
-    translations, rotations, scales = (
-        np.zeros((len(entries), 3)),
-        np.zeros((len(entries), 4)),
-        np.ones((len(entries), 3)),
-    )
-    rotations[:, 0] = 1.0
-    for node, entry in enumerate(entries):
-        if "matrix" in entry:
-            matrix = np.array(entry["matrix"], dtype=np.float64).reshape(4, 4).T
-            translations[node], rotations[node], scales[node] = parted(matrix)
-            continue
-        translations[node] = entry.get("translation", (0.0, 0.0, 0.0))
-        scales[node] = entry.get("scale", (1.0, 1.0, 1.0))
-        turn = np.array(entry.get("rotation", (0.0, 0.0, 0.0, 1.0)), dtype=np.float64)[[3, 0, 1, 2]]
-        rotations[node] = turn / np.linalg.norm(turn)
-    if not all((np.abs(each) < 1e7).all() for each in (translations, rotations, scales)):
-        raise ValueError("a node's place is no finite number")
-    weights = {}
-    for node, entry in enumerate(entries):
-        if "mesh" in entry:
-            mesh = file.entries("meshes")[entry["mesh"]]
-            targets = max((len(each.get("targets", ())) for each in mesh["primitives"]), default=0)
-            given = entry.get("weights", mesh.get("weights", [0.0] * targets))
-            if len(given) != targets:
-                raise ValueError(f"node {node} has {len(given)} weights for {targets} morph targets")
-            weights[node] = np.array(given, dtype=np.float64).reshape(1, targets)
-    poses = NodePoses(translations[None], rotations[None], scales[None], weights)
-    return NodeTree(tuple(str(e.get("name", "")) for e in entries), parents, tuple(order), poses, np.eye(4))
 
 
 def _parts(file: GltfFile) -> list[_Part]:
@@ -328,113 +264,6 @@ def _chosen(path: Path, parts: list[_Part], wanted: Collection[str] | None) -> t
     return chosen, [title for title in titles if title not in kept]
 
 
-def _skins(file: GltfFile, used: set[int]) -> tuple[dict[int, list[int]], dict[int, np.ndarray]]:
-    """Nodes of the joints of each skin, and the inverse bind matrices (joints, 4, 4)."""
-    nodes, inverses = {}, {}
-    for skin in sorted(used):
-        entry = file.entries("skins")[skin]
-        nodes[skin] = [int(node) for node in entry["joints"]]
-        if "inverseBindMatrices" in entry:
-            flat = file.array(entry["inverseBindMatrices"])[: len(nodes[skin])]
-            inverses[skin] = flat.reshape(-1, 4, 4).transpose(0, 2, 1)
-        else:
-            inverses[skin] = np.tile(np.eye(4), (len(nodes[skin]), 1, 1))
-        if len(inverses[skin]) < len(nodes[skin]) or not (np.abs(np.linalg.det(inverses[skin])) > 1e-20).all():
-            raise ValueError(f"skin {skin} has no bind pose")
-    return nodes, inverses
-
-
-def _bind_spaces(
-    tree: NodeTree, still: np.ndarray, nodes: dict[int, list[int]], inverses: dict[int, np.ndarray]
-) -> dict[int, np.ndarray]:
-    """Transform (4, 4) of each skin's own space to the scene in the bind pose.
-
-    In the bind pose all joints of a skin agree on where its space is. A file stands where its nodes say; where they
-    stand in another pose, only their unit and the axes nearest to them are taken.
-    """
-    binds: dict[int, np.ndarray] = {}
-    places: dict[int, np.ndarray] = {}
-    depth = {node: k for k, node in enumerate(tree.order)}
-    for skin in sorted(nodes, key=lambda skin: min(depth[node] for node in nodes[skin])):
-        joints, inverse = nodes[skin], inverses[skin]
-        known = next((k for k, node in enumerate(joints) if node in binds), None)
-        if known is not None:
-            place = binds[joints[known]] @ inverse[known]
-        else:
-            now = still[joints] @ inverse
-            first = min(range(len(joints)), key=lambda k: depth[joints[k]])
-            place = now[first]
-            if np.abs(now - place).max() > 1e-3 * max(1.0, np.abs(place).max()):
-                place = _upright(place)
-        places[skin] = place
-        for k, node in enumerate(joints):
-            binds.setdefault(node, place @ np.linalg.inv(inverse[k]))
-    return places
-
-
-def _upright(place: np.ndarray) -> np.ndarray:
-    """A transform with its turn rounded to the nearest of the axes'."""
-    left, stretch, right = np.linalg.svd(place[:3, :3])
-    result = np.eye(4)
-    result[:3, :3] = _nearest_axes(left @ right) * np.exp(np.log(stretch).mean())
-    return result
-
-
-def _nearest_axes(turn: np.ndarray) -> np.ndarray:
-    """The turn (3, 3) that takes axes to axes and is nearest to one."""
-    axes = np.zeros((3, 3))
-    free = np.abs(turn)
-    for _ in range(3):
-        row, column = np.unravel_index(free.argmax(), free.shape)
-        axes[row, column] = np.sign(turn[row, column])
-        free[row], free[:, column] = -1.0, -1.0
-    return axes
-
-
-def _ordered(file: GltfFile, tree: NodeTree, bones: list[int]) -> tuple[np.ndarray, list[str], list[int]]:
-    """Order in which the bones come, the hips first and parents before children; their names and parents in it."""
-    depth = {node: k for k, node in enumerate(tree.order)}
-    by_depth = sorted(range(len(bones)), key=lambda b: (depth[bones[b]], b))
-    place = {bones[b]: k for k, b in reversed(list(enumerate(by_depth)))}
-    parents = []
-    for b in by_depth:
-        up = int(tree.parents[bones[b]])
-        while up >= 0 and up not in place:
-            up = int(tree.parents[up])
-        parents.append(-1 if up < 0 else place[up])
-    vrm = _vrm_bones(file)
-    ranks = {name: place[node] for name, node in vrm.items() if node in place} if vrm else None
-    known = smpl_names([tree.names[bones[b]] for b in by_depth], parents, ranks)
-    hips = next((k for k, joint in (known or {}).items() if joint == "pelvis"), 0)
-    # What lies above the hips goes with them: the skeleton of a human begins there.
-    moved = [hips, *(k for k in range(len(by_depth)) if k != hips)]
-    new = {old: k for k, old in enumerate(moved)}
-    above, up = set(), parents[hips]
-    while up >= 0:
-        above.add(up)
-        up = parents[up]
-    names, seen = [], set()
-    for old in moved:
-        name = (known or {}).get(old) or tree.names[bones[by_depth[old]]] or f"bone {old}"
-        while name in seen or (known and name in known.values() and old not in known):
-            name += "'"
-        seen.add(name)
-        names.append(name)
-    parted_from = [-1 if old == hips else 0 if old in above or parents[old] < 0 else new[parents[old]] for old in moved]
-    order = np.array([by_depth[old] for old in moved])
-    # Parents of what was above the hips come first already; of all others too, since the old order had them so.
-    return order, names, parted_from
-
-
-def _vrm_bones(file: GltfFile) -> dict[str, int]:
-    """Node by VRM's name of the bone; empty where the file is none. VRM 0 lists them, VRM 1 names them."""
-    extensions = file.document.get("extensions", {})
-    old = extensions.get("VRM", {}).get("humanoid", {}).get("humanBones", [])
-    new = extensions.get("VRMC_vrm", {}).get("humanoid", {}).get("humanBones", {})
-    listed = {str(each["bone"]): int(each["node"]) for each in old} if isinstance(old, list) else {}
-    return listed | {str(name): int(each["node"]) for name, each in new.items()}
-
-
 def _world(
     path: Path, vertices: np.ndarray, names: list[str], binds: np.ndarray
 ) -> tuple[np.ndarray, list[str], list[str]]:
@@ -459,7 +288,7 @@ def _world(
         left, up = hips[0] - hips[1], head - pelvis
         up = up - left * (up @ left) / (left @ left)
         axes = np.stack([each / np.linalg.norm(each) for each in (left, up, np.cross(left, up))])
-        turn = _nearest_axes(axes)
+        turn = nearest_axes(axes)
         standing = (vertices - ankle) @ turn.T
         if standing[standing[:, 1] < 0.0, 2].sum() < 0.0:
             # Its toes point backwards: a mirror has made its left side its right.
@@ -475,182 +304,3 @@ def _world(
     middle = world[:3, :3] @ places[0] if "pelvis" in names else 0.5 * (moved.min(axis=0) + moved.max(axis=0))
     world[:3, 3] = -np.array([middle[0], moved[:, 1].min(), middle[2]])
     return world, names, notes
-
-
-def _completed(
-    names: list[str], parents: list[int], joints: np.ndarray, nodes: np.ndarray, binds: np.ndarray, vertices: np.ndarray
-) -> tuple[list[str], list[int], np.ndarray, np.ndarray, np.ndarray]:
-    """A human's bones with those that rigs leave out: toes, collar bones and the neck, moving with their parents."""
-    if "pelvis" not in names:
-        return names, parents, joints, nodes, binds
-    added = {"neck": ("spine3", "head", 0.75)}
-    for side in ("left", "right"):
-        added[f"{side}_collar"] = ("spine3", f"{side}_shoulder", 0.3)
-        added[f"{side}_foot"] = (f"{side}_ankle", f"{side}_ankle", 0.0)
-    height = float(np.ptp(vertices[:, 1]))
-    for name, (parent, towards, share) in added.items():
-        if name in names:
-            continue
-        start = names.index(parent)
-        place = joints[start] + share * (joints[names.index(towards)] - joints[start])
-        if name.endswith("foot"):  # the ball of a foot: ahead of the ankle, near the ground
-            place = np.array([place[0], min(0.01 * height, place[1]), place[2] + 0.07 * height])
-        names, parents = [*names, name], [*parents, start]
-        joints = np.vstack([joints, place])
-        nodes, binds = np.append(nodes, nodes[start]), np.concatenate([binds, binds[start : start + 1]])
-    return names, parents, joints, nodes, binds
-
-
-def _clip_names(file: GltfFile) -> list[str]:
-    return [str(entry.get("name") or f"clip {k}") for k, entry in enumerate(file.entries("animations"))]
-
-
-def _clip(file: GltfFile, tree: NodeTree, wanted: str | None) -> Clip | None:
-    entries, names = file.entries("animations"), _clip_names(file)
-    if wanted is not None and wanted not in names:
-        held = f"it has {told_names(names)}" if names else "it has none"
-        raise InputError(f'{file.path} has no clip "{wanted}"; {held}.')
-    if not entries:
-        return None
-    index = 0 if wanted is None else names.index(wanted)
-    channels = []
-    entry = entries[index]
-    for channel in entry["channels"]:
-        target, sampler = channel["target"], entry["samplers"][channel["sampler"]]
-        if "node" not in target or target["path"] not in ("translation", "rotation", "scale", "weights"):
-            continue
-        times = np.atleast_1d(file.array(sampler["input"])).astype(np.float64)
-        kind = sampler.get("interpolation", "LINEAR")
-        values = file.array(sampler["output"]).astype(np.float64)
-        knots = len(times) * (3 if kind == "CUBICSPLINE" else 1)
-        values = values.reshape(knots, -1)
-        if target["path"] == "rotation":
-            values = values[:, [3, 0, 1, 2]]
-            if kind != "CUBICSPLINE":
-                values = values / np.linalg.norm(values, axis=1, keepdims=True)
-        if (
-            not len(times)
-            or (np.diff(times) < 0).any()
-            or not np.isfinite(values).all()
-            or not np.isfinite(times).all()
-        ):
-            raise ValueError(f"the clip {names[index]} has key frames that do not rise, or are not finite")
-        if times[-1] > 1e5 or not 0 <= target["node"] < len(file.entries("nodes")):
-            raise ValueError(f"the clip {names[index]} has a key frame at {times[-1]:g} s, or moves no node")
-        if target["path"] == "weights" and values.shape[1] != tree.poses.weights[target["node"]].shape[1]:
-            raise ValueError(f"the clip {names[index]} has another number of weights than there are morph targets")
-        if kind == "CUBICSPLINE":
-            values = values.reshape(len(times), 3, -1)
-        channels.append(Channel(target["node"], target["path"], times, values, kind))
-    return Clip(names[index], tuple(channels))
-
-
-@dataclass(frozen=True, eq=False)
-class _Surface:
-    """A skinned surface.
-
-    Args:
-        vertices: (vertices, 3) [m].
-        faces: (faces, 3) int64.
-        bones: (vertices, influences) int64.
-        weights: (vertices, influences) [1].
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    bones: np.ndarray
-    weights: np.ndarray
-
-    def renumbered(self, rank: np.ndarray) -> _Surface:
-        """The same surface with other numbers of its bones."""
-        return _Surface(self.vertices, self.faces, rank[self.bones], self.weights)
-
-    def moved(self, transform: np.ndarray) -> _Surface:
-        """The same surface elsewhere."""
-        places = self.vertices @ transform[:3, :3].T + transform[:3, 3]
-        return _Surface(places, self.faces, self.bones, self.weights)
-
-    def welded(self) -> tuple[_Surface, np.ndarray]:
-        """The surface with vertices in one place as one, where the same bones move them; and the vertex of each.
-
-        glTF splits a vertex wherever its normal or its texture has two values.
-        """
-        reach = _SAME_PLACE * max(float(np.ptp(self.vertices, axis=0).max()), 1e-9)
-        pairs = cKDTree(self.vertices).query_pairs(reach, output_type="ndarray")
-        apart = np.abs(self._dense(pairs[:, 0]) - self._dense(pairs[:, 1])).max(axis=1, initial=0.0)
-        pairs = pairs[apart < _SAME_WEIGHT]
-        number = connected_labels(len(self.vertices), pairs[:, 0], pairs[:, 1])
-        _, kept, number = np.unique(number, return_index=True, return_inverse=True)
-        number = number.reshape(-1)
-        faces = number[self.faces]
-        faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-        # One triangle counts once, whichever way round.
-        _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-        faces = faces[np.sort(once)]
-        return _Surface(self.vertices[kept], faces, self.bones[kept], self.weights[kept]), number
-
-    def _dense(self, rows: np.ndarray) -> np.ndarray:
-        """Weights (rows, bones) of some vertices by bone."""
-        result = np.zeros((len(rows), int(self.bones.max()) + 1), dtype=np.float32)
-        np.add.at(result, (np.arange(len(rows))[:, None], self.bones[rows]), self.weights[rows])
-        return result
-
-    def turned_outward(self) -> _Surface:
-        """The surface with each of its pieces turned so that its volume is positive."""
-        topology = Topology(self.faces, len(self.vertices))
-        piece = topology.piece_of_vertex[self.faces[:, 0]]
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        volume = np.bincount(piece, np.einsum("fc,fc->f", a, np.cross(b, c)))
-        faces = np.where((volume[piece] < 0.0)[:, None], self.faces[:, ::-1], self.faces)
-        return _Surface(self.vertices, np.ascontiguousarray(faces), self.bones, self.weights)
-
-    def closed(self) -> tuple[_Surface, str]:
-        """The surface with a fan over each hole, and what was closed in words (may be empty)."""
-        loops = _hole_cycles(self.faces)
-        if not loops:
-            return self, ""
-        vertices, faces, bones, weights = [self.vertices], [self.faces], [self.bones], [self.weights]
-        width = self.bones.shape[1]
-        sizes = []
-        for k, loop in enumerate(loops):
-            centre = len(self.vertices) + k
-            faces.append(np.column_stack([loop, np.roll(loop, -1), np.full(len(loop), centre)]))
-            vertices.append(self.vertices[loop].mean(axis=0)[None])
-            mean = self._dense(loop).mean(axis=0)
-            strongest = np.argsort(-mean, kind="stable")[:width]
-            bones.append(np.pad(strongest, (0, width - len(strongest)))[None])
-            kept = np.pad(mean[strongest], (0, width - len(strongest)))
-            weights.append((kept / kept.sum())[None])
-            sizes.append(float(np.linalg.norm(np.ptp(self.vertices[loop], axis=0))))
-        sentence = f"{len(loops)} hole(s) of the surface, the largest {100 * max(sizes):.0f} cm across, are"
-        return _Surface(*(np.concatenate(each) for each in (vertices, faces, bones, weights))), sentence
-
-
-def _hole_cycles(faces: np.ndarray) -> list[np.ndarray]:
-    """The holes of triangles (faces, 3) as cycles of vertices, in the direction that triangles over them have."""
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    count = int(faces.max()) + 1
-    missing = np.setdiff1d(directed[:, 1] * count + directed[:, 0], directed[:, 0] * count + directed[:, 1])
-    following: dict[int, list[int]] = {}
-    for start, end in zip((missing // count).tolist(), (missing % count).tolist(), strict=True):
-        following.setdefault(start, []).append(end)
-    cycles = []
-    while following:
-        way = [next(iter(following))]
-        place = {way[0]: 0}
-        while way and following.get(way[-1]):
-            end = following[way[-1]].pop()
-            if not following[way[-1]]:
-                del following[way[-1]]
-            if end not in place:
-                place[end] = len(way)
-                way.append(end)
-                continue
-            # Where holes touch in a vertex, each is a cycle of its own.
-            cycle = way[place[end] :]
-            cycles.append(np.array(cycle))
-            for vertex in cycle[1:]:
-                del place[vertex]
-            way = way[: place[end] + 1]
-        following.pop(way[-1], None)
-    return [cycle for cycle in cycles if len(cycle) > 2]

@@ -400,8 +400,8 @@ def _map_points(path: Path, offset: int, frames: int, points: int, dtype: str) -
 
 
 _CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
-"""Readers of positions (frames, points, 3) and, where the file states them, frames per second; the faces are in an
-OBJ."""
+"""Readers of positions (frames, points, 3) [m] and frames per second, None where the file has none; an OBJ has the
+faces."""
 
 SUFFIXES = (*_MESH_SUFFIXES, *_CACHES)
 

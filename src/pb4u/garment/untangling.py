@@ -33,7 +33,7 @@ as many passes at 0.1, and no more than that is untangled."""
 _STEEPEST = 0.1
 """Least cosine between an edge and the normal of the face it passes through that the step divides by."""
 _SHORTEST, _LONGEST = 0.85, 1.15
-"""Edges are held between these shares of the lengths they came with, so that nothing is untangled by collapsing to a
+"""Edges keep between these shares of their initial lengths, so that nothing is untangled by collapsing to a
 point: of 27 garments it left 13 faces each strained by more than half, against 32 at 0.5 and 1.6."""
 _SPREADS = 2
 """Times that a step is passed on to the neighbours, half of it each time: a vertex moved on its own would leave the

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pb4u.scene.state import State
     from pb4u.scene.trajectory import Trajectory
     from pb4u.simulation.simulator import RunRecord, Simulator
+    from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
 MOST_TOGETHER = 16
 """Clips simulated together at most: so many are lost where a run is killed."""
@@ -136,16 +137,16 @@ def attempt(job: RunJob | JobPack) -> Made | Failure | list[Made | Failure]:
 
 def _together(jobs: Sequence[RunJob]) -> dict[RunJob, Simulated]:
     """States of the jobs that could be simulated together; the others have to be simulated alone."""
-    simulator, scenes = _simulator(jobs[0].run.options, jobs[0].weights), {}
+    simulator, scenes = _network(jobs[0]), {}
     found: dict[RunJob, Simulated] = {}
     for job in jobs:
         with suppress(Pb4uError):
             scenes[job] = _scene_of(job, simulator)
-    for numbers in simulator.packs([scene for scene, _ in scenes.values()]):  # type: ignore[attr-defined]
+    for numbers in simulator.packs([scene for scene, _ in scenes.values()]):
         pack = [list(scenes)[number] for number in numbers]
         # A job that has no finite first frame, or too little memory, says so when it is simulated alone.
         with suppress(Pb4uError, RuntimeError):
-            made = simulator.together([scenes[job][0] for job in pack])  # type: ignore[attr-defined]
+            made = simulator.together([scenes[job][0] for job in pack])
             found |= {job: Simulated(*scenes[job], *its) for job, its in zip(pack, made, strict=True)}
     return found
 
@@ -175,7 +176,7 @@ def make(job: RunJob, simulated: Simulated | None = None) -> Made:
             (scene, warned), states, record = _scene_of(job, simulator), None, RunRecord()
         else:
             scene, warned, states, record = simulated
-            simulator.warn_of(scene)  # type: ignore[attr-defined]
+            _network(job).warn_of(scene)
         trajectory = None
         try:
             trajectory = roll_out(job.run, simulator, scene, record=record, simulated=states)
@@ -229,6 +230,15 @@ def _simulator(options: Run, weights: str | None) -> Simulator:
         with weights_file(str(options.model)) as path:
             require_content(path, weights)
     return simulator_of(options)
+
+
+def _network(job: RunJob) -> NetworkSimulator:
+    """The simulator of a job that is simulated in a pack."""
+    from pb4u.simulation.stepwise_simulator import NetworkSimulator
+
+    simulator = _simulator(job.run.options, job.weights)
+    assert isinstance(simulator, NetworkSimulator)
+    return simulator
 
 
 def _scene_of(job: RunJob, simulator: Simulator) -> tuple[Scene, tuple[str, ...]]:

@@ -235,7 +235,7 @@ def available_device(name: str) -> str:
         name: the device requested: "auto", "cpu" or "cuda".
 
     Raises:
-        InputError: a card is asked for, and there is none, or its driver is too old; the sentence says which.
+        InputError: the device is a card, and there is none, or its driver is too old.
     """
     import torch
 

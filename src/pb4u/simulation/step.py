@@ -124,9 +124,11 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
     yield integrate(step, accelerations)
     if method.network is not None:
-        moved = _decided(step, method, method.network, accelerations)
-        if rooms is not None:
-            moved = _masked(step, method, method.network, accelerations, rooms)
+        moved = (
+            _decided(step, method, method.network, accelerations)
+            if rooms is None
+            else _masked(step, method, method.network, accelerations, rooms)
+        )
         yield from (integrate(step, each) for each in moved)
 
 

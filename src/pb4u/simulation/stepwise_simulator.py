@@ -325,11 +325,8 @@ class NetworkSimulator(StepwiseSimulator):
             timeline = self.timeline(*scenes)
             method = self.method(timeline, RunRecord())
         made: list[tuple[list[State], RunRecord]] = [([], RunRecord()) for _ in scenes]
-        going, began, spans = (
-            set(range(len(scenes))),
-            time.perf_counter(),
-            list(pairwise(timeline.garments.world_offsets)),
-        )
+        spans, going = list(pairwise(timeline.garments.world_offsets)), set(range(len(scenes)))
+        began = time.perf_counter()
         for state in self._moved(timeline, method, max(scene.total_frames for scene in scenes)):
             x, v, seconds = state.positions.cpu(), state.velocities.cpu(), time.perf_counter() - began
             share = seconds / len(going)

@@ -58,7 +58,7 @@ class BlockedFrames:
         return self._kept[block][frame - block * _BLOCK]
 
 
-def _held(positions: Callable[[int, int], Tensor], length: int, start: int, stop: int) -> Tensor:
+def _padded(positions: Callable[[int, int], Tensor], length: int, start: int, stop: int) -> Tensor:
     """Frames (stop - start, vertices, 3) [m] of `positions`, which has `length`; the last stands for those beyond."""
     rows = positions(min(start, length - 1), min(stop, length))
     beyond = stop - start - len(rows)
@@ -124,7 +124,7 @@ class Timeline:
 
         def frames(parts: Sequence[tuple[int, Callable[[int, int], Tensor]]]) -> BlockedFrames:
             def block(start: int, stop: int) -> Tensor:
-                rows = [_held(part, scenes[world].total_frames, start, stop) for world, part in parts]
+                rows = [_padded(part, scenes[world].total_frames, start, stop) for world, part in parts]
                 return torch.cat(rows, dim=1).to(device, dtype)
 
             return BlockedFrames(block, max(scene.total_frames for scene in scenes))

@@ -1,0 +1,123 @@
+"""The nodes and animations of glTF files."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pb4u.body.node_animation import Channel, Clip, NodePoses, NodeTree, parted
+from pb4u.errors import InputError
+from pb4u.io.gltf_file import GltfFile
+from pb4u.io.reading_limits import told_names
+
+
+def node_tree(file: GltfFile) -> NodeTree:
+    """The nodes of a file as they stand without an animation, lengths in the file's unit.
+
+    Args:
+        file: a glTF file.
+    """
+    entries = file.entries("nodes")
+    parents = np.full(len(entries), -1, dtype=np.int64)
+    for node, entry in enumerate(entries):
+        for child in entry.get("children", ()):
+            if parents[child] >= 0 or child == node:
+                raise ValueError(f"node {child} has two parents")
+            parents[child] = node
+    order: list[int] = []
+    reached = np.zeros(len(entries), dtype=bool)
+    waiting = np.flatnonzero(parents < 0).tolist()
+    while waiting:
+        node = waiting.pop()
+        reached[node] = True
+        order.append(node)
+        waiting += entries[node].get("children", ())
+    if not reached.all():
+        raise ValueError("its nodes hang on each other in a circle")
+    translations, rotations, scales = (
+        np.zeros((len(entries), 3)),
+        np.zeros((len(entries), 4)),
+        np.ones((len(entries), 3)),
+    )
+    rotations[:, 0] = 1.0
+    for node, entry in enumerate(entries):
+        if "matrix" in entry:
+            matrix = np.array(entry["matrix"], dtype=np.float64).reshape(4, 4).T
+            translations[node], rotations[node], scales[node] = parted(matrix)
+            continue
+        translations[node] = entry.get("translation", (0.0, 0.0, 0.0))
+        scales[node] = entry.get("scale", (1.0, 1.0, 1.0))
+        turn = np.array(entry.get("rotation", (0.0, 0.0, 0.0, 1.0)), dtype=np.float64)[[3, 0, 1, 2]]
+        rotations[node] = turn / np.linalg.norm(turn)
+    if not all((np.abs(each) < 1e7).all() for each in (translations, rotations, scales)):
+        raise ValueError("a node's place is no finite number")
+    weights = {}
+    for node, entry in enumerate(entries):
+        if "mesh" in entry:
+            mesh = file.entries("meshes")[entry["mesh"]]
+            targets = max((len(each.get("targets", ())) for each in mesh["primitives"]), default=0)
+            given = entry.get("weights", mesh.get("weights", [0.0] * targets))
+            if len(given) != targets:
+                raise ValueError(f"node {node} has {len(given)} weights for {targets} morph targets")
+            weights[node] = np.array(given, dtype=np.float64).reshape(1, targets)
+    poses = NodePoses(translations[None], rotations[None], scales[None], weights)
+    return NodeTree(tuple(str(e.get("name", "")) for e in entries), parents, tuple(order), poses, np.eye(4))
+
+
+def clip_names(file: GltfFile) -> list[str]:
+    """Names of the animations, in the order of the file.
+
+    Args:
+        file: a glTF file.
+    """
+    return [str(entry.get("name") or f"clip {k}") for k, entry in enumerate(file.entries("animations"))]
+
+
+def read_clip(file: GltfFile, tree: NodeTree, wanted: str | None) -> Clip | None:
+    """An animation; None where the file has none and none is named.
+
+    Args:
+        file: a glTF file.
+        tree: its nodes.
+        wanted: name of the animation; the first where left out.
+
+    Raises:
+        InputError: the file has no animation of that name.
+        ValueError: its key frames do not rise, are not finite, or belong to no node.
+    """
+    entries, names = file.entries("animations"), clip_names(file)
+    if wanted is not None and wanted not in names:
+        held = f"it has {told_names(names)}" if names else "it has none"
+        raise InputError(f'{file.path} has no clip "{wanted}"; {held}.')
+    if not entries:
+        return None
+    index = 0 if wanted is None else names.index(wanted)
+    channels = []
+    entry = entries[index]
+    for channel in entry["channels"]:
+        target, sampler = channel["target"], entry["samplers"][channel["sampler"]]
+        if "node" not in target or target["path"] not in ("translation", "rotation", "scale", "weights"):
+            continue
+        times = np.atleast_1d(file.array(sampler["input"])).astype(np.float64)
+        kind = sampler.get("interpolation", "LINEAR")
+        values = file.array(sampler["output"]).astype(np.float64)
+        knots = len(times) * (3 if kind == "CUBICSPLINE" else 1)
+        values = values.reshape(knots, -1)
+        if target["path"] == "rotation":
+            values = values[:, [3, 0, 1, 2]]
+            if kind != "CUBICSPLINE":
+                values = values / np.linalg.norm(values, axis=1, keepdims=True)
+        if (
+            not len(times)
+            or (np.diff(times) < 0).any()
+            or not np.isfinite(values).all()
+            or not np.isfinite(times).all()
+        ):
+            raise ValueError(f"the clip {names[index]} has key frames that do not rise, or are not finite")
+        if times[-1] > 1e5 or not 0 <= target["node"] < len(file.entries("nodes")):
+            raise ValueError(f"the clip {names[index]} has a key frame at {times[-1]:g} s, or moves no node")
+        if target["path"] == "weights" and values.shape[1] != tree.poses.weights[target["node"]].shape[1]:
+            raise ValueError(f"the clip {names[index]} has another number of weights than there are morph targets")
+        if kind == "CUBICSPLINE":
+            values = values.reshape(len(times), 3, -1)
+        channels.append(Channel(target["node"], target["path"], times, values, kind))
+    return Clip(names[index], tuple(channels))
