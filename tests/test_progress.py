@@ -33,7 +33,7 @@ def test_long_work_is_estimated_before_its_first_part_and_again_where_it_takes_l
     each: float, more: list[str]
 ) -> None:
     first = (
-        "200 steps take about 7 minutes by experience, at the speed of this machine now; measured again after the first "
+        "200 steps take about 7 minutes by experience, at the speed of this machine; measured again after the first "
         "ones."
     )
     assert told_of(lambda _: each, 200, expected=(200, 2.0)) == [first, *more]

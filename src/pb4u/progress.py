@@ -115,8 +115,8 @@ class Estimate:
         self._expected = pace if total * pace > _LONG else None
         if self._expected:
             say(
-                f"{total} {part}s take about {format_duration(total * pace)} by experience, at the speed of this machine "
-                "now; measured again after the first ones."
+                f"{total} {part}s take about {format_duration(total * pace)} by experience, at the speed of this "
+                "machine; measured again after the first ones."
             )
         self._say, self._part, self._alike, self._clock = say, part, alike, clock
         self._first: tuple[float, int] | None = None
