@@ -32,10 +32,11 @@ def test_stitches_lie_a_hem_from_the_edge_all_the_way_round(trajectory: Trajecto
 
 def test_one_garment_leaves_no_line_on_another(trajectory: Trajectory) -> None:
     header, count = trajectory.header, AROUND * UP
+    higher = np.array([0.0, 0.3, 0.0], dtype=np.float32)
     both = replace(
         header,
         faces=np.concatenate([header.faces, header.faces + count]),
-        rest_positions=np.concatenate([header.rest_positions, np.asarray(header.rest_positions) + np.array([0.0, 0.3, 0.0], "f4")]),
+        rest_positions=np.concatenate([header.rest_positions, header.rest_positions + higher]),
         vertex_garment=np.repeat(np.arange(2, dtype=np.int32), count),
     )
     assert len(sewing_lines(both).face) == 16 * AROUND
