@@ -137,6 +137,11 @@ def test_a_move_goes_past_a_body_that_moves_the_other_way() -> None:
     body, faces = np.asarray(scene.colliders[0].faces), timeline.garments.faces.numpy()
     assert len(crossings(reached.numpy(), faces, timeline.body(1).numpy(), body)) == 0
     assert len(crossings(x.numpy(), faces, timeline.body(1).numpy(), body)) > 0
+    # What met it is led further off than the smallest gap: else skin that bends would leave no room to the next move.
+    ended = np.concatenate([reached.numpy(), after.before])
+    pairs = obstacle.tree.pairs(ended, 1.5 * collision_free.SMALLEST_GAP, np.zeros_like(ended))
+    mixed = (pairs.corners >= obstacle.tree.first_obstacle).any(axis=1)
+    assert pairs.nearest(ended)[0][mixed].min(initial=np.inf) > 1.5 * collision_free.SMALLEST_GAP
 
 
 def test_what_bodies_are_through_is_known_and_let_through() -> None:
@@ -195,4 +200,5 @@ def test_where_one_move_finds_no_room_smaller_ones_are_made(monkeypatch: pytest.
     before, ended = (np.concatenate(of) for of in ((x.numpy(), obstacle.before), (reached.numpy(), obstacle.after)))
     assert all(np.array_equal(began, before) for began in starts)
     pairs = obstacle.tree.pairs(before, 1e-3, ended - before)
-    assert (pairs.nearest(ended)[0] > collision_free.smallest_gaps(pairs, before)).all()
+    gaps = collision_free.smallest_gaps(pairs, before, obstacle.tree.first_obstacle)
+    assert (pairs.nearest(ended)[0] > gaps).all()
