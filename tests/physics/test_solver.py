@@ -224,9 +224,7 @@ def system(
 
 
 @pytest.mark.parametrize("few", [0, 4096])
-def test_the_stiffness_matrix_is_the_sum_of_its_terms_and_holds_pins(
-    few: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_stiffness_matrix_is_the_sum_of_its_terms_and_holds_pins(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(potential_module, "_FEW", few)
     garments, step, start = hanging_sheet(5)
     x = start + 0.01 * torch.randn(start.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
