@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from tests.laws.test_self_contact import OneMethod, methods
 from tests.simulation.ball_scene import sheet
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.collision import collision_free
-from pb4u.collision.crossings import crossings
+from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import CollisionFree
@@ -145,6 +148,43 @@ def test_a_move_goes_past_a_body_that_moves_the_other_way() -> None:
     pairs = obstacle.tree.pairs(ended, 1.5 * collision_free.SMALLEST_GAP, np.zeros_like(ended))
     mixed = (pairs.corners >= obstacle.tree.first_obstacle).any(axis=1)
     assert pairs.nearest(ended)[0][mixed].min(initial=np.inf) > 1.5 * collision_free.SMALLEST_GAP
+
+
+@given(
+    wish=st.sampled_from([0.0, 1e-3, 0.03, 1.0]),
+    motion=st.sampled_from(["up", "aside", "swells", "turns", "leaps"]),
+    near=st.sampled_from([1.2e-4, 3e-3]),
+    seed=st.integers(0, 10**6),
+)
+@settings(max_examples=12, deadline=None)
+def test_no_move_crosses_a_moving_body_but_where_it_is_let_through(
+    wish: float, motion: str, near: float, seed: int
+) -> None:
+    """From beside a ball to anywhere, while the ball moves; beside one body there is room for all but the wildest."""
+    timeline = Timeline.of(scene_of("ball slides beneath", height=0.6 + near))
+    garments, x, rng = timeline.garments, timeline.skinned(0), np.random.default_rng(seed)
+    obstacle = Obstacle.at(garments, timeline.pose(0), x)
+    assert obstacle is not None
+    body = obstacle.before
+    middle, turn = body.mean(axis=0), trimesh.transformations.rotation_matrix(0.3, rng.normal(size=3))[:3, :3]
+    after = {
+        "up": body + [0.0, 0.03, 0.0],
+        "aside": body + [0.05, 0.01, 0.0],
+        "swells": middle + 1.05 * (body - middle),
+        "turns": middle + (body - middle) @ turn.T,
+        "leaps": body + rng.normal(size=3),
+    }[motion]
+    wanted = x + wish * torch.from_numpy(rng.normal(size=x.shape))
+    moving = replace(obstacle, after=after)
+    reached, ended = FELT.self_contact.collision_free_move(garments, x, wanted, obstacle=moving)
+    assert ended is not None
+    faces = garments.faces.numpy()
+    skin = obstacle.tree.faces[len(faces) :] - obstacle.tree.first_obstacle
+    through = crossings(reached.numpy(), faces, after, skin)
+    assert ended.passed[faces[through[:, 0]]].any(axis=1).all()
+    assert not len(self_crossings(reached.numpy(), faces))
+    if motion != "leaps" and wish < 1.0:
+        assert not ended.passed.any()
 
 
 def test_what_bodies_are_through_is_known_and_let_through() -> None:
