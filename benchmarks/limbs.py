@@ -5,7 +5,7 @@
     python benchmarks/limbs.py --garments tee.json,skirt.npz --motions walk,squat --triangles 5000 --out patterns.jsonl
 
 Recordings and garments of others are read from `--data`; without it those clips are left out. A line of JSON is added
-for each clip.
+for each clip; clips that the file has already are left out.
 """
 
 from __future__ import annotations
@@ -77,6 +77,7 @@ def result(clip: Clip, model: str, args: argparse.Namespace) -> dict[str, object
     return {
         "clip": clip.name,
         "model": model,
+        "triangles": args.triangles,
         "frames": trajectory.frame_count,
         "crossing_mean": round(float(free.mean()), 2),
         "crossing_max": int(free.max()),
@@ -111,10 +112,14 @@ def main() -> None:
             (Path(name).stem, name, motion) for name in args.garments.split(",") for motion in args.motions.split(",")
         )
         clips = tuple(Clip(f"{stem}_{motion}", name, motion) for stem, name, motion in worn)
+    rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
+    done = {(row["clip"], row["model"], row.get("triangles"), row["frames"]) for row in rows}
     for clip in clips:
         if (args.only and clip.name not in args.only.split(",")) or (clip.motion.endswith(".amc") and not args.data):
             continue
         for model in args.models.split(","):
+            if (clip.name, model, args.triangles, args.frames) in done:
+                continue
             row = result(clip, model, args)
             print(row, flush=True)
             with args.out.open("a") as out:
