@@ -1,37 +1,40 @@
-"""Contact between cloth elements over many clips: what crosses, how near cloth comes, and what it costs.
+"""Contact over many clips: what crosses cloth and body, where skin shows, how near cloth comes, and what it costs.
 
-    python benchmarks/self_contact.py --set motions --models auto,solver --frames 200 --out clips.jsonl
-    python benchmarks/self_contact.py --set outfits,fine,drawn --models auto --out clips.jsonl
+    python benchmarks/self_contact.py --set motions --models auto,solver --out clips
+    python benchmarks/self_contact.py --set fine,outfits,drawn --seeds 0:300 --out clips
+    python benchmarks/self_contact.py --set others --data ../../shared/data --triangles 8000 --out clips
+    python benchmarks/self_contact.py --garments tee.json,dress --motions walk,squat --triangles 1200 --out clips
 
-Each clip is simulated with self-contact on, and with `--against` off too; positions are rounded to float32 as they are
-written, and triangles that cross are found by exact predicates, those that share a vertex included. A line of JSON is
-added for each clip; clips that the file holds already are left out, so that a long run goes on where it stopped.
+Each clip is a job of the folder `--out`: the same command goes on where it stopped. At the end, or with `--table` at
+once, it prints a Markdown table of the clips that are done, the worst first. Positions are rounded to float32 as they
+are written, and crossings are found by exact predicates. Recordings and garments of others are read from `--data`.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import time
+import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
 
 from pb4u.collision.crossings import self_crossings
-from pb4u.errors import Pb4uError
 from pb4u.garment.library import garment_names
 from pb4u.garment.material import material_names
-from pb4u.geometry.principal_stretch import face_strains
-from pb4u.measures.metrics import PENETRATION_TOLERANCE, Ruler
+from pb4u.jobs.job import Failure, Made
+from pb4u.jobs.job_folder import JobFolder, quiet
+from pb4u.jobs.worker_pool import LocalPool
+from pb4u.measures import run_job
+from pb4u.measures.job_planner import JobPlanner
+from pb4u.measures.metrics import packed_garments
+from pb4u.measures.run_job import RunJob
 from pb4u.motion.library import motion_names
-from pb4u.scene.assembly import make_scene
+from pb4u.run import Run, WornGarment
 from pb4u.scene.trajectory import Trajectory
-from pb4u.simulation.models import load_simulator
-from pb4u.simulation.simulator import RunRecord
 
 OUTFITS = (
     ("tanktop", "cardigan"),
@@ -40,140 +43,134 @@ OUTFITS = (
     ("skirt", "longsleeve"),
     ("tanktop", "trousers", "cardigan"),
 )
+FINE = (
+    ("longsleeve", "arms"), ("dress", "dance"), ("skirt", "squat"), ("cardigan", "walk"),
+    ("tshirt", "jump"), ("trousers", "run"), ("fitted_dress", "turn"), ("tanktop", "dance"),
+)  # fmt: skip
+OTHERS = ("tights_f_lod0", "longsleeve_m_lod0", "pants_f_lod0", "skirt_long_f_lod0", "shorts_f_lod0", "tshirt_f_lod0",
+          "tshirt_m_lod0", "croptop_f_lod1", "pants_f_lod1", "longsleeve_m_lod1")  # fmt: skip
+RECORDINGS = (("49/49_02", (300, 700)), ("14/14_14", (200, 600)), ("05/05_03", None), ("02/02_06", None),
+              ("16/16_35", None), ("05/05_20", None))  # fmt: skip
 WITHIN = 3e-4
-"""Distance [m] within which elements are looked for to find the smallest gap."""
-MEASURED_EVERY = 10
-"""Frames from one measure of the energies to the next; crossings, gaps, strains and depths are of every frame."""
+"""Distance [m] within which elements are looked for to find the smallest gap: the most that the table shows."""
 
 
-@dataclass(frozen=True)
-class Clip:
-    """A clip to simulate."""
+def runs(kind: str, args: argparse.Namespace) -> Iterator[Run]:
+    """The runs of a set, by the default model."""
 
-    garments: tuple[str, ...]
-    motion: str
-    triangles: int
-    frames: int
-    model: str
-    self_contact: bool
-    shape: tuple[tuple[str, float], ...] = ()
-    body: str = "woman"
-    material: str = "default"
-    seed: int = 0
-
-
-def clips(kind: str, model: str, frames: int | None, self_contact: bool) -> Iterator[Clip]:
-    """The clips of a set."""
-
-    def clip(garments: tuple[str, ...], motion: str, triangles: int, most: int, **more: object) -> Clip:
-        return Clip(garments, motion, triangles, frames or most, model, self_contact, **more)  # type: ignore[arg-type]
+    def run(
+        garments: tuple[str, ...], motion: str, triangles: int | None, frames: int, material: str | None = None,
+        **more: Any,
+    ) -> Run:  # fmt: skip
+        worn = tuple(WornGarment(name, material, triangles=args.triangles or triangles) for name in garments)
+        return Run(garments=worn, motion=motion, frames=args.frames or frames, **more)
 
     if kind == "motions":
-        for motion in motion_names():
-            for garment in garment_names():
-                yield clip((garment,), motion, 2500, 200)
+        for motion, garment in product(motion_names(), garment_names()):
+            yield run((garment,), motion, 2500, 200)
+    elif kind == "given":
+        for garment, motion in product(args.garments.split(","), args.motions.split(",")):
+            yield run((garment,), motion, None, 60)
     elif kind == "fine":
-        for garment, motion in (("longsleeve", "arms"), ("dress", "dance"), ("skirt", "squat"), ("cardigan", "walk")):
-            yield clip((garment,), motion, 11_000, 60)
-        yield clip(("tshirt",), "walk", 38_000, 20)
+        for (garment, motion), triangles in product(FINE, (1000, 11_000, 38_000)):
+            yield run((garment,), motion, triangles, 60)
     elif kind == "outfits":
-        for motion in ("walk", "squat", "dance"):
-            for outfit in OUTFITS:
-                yield clip(outfit, motion, 2500, 60)
+        for motion, outfit in product(("walk", "squat", "dance"), OUTFITS):
+            yield run(outfit, motion, 2500, 60)
+    elif kind == "others":
+        for garment, (motion, crop) in product(OTHERS, RECORDINGS):
+            body = "man" if "_m_" in garment else "woman"
+            file = args.data / "motions" / "cmu_asfamc" / f"{motion}.amc"
+            yield run((str(args.data / "garments" / f"{garment}.obj"),), str(file), None, 60, body=body, crop=crop)
     elif kind == "drawn":
-        draw = np.random.default_rng(0)
-        for seed in range(300):
+        draw, (first, stop) = np.random.default_rng(0), map(int, args.seeds.split(":"))
+        for seed in range(stop):
             alone = draw.random() < 0.7
             garments = (str(draw.choice(garment_names())),) if alone else OUTFITS[draw.integers(len(OUTFITS))]
-            shape = tuple((name, float(draw.uniform(0.1, 0.9))) for name in ("height", "weight", "muscle"))
+            shape = {name: float(draw.uniform(0.1, 0.9)) for name in ("height", "weight", "muscle")}
             body = str(draw.choice(["woman", "man"]))
             motion, material = str(draw.choice(motion_names())), str(draw.choice(material_names()))
-            yield clip(garments, motion, 1500, 60, shape=shape, body=body, material=material, seed=seed)
+            if seed >= first:
+                yield run(garments, motion, 1500, 60, body_shape=shape, body=body, material=material, seed=seed)
     else:
-        raise SystemExit(f"There is no set {kind}: motions, fine, outfits or drawn.")
+        raise SystemExit(f"There is no set {kind}: motions, fine, outfits, others or drawn.")
 
 
-def result(clip: Clip) -> dict[str, object]:
-    """Figures of a clip."""
-    scene = make_scene(
-        garment=list(clip.garments) if len(clip.garments) > 1 else clip.garments[0],
-        motion=clip.motion,
-        frames=clip.frames,
-        triangles=clip.triangles,
-        body=clip.body,
-        body_shape=dict(clip.shape),
-        material=clip.material,
-        seed=clip.seed,
-    )
-    simulator, record = load_simulator(clip.model, self_contact=clip.self_contact), RunRecord()
-    began = time.perf_counter()
-    trajectory = Trajectory.collect(simulator.header(scene), simulator.written_frames(scene, record))
-    seconds = time.perf_counter() - began
-    ruler = Ruler(trajectory)
-    crossing, gaps, strains, heights = [], [], [], []
-    for t, written in enumerate(trajectory.positions):
-        x = np.asarray(written, dtype=np.float32).astype(np.float64)
-        crossing.append(len(self_crossings(x, trajectory.faces, sharing=True)))
-        near = ruler.garments.surface_tree.pairs(x, WITHIN)
-        gaps.append(near.nearest(x)[0].min(initial=np.inf))
-        strains.append(face_strains(torch.from_numpy(x), ruler.garments.faces, ruler.garments.inverse_rest_shape))
-        if ruler.surface is not None:
-            body = torch.from_numpy(np.asarray(trajectory.body_positions[t], dtype=np.float64))
-            heights.append(ruler.surface.at(body).nearest(torch.from_numpy(x)).signed_distance)
-    strain, height = torch.stack(strains), torch.stack(heights) if heights else torch.zeros(1)
-    energies = [ruler.frame(t).metrics["stretch"] for t in range(0, trajectory.frame_count, MEASURED_EVERY)]
+def attempt(job: RunJob, keep: bool) -> Made | Failure:
+    """A clip with its metrics, the crossings of cloth that share a vertex, and the smallest gap."""
+    outcome = run_job.attempt(job)
+    assert not isinstance(outcome, list)
+    if isinstance(outcome, Failure) or outcome.trajectory is None:
+        return outcome
+    with tempfile.NamedTemporaryFile(suffix=".npz") as file:
+        file.write(outcome.trajectory)
+        file.flush()
+        trajectory = Trajectory.open(file.name)
+        tree, gaps, crossing = packed_garments(trajectory).surface_tree, [], []
+        for written in trajectory.positions:
+            x = np.array(written, dtype=np.float64)
+            crossing.append(len(self_crossings(x, trajectory.faces, sharing=True)))
+            gaps.append(tree.pairs(x, WITHIN).nearest(x)[0].min(initial=WITHIN))
+    found = {"crossing_sharing": crossing, "smallest_gap": float(min(gaps))}
+    return Made(outcome.result | found, outcome.trajectory if keep else None)
 
-    return {
-        "frames_made": trajectory.frame_count,
-        "seconds_a_step": seconds / (scene.total_frames - 1),
-        "load": os.getloadavg()[0],
-        "crossing_mean": float(np.mean(crossing)),
-        "crossing_max": int(max(crossing)),
-        "smallest_gap": float(min(gaps)),
-        "strain_max": float(strain.max()),
-        "depth_max": max(0.0, -float(height.min())),
-        "penetration_percent": 100.0 * float((height < -PENETRATION_TOLERANCE).double().mean()),
-        "stretch": float(np.mean(energies)),
-        "iterations": float(np.mean(record.solver_iterations)) if record.solver_iterations else None,
-        "unsolved": record.unsolved,
-        "failed_at": record.failed_at,
-    }
+
+def row(job: RunJob, result: dict[str, Any] | None, failure: Failure | None) -> tuple[tuple[float, ...], str] | None:
+    """How bad a clip is, worst first, and its line of the table; None of one that is not done."""
+    labels, counts = job.labels, "+".join(str(each.triangles or "own") for each in job.run.garments)
+    name = f"{labels['garment']}, {Path(labels['motion']).stem}, {labels['model']}"
+    name += f", seed {labels['seed']}" if labels["seed"] else ""
+    name += "" if job.run.self_contact is None else ", self-contact off"
+    if result is None:
+        return None if failure is None else ((-np.inf,), f"| {name} | {counts} | refused: {failure.sentence} |")
+    series = {key: np.array(each["per_frame"]) for key, each in result["metrics"].items()}
+    pinched = series["body_intersections_pinched"]
+    free, limbs = series["body_intersections"] - pinched, series.get("limbs_through_cloth", np.zeros(1))
+    cloth, skin = max(result["crossing_sharing"]), series["visible_skin_percent"].max()
+    lost = result["diverged"] or result["frames"] < labels["frames_asked"]
+    parts = (
+        f"{name}{' **lost**' if lost else ''}", str(result["triangles"]), str(result["frames"]),
+        f"{free.mean():.2f}, {free.max():.0f}, {(free > 0).sum()}", f"{pinched.max():.0f}", f"{(limbs > 0).sum()}",
+        f"{skin:.2f}", f"{1e3 * series['penetration_depth_max'].max():.1f}", f"{series['strain_max'].max():.2f}",
+        f"{cloth}", f"{1e3 * result['smallest_gap']:.2f}", f"{result['ms_per_step']:.0f}",
+    )  # fmt: skip
+    return (-lost, -cloth, -(limbs > 0).sum(), -free.mean(), -skin), f"| {' | '.join(parts)} |"
+
+
+HEAD = (
+    "clip", "triangles", "frames", "body pairs: mean, most, frames", "of them pinched, most", "limbs through, frames",
+    "skin, most [%]", "deepest [mm]", "strain, most", "cloth pairs, most", "gap [mm]", "step [ms]",
+)  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--set", default="motions")
+    parser.add_argument("--set", default="motions", help="motions, fine, outfits, others, drawn, by comma")
+    parser.add_argument("--garments", default="", help="names or files, by comma, to simulate in place of a set")
+    parser.add_argument("--motions", default="walk,dance,squat", help="for --garments")
     parser.add_argument("--models", default="auto")
-    parser.add_argument("--frames", type=int)
+    parser.add_argument("--frames", type=int, help="of each clip, in place of those of its set")
+    parser.add_argument("--triangles", type=int, help="of each garment, in place of those of its set")
+    parser.add_argument("--seeds", default="0:300", help="first and last scene of drawn, the last left out")
+    parser.add_argument("--data", type=Path, default=Path("../../shared/data"), help="garments and motions of others")
     parser.add_argument("--against", action="store_true", help="simulate each clip with self-contact off too")
-    parser.add_argument("--part", default="1/1", help="the k-th of n parts, as k/n, for several processes")
-    parser.add_argument("--out", type=Path, required=True)
-    options = parser.parse_args()
-    wanted = [
-        clip
-        for kind in options.set.split(",")
-        for model in options.models.split(",")
-        for pair in zip(
-            *(clips(kind, model, options.frames, on) for on in (True, False)[: 1 + options.against]), strict=True
-        )
-        for clip in pair
+    parser.add_argument("--keep", action="store_true", help="keep the trajectories")
+    parser.add_argument("--table", action="store_true", help="only print what is done")
+    parser.add_argument("--out", type=Path, required=True, help="folder")
+    args = parser.parse_args()
+    planner, ways = JobPlanner(), ({}, {"self_contact": False})[: 1 + args.against]
+    wanted = [run for kind in ("given" if args.garments else args.set).split(",") for run in runs(kind, args)]
+    jobs = [
+        planner.job(run.with_entries({"model": model, **way}))
+        for model, run, way in product(args.models.split(","), wanted, ways)
     ]
-    done = []
-    if options.out.is_file():
-        done = [json.loads(line)["clip"] for line in options.out.read_text().splitlines()]
-    k, n = (int(number) for number in options.part.split("/"))
-    for clip in wanted[k - 1 :: n]:
-        key = json.loads(json.dumps(asdict(clip)))
-        if key in done:
-            continue
-        try:
-            figures = result(clip)
-        except Pb4uError as error:
-            figures = {"error": str(error)}
-        with options.out.open("a") as file:
-            file.write(json.dumps({"clip": key, **figures}) + "\n")
-        told = "+".join(clip.garments), clip.motion, clip.triangles, clip.model, "on" if clip.self_contact else "off"
-        print(*told, {name: round(v, 5) if isinstance(v, float) else v for name, v in figures.items()}, flush=True)
+    with JobFolder(args.out, "clips in contact", {}) as folder:
+        folder.write_manifest(jobs)
+        missing = [] if args.table else folder.still_to_do(jobs, "clips", False, print)
+        folder.complete(jobs, missing, "clips", lambda: LocalPool(1, partial(attempt, keep=args.keep)), quiet)
+        rows = sorted(filter(None, (row(job, folder.result(job), folder.failure(job)) for job in jobs)))
+    print(f"{len(rows)} of {len(jobs)} clips done.\n\n| {' | '.join(HEAD)} |\n{'|---' * len(HEAD)}|")
+    print("\n".join(line for _, line in rows))
 
 
 if __name__ == "__main__":

@@ -6,11 +6,12 @@ import io
 import re
 import sys
 from collections.abc import Callable
+from itertools import count
 
 import pytest
 from tests.simulation.ball_scene import ball_scene
 
-from pb4u.progress import Estimate, no_progress
+from pb4u.progress import Estimate, no_progress, slowness
 from pb4u.simulation.simulator import SkinningSimulator
 
 
@@ -31,9 +32,17 @@ def told_of(
 def test_long_work_is_estimated_before_its_first_part_and_again_where_it_takes_longer(
     each: float, more: list[str]
 ) -> None:
-    first = "200 steps take about 7 minutes by experience; measured again after the first ones."
+    first = (
+        "200 steps take about 7 minutes by experience, at the speed of this machine; measured again after the first "
+        "ones."
+    )
     assert told_of(lambda _: each, 200, expected=(200, 2.0)) == [first, *more]
     assert told_of(lambda _: 0.01, 200, expected=(200, 0.01)) == []
+
+
+def test_a_machine_of_half_the_speed_is_expected_to_take_twice_as_long() -> None:
+    clocks = (count(step=0.0065 * times) for times in (1, 2))
+    assert [slowness(clock.__next__) for clock in clocks] == pytest.approx([1.0, 2.0])
 
 
 def test_long_work_is_estimated_once_and_without_its_first_part() -> None:

@@ -28,6 +28,26 @@ _SLOWER = 2.0
 """Times the time of a part that was said, or that was too short to say, from which it is said again."""
 
 
+_USUAL = 0.0065
+"""Time [s] of the work of `slowness` on one core of the machine of the figures by experience (docs/performance.md)."""
+
+
+def slowness(clock: Callable[[], float] = time.perf_counter) -> float:
+    """How many times as long as by experience work takes here and now, by a fifth of a second of sorting and gathering.
+
+    Args:
+        clock: the time [s].
+    """
+    import numpy as np
+
+    seconds, values = list[float](), np.random.default_rng(0).random((50_000, 3))
+    while sum(seconds) < 0.2:
+        began, order = clock(), np.argsort(values[:, 0])
+        np.einsum("nd,nd->n", values[order], values)
+        seconds.append(clock() - began)
+    return median(seconds) / _USUAL
+
+
 def no_progress(done: int, total: int) -> None:
     """Ignore a progress report.
 
@@ -95,8 +115,8 @@ class Estimate:
         self._expected = pace if total * pace > _LONG else None
         if self._expected:
             say(
-                f"{total} {part}s take about {format_duration(total * pace)} by experience; measured again after the "
-                "first ones."
+                f"{total} {part}s take about {format_duration(total * pace)} by experience, at the speed of this "
+                "machine; measured again after the first ones."
             )
         self._say, self._part, self._alike, self._clock = say, part, alike, clock
         self._first: tuple[float, int] | None = None

@@ -76,8 +76,8 @@ class Flag:
     section: str = "scene"
 
 
-def _model(metavar: str | None = None, *, panel: str = MODEL, **given: Any) -> Flag:
-    return Flag(panel, metavar, section="run", **given)
+def _model(metavar: str | None = None, **given: Any) -> Flag:
+    return Flag(MODEL, metavar, section="run", **given)
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ class Run:
     precision: Annotated[Literal["auto", "float32", "bfloat16"], _model()] = "auto"
     first_frame: Annotated[
         Literal["auto", "settled", "long_step", "placed", "release", "hood", "mgn", "contourcraft"],
-        _model(panel=RESEARCH, names=("--first-frame", "--start")),
+        _model("NAME", names=("--first-frame", "--start")),
     ] = "auto"
     as_recorded: Annotated[bool, Flag(RESEARCH, names=("--as-recorded/--retargeted",))] = False
     omitted: Annotated[str | Path | None, Flag(RESEARCH, "FILE", is_file=True)] = None

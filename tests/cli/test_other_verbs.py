@@ -289,6 +289,16 @@ def test_help_says_what_has_to_be_known(pb4u: Callable, verb: tuple[str, ...], s
     assert [phrase for phrase in says if phrase not in text] == []
 
 
+@pytest.mark.parametrize("verb", ["", "simulate", "convert", "train", "evaluate", "batch", "view", "assets write"])
+def test_help_cuts_no_name_and_names_no_type_of_a_switch(
+    pb4u: Callable, monkeypatch: pytest.MonkeyPatch, verb: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    told = pb4u(*verb.split(), "--help").out
+    assert "--help" in told
+    assert [line for line in told.splitlines() if "bool" in line or "…" in line] == []
+
+
 def test_check_reads_a_garment_of_a_dictionary_and_names_the_body_file(pb4u: Callable, tmp_path: Path) -> None:
     woman = load_body("woman")
     shirt = build_garment("tshirt", woman, 2500)

@@ -12,7 +12,7 @@ def test_the_default_is_the_evaluation_material() -> None:
 
 
 def test_named_materials_lie_in_the_training_ranges() -> None:
-    assert material_names() == ("default", "cotton", "silk", "denim", "wool", "leather")
+    assert material_names() == ("default", "cotton", "silk", "denim", "wool", "jersey", "leather")
     for material in MATERIALS.values():
         assert 0.0434 <= material.density <= 0.7
         assert 15909 <= material.lame_mu <= 63636
@@ -25,6 +25,16 @@ def test_silk_is_lighter_and_softer_than_denim_and_leather() -> None:
     silk, cotton, denim, leather = (MATERIALS[name] for name in ("silk", "cotton", "denim", "leather"))
     assert silk.density < cotton.density < denim.density < leather.density
     assert silk.bending < cotton.bending < denim.bending < leather.bending
+
+
+def test_a_knit_stretches_twice_as_far_as_what_is_woven_and_bends_easily() -> None:
+    def modulus(name: str) -> float:
+        mu, lam = MATERIALS[name].lame_mu, MATERIALS[name].lame_lambda
+        return 4 * mu * (mu + lam) / (2 * mu + lam)
+
+    assert modulus("cotton") > 2 * modulus("jersey")
+    assert modulus("jersey") == min(map(modulus, MATERIALS))
+    assert MATERIALS["jersey"].bending < 0.2 * MATERIALS["cotton"].bending
 
 
 def test_a_material_file_is_read(tmp_path: Path) -> None:

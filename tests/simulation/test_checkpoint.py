@@ -29,6 +29,7 @@ from pb4u.simulation.checkpoint import (
     from_pretrained,
     load_checkpoint,
     save_checkpoint,
+    weights_name,
 )
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
@@ -211,3 +212,8 @@ def test_the_file_reads_without_this_package(saved):
         assert json.loads(header["training_record"])["dt"] == pytest.approx(DT)
         assert header["licence"] == "CC0-1.0"
         assert all(np.isfinite(file.get_tensor(key)).all() for key in file.keys())  # noqa: SIM118
+
+
+@pytest.mark.parametrize(("file", "name"), [("mine/best.safetensors", "mine-best"), ("mine/wool.safetensors", "wool")])
+def test_weights_of_a_training_are_called_after_its_folder(file: str, name: str) -> None:
+    assert weights_name(Path(file)) == name

@@ -20,9 +20,11 @@ from pb4u.cli import (
     train,
     trajectory_verbs,
 )
+from pb4u.cli.console import Verb, Verbs
 from pb4u.cli.run_flags import with_run_flags
 
 app = typer.Typer(
+    cls=Verbs,
     name="pb4u",
     help="Garment simulation on moving bodies: any body, any garment, any triangle count.",
     epilog="Add --debug to any command to see where an error came from. Lengths are metres, times seconds.",
@@ -45,7 +47,7 @@ for verb in (
     batch.batch,
     info.info,
 ):
-    app.command()(verb)
+    app.command(cls=Verb)(verb)
 app.add_typer(assets.group, name="assets")
 
 

@@ -11,6 +11,8 @@ from pb4u.cli.console import (
     BodyShape,
     JsonFlag,
     ShapeFlag,
+    Verb,
+    Verbs,
     check_json_target,
     write_json,
 )
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from pb4u.garment.material import Material
 
 group = typer.Typer(
-    help="List the built-in bodies, motions, garments, materials and models; write any of them to a file."
+    cls=Verbs, help="List the built-in bodies, motions, garments, materials and models; write any of them to a file."
 )
 
 
@@ -93,7 +95,7 @@ def _height(body: Any) -> float:
     return float(body.rest_vertices[:, 1].max() if hasattr(body, "rest_vertices") else body.height)
 
 
-@group.command("write")
+@group.command("write", cls=Verb)
 def write(
     name: Annotated[
         str, typer.Argument(help="Name of a built-in garment, body, motion or material.", show_default=False)
@@ -173,7 +175,7 @@ def _tell(json: str | None, **summary: Any) -> None:
         print(f"Wrote {summary['out']}")
 
 
-@group.command("pack")
+@group.command("pack", cls=Verb)
 def pack(
     out: Annotated[Path, typer.Argument(help="The .npz to write.", show_default=False)],
     preset: Annotated[

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from pb4u.errors import InputError
 from pb4u.export.registry import formats_help, is_same_file, would_overwrite, written_files
@@ -18,6 +19,26 @@ from pb4u.run import with_companions
 Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
 FORMATS = formats_help()
+
+
+class _Switches:
+    """Names no type beside a switch, which takes no value: `--plan`, not `--plan <bool>`."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Arguments and options of a verb, help included."""
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for each in params:
+            if getattr(each, "is_flag", False):
+                each.metavar = ""
+        return params
+
+
+class Verb(_Switches, TyperCommand):
+    """A verb."""
+
+
+class Verbs(_Switches, TyperGroup):
+    """A group of verbs."""
 
 
 def say(sentence: str) -> None:

@@ -217,7 +217,7 @@ def _option(entry: Entry, more: str = "", parser: Callable[[str], Any] | None = 
         text += f" Default: {shown:g}." if isinstance(shown, float) else f" Default: {shown}."
     return typer.Option(
         *entry.flag.names,
-        metavar="" if entry.flag.names and entry.kind == "switch" else entry.flag.metavar,
+        metavar=entry.flag.metavar,
         help=text,
         parser=parser,
         rich_help_panel=entry.flag.panel,

@@ -24,7 +24,7 @@ from pb4u.cli.run_flags import run_of
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
 from pb4u.io.atomic_file import check_writable
-from pb4u.progress import announced, progress_bar
+from pb4u.progress import announced, progress_bar, slowness
 from pb4u.run import Run
 
 if TYPE_CHECKING:
@@ -41,6 +41,9 @@ _OUTPUT = "Output"
 _PACES = {"skinning": 0.0, "quick-solver": 3e-5}
 """Seconds a step and triangle where cloth is easy, one core (docs/performance.md); of all others `_PACE`."""
 _PACE = 1e-4
+
+_WORTH_MEASURING = 5.0
+"""Seconds by experience from which the speed of the machine is measured."""
 
 
 def simulate(
@@ -274,7 +277,8 @@ def _trajectory(
 
     count = sum(dressed.garment.triangle_count for dressed in scene.garments)
     with ExitStack() as opened:
-        expected = scene.total_frames, count * _PACES.get(simulator.name, _PACE)
+        each = count * _PACES.get(simulator.name, _PACE)
+        expected = scene.total_frames, each * (slowness() if each * scene.total_frames > _WORTH_MEASURING else 1.0)
         told = opened.enter_context(announced(f"{count:,} triangles, {simulator.name}", "step", say, expected=expected))
         header = simulator.header(scene)
         watched = _LimbWarnings(scene, header, simulator.name)

@@ -7,6 +7,8 @@ the rest of their motion as it was; where impulses do not settle it, what touche
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 
 from pb4u.collision.element_distance import free_share, gather, nearest
@@ -19,6 +21,13 @@ SMALLEST_GAP = 1e-4
 
 _SHARE_OF_REST = 0.25
 """Share of their distance at rest that two elements of one garment may always come within: slivers of a mesh."""
+
+_OF_OBSTACLE_PRESENT = 0.5
+"""Most of its distance from an obstacle before a move that an element keeps: no energy holds them apart, and cloth that
+lies at the smallest gap on skin that bends could not move, so that skin was let through it."""
+
+_OFF_OBSTACLES = 2.0 * SMALLEST_GAP
+"""Distance [m] from obstacles to which impulses lead what met them: the next move begins with room."""
 
 _IMPULSES = 12
 """Rounds of impulses: a stack of layers passes one on from layer to layer."""
@@ -37,15 +46,16 @@ _PARTS = 4
 """Smaller moves that are tried where an obstacle finds no room in one: a running leg goes 20 cm in a step."""
 
 
-def smallest_gaps(pairs: ElementPairs, before: np.ndarray) -> np.ndarray:
+def smallest_gaps(pairs: ElementPairs, before: np.ndarray, first_obstacle: int = sys.maxsize) -> np.ndarray:
     """Gaps (pairs,) [m] that the pairs keep; less than `SMALLEST_GAP` where they are that near at rest or `before`.
 
     Args:
         pairs: of the surface.
         before: (vertices, 3) [m] positions that cross nowhere.
+        first_obstacle: number of the first vertex of obstacles, which are the last ones.
     """
     gaps = np.minimum(SMALLEST_GAP, _SHARE_OF_REST * pairs.rest_distance)
-    return _below_present(before, pairs.corners, pairs.vertex_faces, gaps)
+    return _below_present(before, pairs.corners, pairs.vertex_faces, gaps, first_obstacle)
 
 
 def free_shares(pairs: ElementPairs, gaps: np.ndarray, vertices: np.ndarray, moves: np.ndarray) -> np.ndarray:
@@ -139,7 +149,8 @@ def _in_one_move(
         hit = pairs.chosen(touching)
         if attempt < _IMPULSES:
             stopped = (gaps[touching], shares[touching])
-            _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, fastest)
+            limits = (tree.first_obstacle, fastest)
+            _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, *limits)
         else:
             moves = _merge_touching(moves, hit.corners, joined, masses)
             moves[firm] = previous[firm]
@@ -202,7 +213,7 @@ def _met(
         pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved)
     if passed.any():
         pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, passed))
-    return pairs, smallest_gaps(pairs, began)
+    return pairs, smallest_gaps(pairs, began, tree.first_obstacle)
 
 
 @compiled
@@ -215,14 +226,19 @@ def _differ(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _below_present(before: np.ndarray, corners: np.ndarray, vertex_faces: int, gaps: np.ndarray) -> np.ndarray:
-    """`gaps` (pairs,) lowered to nine tenths of the distance that pairs have `before`, where that is less."""
+def _below_present(
+    before: np.ndarray, corners: np.ndarray, vertex_faces: int, gaps: np.ndarray, first_obstacle: int
+) -> np.ndarray:
+    """`gaps` (pairs,) lowered to nine tenths of the distance `before`, or half of it from obstacles, if less."""
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
     lowered = np.empty(len(corners))
     for pair in range(len(corners)):
         gather(before, corners[pair], points)
         distance = nearest(points, pair < vertex_faces, weights, between)
-        lowered[pair] = gaps[pair] if distance > gaps[pair] else 0.9 * distance
+        if corners[pair].max() >= first_obstacle:
+            lowered[pair] = min(gaps[pair], _OF_OBSTACLE_PRESENT * distance)
+        else:
+            lowered[pair] = gaps[pair] if distance > gaps[pair] else 0.9 * distance
     return lowered
 
 
@@ -250,9 +266,12 @@ def _impulses(
     shares: np.ndarray,
     inverse: np.ndarray,
     world: np.ndarray,
+    first_obstacle: int,
     fastest: np.ndarray,
 ) -> None:
     """Change `moves` of touching pairs, the first to touch first, so that each keeps half of its gap open.
+
+    What meets an obstacle is led to twice the smallest gap from it.
 
     The impulse acts along the line between the nearest points where the pair was stopped, and makes no vertex faster
     than the `fastest` (worlds,) [m^2] of its world was.
@@ -276,6 +295,8 @@ def _impulses(
                 approach += weights[corner] * between[axis] * moves[ids[corner], axis] / distance
         approach *= 1.0 - shares[pair]
         room = 0.5 * (distance - gaps[pair])
+        if ids.max() >= first_obstacle:
+            room = min(room, distance - _OFF_OBSTACLES)
         excess = -approach - room
         if excess <= 0.0 or response <= 0.0:
             continue

@@ -13,7 +13,7 @@ import torch
 
 from pb4u.errors import InputError, Pb4uError
 from pb4u.export.finite_frames import held_frames
-from pb4u.export.sewing_lines import SewingLines, stitches, turned_edges
+from pb4u.export.sewing_lines import ABOVE, SewingLines, sewing_lines
 from pb4u.export.shading import SKIN, cloth_parts
 from pb4u.export.video_writer import open_video
 from pb4u.export.view import View
@@ -40,12 +40,6 @@ _FIELD_OF_VIEW = 24.0
 
 _NEAREST = 0.5
 """Distance of the camera [m] from a figure of no size."""
-
-_EDGE, _STITCH = (0.005, 0.75), (0.0015, 0.6)
-"""Width [m] of turned edges and of stitches, and their colour over that of the cloth."""
-
-_ABOVE = 0.0015
-"""Height [m] of lines above the cloth that they are on."""
 
 _SLOWEST = 0.002
 """Frames per second of a film at least: a GIF shows one for 655 s at most, and VP9 for 1000."""
@@ -77,10 +71,8 @@ class StillRenderer:
         self._middle = self._middle_height(frames)
         self._distance = max((self._needed_distance(t) for t in frames), default=0.0) * _MARGIN
         header = trajectory.header
-        self._lines = [
-            self._add_lines(turned_edges(header), *_EDGE),
-            self._add_lines(stitches(header), *_STITCH),
-        ]
+        lines = sewing_lines(header)
+        self._lines = [self._add_lines(lines.at(lines.width == width)) for width in np.unique(lines.width)]
 
     def _add_cloth(self, trajectory: Trajectory) -> list[tuple[pyvista.PolyData, np.ndarray]]:
         """Surfaces of the garments, each with the vertex behind each of its points: one of plain colours, one an image.
@@ -131,22 +123,22 @@ class StillRenderer:
         )
         return mesh
 
-    def _add_lines(self, lines: SewingLines, width: float, shade: float) -> tuple[pyvista.PolyData, SewingLines]:
-        """Lines `width` [m] wide on the cloth, in its colour times `shade`."""
+    def _add_lines(self, lines: SewingLines) -> tuple[pyvista.PolyData, SewingLines]:
+        """Lines of one width on the cloth."""
         import pyvista
 
-        header, count = self._trajectory.header, len(lines.face)
-        of_face = np.empty((len(header.faces), 3))
-        for part in cloth_parts(header, self._view.cloths):
-            of_face[part.faces] = part.colour
+        count = len(lines.face)
         cells = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(-1, 2)]).ravel()
         mesh = pyvista.PolyData(np.zeros((2 * count, 3), dtype=np.float32), lines=cells)
-        if count:
-            mesh.cell_data["colours"] = (255 * shade * of_face[lines.face]).round().astype(np.uint8)
-            pixels = self._view.height / (2.0 * self._distance * np.tan(np.deg2rad(_FIELD_OF_VIEW / 2)))
-            self._plotter.add_mesh(
-                mesh, scalars="colours", rgb=True, lighting=False, line_width=max(width * pixels, 1.0)
-            )
+        mesh.cell_data["colours"] = lines.colours(cloth_parts(self._trajectory.header, self._view.cloths))
+        pixels = self._view.height / (2.0 * self._distance * np.tan(np.deg2rad(_FIELD_OF_VIEW / 2)))
+        width = max(lines.width[0] * pixels, 1.0)
+        mesh.point_data["Normals"] = np.zeros_like(mesh.points)
+        mesh.point_data.active_normals_name = "Normals"
+        self._plotter.add_mesh(
+            mesh, scalars="colours", rgb=True, line_width=width, ambient=0.16, diffuse=0.9, specular=0.06,
+            interpolation="Phong",
+        )  # fmt: skip
         return mesh, lines
 
     def _light(self) -> None:
@@ -235,7 +227,8 @@ class StillRenderer:
         for mesh, of_vertex in self._cloth:
             _move(mesh, trajectory.positions[t][of_vertex], normals[of_vertex])
         for mesh, lines in self._lines:
-            mesh.points = _finite(lines.of(_finite(trajectory.positions[t]) + _ABOVE * normals))
+            on_lines = lines.of(normals)
+            _move(mesh, lines.of(_finite(trajectory.positions[t])) + ABOVE * on_lines, on_lines)
         if self._body is not None:
             points = trajectory.body_positions[t]
             _move(self._body, points, _normals(points, trajectory.header.body_faces))

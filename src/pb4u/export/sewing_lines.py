@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pb4u.export.panels import SewnPanels
+from pb4u.export.panels import SewnPanels, uv_islands
+from pb4u.export.shading import ClothPart
+from pb4u.garment.patterns import PATTERNS
 from pb4u.geometry.topology import Topology
 from pb4u.scene.trajectory import TrajectoryHeader
 
 HEM = 0.02
 """Distance [m] of a hem's stitches from the edge of the cloth, on the rest shape; as usual on shirts."""
 _SAMPLED = 0.005
+
+_EDGE, _STITCH = (0.005, 0.75), (0.0015, 0.6)
+"""Width [m] of turned edges and of stitches, and their colour over that of the cloth."""
+
+ABOVE = 0.001
+"""Height [m] of lines above the cloth that they are on, where they are drawn as lines."""
+
+_PIXELS = 2048
+"""Sides of an image of the lines: 1.5 mm a pixel where panels that are 3 m wide together fill it."""
 
 
 class SewingLines(NamedTuple):
@@ -22,12 +35,16 @@ class SewingLines(NamedTuple):
     Args:
         ends: (points, 2) int64 vertices.
         share: (points,) of the second vertex [1].
-        face: (segments,) int64 a face that the segment lies on.
+        face: (segments,) int64 the face that the segment lies on.
+        width: (segments,) [m].
+        shade: (segments,) colour over that of the cloth [1].
     """
 
     ends: np.ndarray
     share: np.ndarray
     face: np.ndarray
+    width: np.ndarray
+    shade: np.ndarray
 
     def of(self, values: np.ndarray) -> np.ndarray:
         """Values (points, 3) of the points from those of the vertices (vertices, 3)."""
@@ -35,45 +52,110 @@ class SewingLines(NamedTuple):
         mixed: np.ndarray = (1 - share) * values[self.ends[:, 0]] + share * values[self.ends[:, 1]]
         return mixed
 
+    def at(self, chosen: np.ndarray) -> SewingLines:
+        """Some of the segments; `chosen` (segments,) bool."""
+        points = np.repeat(chosen, 2)
+        return SewingLines(
+            self.ends[points], self.share[points], self.face[chosen], self.width[chosen], self.shade[chosen]
+        )
 
-def turned_edges(header: TrajectoryHeader) -> SewingLines:
-    """The edges at which cloth ends."""
-    return _along(header.faces, _borders(header))
+    def colours(self, parts: Sequence[ClothPart]) -> np.ndarray:
+        """Colours (segments, 3) uint8 sRGB [0 to 255] on the `parts` of a surface."""
+        of_face = np.empty((sum(len(part.faces) for part in parts), 3))
+        for part in parts:
+            of_face[part.faces] = part.colour
+        shaded: np.ndarray = (255 * self.shade[:, None] * of_face[self.face]).round().astype(np.uint8)
+        return shaded
+
+    def drawn_on(self, header: TrajectoryHeader, part: ClothPart) -> bytes | None:
+        """A grey PNG of the lines of a part, laid on by its UVs; None where its UVs leave the unit square.
+
+        Args:
+            header: of the surface, with UVs.
+            part: the faces that are drawn on.
+        """
+        from PIL import Image, ImageDraw
+
+        assert header.uvs is not None
+        assert header.uv_faces is not None
+        uvs = header.uvs[header.uv_faces]
+        if uvs[part.faces].min() < 0.0 or uvs[part.faces].max() > 1.0:
+            return None
+        face = np.repeat(self.face, 2)
+        at = [uvs[face, (header.faces[face] == end[:, None]).argmax(axis=1)] for end in self.ends.T]
+        points = (1 - self.share[:, None]) * at[0] + self.share[:, None] * at[1]
+        points = (_PIXELS * (points * (1.0, -1.0) + (0.0, 1.0))).reshape(-1, 4)
+        corners = np.asarray(header.rest_positions)[header.faces[part.faces]]
+        double = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+        (ax, ay), (bx, by) = (uvs[part.faces, k].T - uvs[part.faces, 0].T for k in (1, 2))
+        pixels_a_metre = _PIXELS * np.sqrt(np.abs(ax * by - ay * bx).sum() / double)
+        image = Image.new("L", (_PIXELS, _PIXELS), 255)
+        draw = ImageDraw.Draw(image)
+        for segment in np.flatnonzero(np.isin(self.face, part.faces)).tolist():
+            width = max(round(self.width[segment] * pixels_a_metre), 1)
+            draw.line(points[segment].tolist(), round(255 * self.shade[segment]), width)
+        written = io.BytesIO()
+        image.save(written, "PNG")
+        return written.getvalue()
 
 
-def stitches(header: TrajectoryHeader) -> SewingLines:
-    """The stitches of hems, `HEM` from where cloth ends, and the seams of garments that were sewn of a pattern."""
+def sewing_lines(header: TrajectoryHeader) -> SewingLines:
+    """Turned edges and stitches of hems, and the seams of built-in garments and of those that were sewn of a pattern.
+
+    Args:
+        header: of the surface.
+    """
     faces = header.faces
     # Other garments are far away, so that the hem of one leaves no line on another.
-    rest = np.asarray(header.rest_positions, dtype=np.float64) + 1e3 * header.vertex_garment[:, None]
-    panels = SewnPanels.of(header)
-    seams = _along(faces, np.zeros((0, 2), dtype=np.int64) if panels is None else panels.seams)
-    edges = _borders(header)
-    if not len(edges):
-        return seams
-    a, b = rest[edges[:, 0]], rest[edges[:, 1]]
-    count = int(np.ceil(np.linalg.norm(b - a, axis=1).max() / _SAMPLED)) + 1
-    away = cKDTree(np.concatenate([a + t * (b - a) for t in np.linspace(0.0, 1.0, count)])).query(rest)[0] - HEM
-    near = away[faces] < 0.0
+    rest = np.asarray(header.rest_positions, dtype=np.float64) + 1e3 * np.asarray(header.vertex_garment)[:, None]
+    kinds = [(line, _STITCH) for line in _seams(header)]
+    topology = Topology(faces, len(rest))
+    edges = topology.edges[topology.edge_face_counts == 1]
+    if len(edges):
+        a, b = rest[edges[:, 0]], rest[edges[:, 1]]
+        count = int(np.ceil(np.linalg.norm(b - a, axis=1).max() / _SAMPLED)) + 1
+        away = cKDTree(np.concatenate([a + t * (b - a) for t in np.linspace(0.0, 1.0, count)])).query(rest)[0]
+        # The middle of a turned edge, which would stick out beyond the cloth if it lay on its very end.
+        kinds += [(_level(faces, away - 0.5 * _EDGE[0]), _EDGE), (_level(faces, away - HEM), _STITCH)]
+    lines = [(*line, *(np.full(len(line[2]), value) for value in kind)) for line, kind in kinds]
+    empty = (np.zeros((0, 2), np.int64), np.zeros(0), np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
+    return SewingLines(*(np.concatenate(each) for each in zip(empty, *lines, strict=True)))
+
+
+def _level(faces: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where values (vertices,) change their sign on faces: ends, share and face of `SewingLines`."""
+    near = values[faces] < 0.0
     crossed = np.flatnonzero(near.any(axis=1) & ~near.all(axis=1))
     near = near[crossed]
     # One corner lies on its own side of the line.
     lone = np.where(near.sum(axis=1) == 1, near.argmax(axis=1), near.argmin(axis=1))
     corners = [faces[crossed, (lone + k) % 3] for k in range(3)]
     ends = np.stack([np.column_stack([corners[0], corners[k]]) for k in (1, 2)], axis=1).reshape(-1, 2)
-    share = away[ends[:, 0]] / (away[ends[:, 0]] - away[ends[:, 1]])
-    return SewingLines(*(np.concatenate(each) for each in zip(seams, SewingLines(ends, share, crossed), strict=True)))
+    return ends, values[ends[:, 0]] / (values[ends[:, 0]] - values[ends[:, 1]]), crossed
 
 
-def _borders(header: TrajectoryHeader) -> np.ndarray:
-    """Edges (edges, 2) int64 of one face."""
-    topology = Topology(header.faces, len(header.rest_positions))
-    return np.asarray(topology.edges[topology.edge_face_counts == 1])
-
-
-def _along(faces: np.ndarray, edges: np.ndarray) -> SewingLines:
-    """Segments along edges (edges, 2) of a mesh."""
-    ends = np.repeat(edges.reshape(-1, 1), 2, axis=1)
-    owner = np.zeros(int(faces.max(initial=-1)) + 1, dtype=np.int64)
-    owner[faces.ravel()] = np.repeat(np.arange(len(faces)), 3)
-    return SewingLines(ends, np.zeros(len(ends)), owner[edges[:, 0]])
+def _seams(header: TrajectoryHeader) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Seams along the edges of meshes that were cut for them, and smooth ones of built-in garments, which were not."""
+    faces, uv_faces = header.faces, header.uv_faces
+    if panels := SewnPanels.of(header):
+        halves = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        at = np.flatnonzero(np.isin(halves @ [1 << 32, 1], np.sort(panels.seams, axis=1) @ [1 << 32, 1]))
+        yield np.repeat(halves[at].reshape(-1, 1), 2, axis=1), np.zeros(2 * len(at)), at // 3
+    if uv_faces is None or header.polygons is not None:
+        return
+    for k, garment in enumerate(header.garments):
+        own = np.flatnonzero(np.asarray(header.vertex_garment)[faces[:, 0]] == k)
+        if garment.get("source") not in PATTERNS or not len(own):
+            continue
+        panel = uv_islands(uv_faces[own])
+        on_face = np.eye(panel.max() + 1)[panel]
+        for _ in range(3):
+            on_vertex = np.zeros((len(header.rest_positions), on_face.shape[1]))
+            for corner in faces[own].T:
+                np.add.at(on_vertex, corner, on_face)
+            on_vertex /= np.maximum(on_vertex.sum(axis=1, keepdims=True), 1e-9)
+            on_face = on_vertex[faces[own]].mean(axis=1)
+        for label in range(panel.max()):
+            others = np.delete(on_vertex, label, axis=1).max(axis=1)
+            ends, share, crossed = _level(faces[own], on_vertex[:, label] - others)
+            yield ends, share, own[crossed]

@@ -259,7 +259,7 @@ class Figure:
         name, header = f"{self._name}/garment{self._versions}", self.clip.header
         if self._overlay.scale is not None:
             return PaintedSurface(self._scene, name, header.faces)
-        return GarmentsSurface(self._scene, name, header.faces, header.vertex_garment, self._overlay.wireframe)
+        return GarmentsSurface(self._scene, name, header, self._overlay.wireframe)
 
     @property
     def waits(self) -> bool:

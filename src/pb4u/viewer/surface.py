@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import struct
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pb4u.export.shading import garment_colours
+from pb4u.export.sewing_lines import ABOVE, SewingLines, sewing_lines
+from pb4u.export.shading import cloth_parts, garment_colours, unit_normals
 
 if TYPE_CHECKING:
-    from viser import GlbHandle, MeshHandle, SceneApi
+    from viser import GlbHandle, LineSegmentsHandle, MeshHandle, SceneApi
+
+    from pb4u.scene.trajectory import TrajectoryHeader
 
 _FLOAT, _UNSIGNED_BYTE, _UNSIGNED_SHORT, _UNSIGNED_INT = 5126, 5121, 5123, 5125
 
@@ -82,19 +86,28 @@ class PlainSurface(Surface):
 
 
 class GarmentsSurface(Surface):
-    """Several garments, each a surface of one colour of its own.
+    """Several garments, each a surface of one colour of its own, with their hems and seams.
 
     Args:
         scene: of one page.
         name: of the nodes.
-        faces: (faces, 3) int, of all garments.
-        vertex_garment: (vertices,) int garment of each vertex.
-        wireframe: draw edges in place of faces.
+        header: of the garments.
+        wireframe: draw edges in place of faces, hems and seams.
     """
 
-    def __init__(
-        self, scene: SceneApi, name: str, faces: np.ndarray, vertex_garment: np.ndarray, wireframe: bool = False
-    ) -> None:
+    def __init__(self, scene: SceneApi, name: str, header: TrajectoryHeader, wireframe: bool = False) -> None:
+        faces, vertex_garment = header.faces, np.asarray(header.vertex_garment)
+        self._faces = faces
+        self._lines: list[tuple[SewingLines, LineSegmentsHandle]] = []
+        lines = sewing_lines(header)
+        colours = lines.colours(cloth_parts(replace(header, appearances=None)))
+        for width in [] if wireframe else np.unique(lines.width).tolist():
+            chosen = lines.width == width
+            handle = scene.add_line_segments(
+                f"{name}/lines {width}", np.zeros((chosen.sum(), 2, 3), np.float32),
+                np.repeat(colours[chosen][:, None], 2, axis=1), thickness=width,
+            )  # fmt: skip
+            self._lines.append((lines.at(chosen), handle))
         self._parts: list[tuple[np.ndarray, PlainSurface]] = []
         place = np.empty(len(vertex_garment), dtype=np.int64)
         for garment, colour in enumerate(garment_colours(int(vertex_garment.max(initial=0)) + 1).tolist()):
@@ -107,14 +120,18 @@ class GarmentsSurface(Surface):
                 self._parts.append((rows, surface))
 
     def show(self, positions: np.ndarray, colours: np.ndarray | None) -> bool:
+        if self._lines:
+            above = positions + ABOVE * unit_normals(positions, self._faces)
+            for lines, handle in self._lines:
+                handle.points = lines.of(above).reshape(-1, 2, 3)
         return all([surface.show(positions[rows], None) for rows, surface in self._parts])
 
     def reveal(self) -> None:
         pass
 
     def remove(self) -> None:
-        for _, surface in self._parts:
-            surface.remove()
+        for node in [surface for _, surface in self._parts] + [handle for _, handle in self._lines]:
+            node.remove()
 
 
 class PaintedSurface(Surface):

@@ -92,7 +92,7 @@ class ClothPairs:
         gaps = smallest_gaps(pairs, began)
         if obstacle is not None:
             # What is near now, where the bodies are, says how near it may come; where the step began they were others.
-            gaps[mixed] = smallest_gaps(pairs, points)[mixed]
+            gaps[mixed] = smallest_gaps(pairs, points, tree.first_obstacle)[mixed]
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
         reaches[mixed] = _BODY_REACH
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
