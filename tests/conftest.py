@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,27 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     # Workers share the processors; each and what it starts gets one thread, so that none waits for another's.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"].split(",")[0]))
+
+
+LONGEST_FIRST = (
+    "house/test_static_checks.py", "cli/test_simulate.py", "viewer/test_page.py", "examples/test_examples.py",
+    "docs/test_documented_commands.py", "release/test_wheel.py", "dataset/test_dataset_run.py",
+    "golden/test_equal_results.py", "cli/test_evaluate.py", "training/test_never_lost.py",
+    "training/test_device_training.py", "training/test_distribution.py", "fuzzing/test_readers.py",
+    "export/test_bones_in_a_browser.py", "paper/test_networks.py",
+)  # fmt: skip
+"""Files that a worker begins with, so that none waits for another's at the end. The first compiles no kernels: while it
+is checked, the other worker compiles those that both need."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    order = {Path(__file__).parent / name: number for number, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: order.get(item.path, len(order)))
+
+
+def pytest_collection_finish() -> None:
+    # Modules stay: each collection of garbage would look through them again.
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

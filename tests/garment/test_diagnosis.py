@@ -136,7 +136,9 @@ def test_first_frame_penetration_is_measured(woman):
 def test_a_garment_wholly_inside_is_refused(woman):
     garment = tube_garment(low=1.0, high=1.2, radius=0.04)
     garment = replace(garment, vertices=garment.vertices + np.array([0.0, 0.0, 0.03]))
-    assert finding(diagnose(garment, woman), "inside").severity is Severity.REFUSED
+    diagnosis = diagnose(garment, woman)
+    assert finding(diagnosis, "inside").severity is Severity.REFUSED
+    assert "inside-out" not in diagnosis.codes
     with pytest.raises(InputError, match="wholly inside the body"):
         require_worn(garment, woman, FILE, found_support(garment, woman))
 

@@ -49,6 +49,7 @@ def test_the_authors_vertices_stay_and_both_ends_go_with_the_seam() -> None:
         (2.0, (4, 6), "200 cm apart; choose vertices within 10 cm"),
         (0.02, (4, 12), "names a vertex that is not there; it has 12"),
         (0.02, (4, -1), "names a vertex that is not there"),
+        (0.02, (4, 4), "the tack 4:4 sews a vertex to itself"),
         (0.02, (4, 5), "fold a triangle"),
     ],
 )

@@ -18,7 +18,10 @@ from pb4u.garment.dressing import PrescribedPlacement
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
-from pb4u.scene.scene import DressedGarment, Scene
+from pb4u.physics.terms.friction import Friction
+from pb4u.scene.scene import STANDARD_GRAVITY, DressedGarment, Scene
+from pb4u.simulation.first_frame import AsPlaced
+from pb4u.simulation.refinement import ImplicitSteps
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import Timeline
@@ -202,3 +205,33 @@ def test_where_one_move_finds_no_room_smaller_ones_are_made(monkeypatch: pytest.
     pairs = obstacle.tree.pairs(before, 1e-3, ended - before)
     gaps = collision_free.smallest_gaps(pairs, before, obstacle.tree.first_obstacle)
     assert (pairs.nearest(ended)[0] > gaps).all()
+
+
+def rode(coefficient: float, share: float, frames: int = 10, settling: int = 4) -> tuple[float, float]:
+    """Speed [m/s] and slip [m] of a sheet on a plate that speeds up sideways, by a share of what friction can give.
+
+    The speed is in units of what it gains by friction alone in that time.
+    """
+    plate = trimesh.creation.box(extents=[2.0, 0.1, 0.6])
+    plate.apply_translation([0.0, 0.55, 0.0])
+    garment, limit = sheet(3, 0.15, 0.6018), coefficient * STANDARD_GRAVITY
+    seconds = np.maximum(np.arange(settling + frames) - settling, 0) / 30.0
+    path = (0.5 * share * limit * seconds**2)[:, None] * np.array([1.0, 0.0, 0.0])
+    placed = PrescribedPlacement(np.repeat(garment.vertices[None], len(path), axis=0))
+    scene = Scene((DressedGarment(garment, placed),), (Rigid(plate, path),), len(path), ground_height=None)
+    potential = FELT.with_term(Friction(coefficient))
+    method = StepMethod(refinement=ImplicitSteps(potential=potential), self_contact=FELT.self_contact)
+    *_, last = OneMethod(AsPlaced(), method).rollout(scene, RunRecord())
+    way = (last.positions.numpy() - garment.vertices)[:, 0].mean()
+    return float(last.velocities[:, 0].mean()) / (limit * seconds[-1]), float(path[-1, 0] - way)
+
+
+@pytest.mark.parametrize("coefficient", [0.2, 0.5])
+def test_a_plate_takes_cloth_along_as_far_as_friction_can(coefficient: float) -> None:
+    speed, slip = rode(coefficient, 0.8)
+    # The last step's mean speed is that of half a step before its end.
+    assert speed == pytest.approx(0.8 * (1.0 - 0.5 / 9), rel=0.01)
+    assert abs(slip) < 2e-3
+    speed, slip = rode(coefficient, 1.5)
+    assert speed == pytest.approx(1.0, rel=0.05)
+    assert slip == pytest.approx(0.5 * 0.5 * coefficient * STANDARD_GRAVITY * 0.3**2, rel=0.25)

@@ -379,7 +379,9 @@ def _contact_findings(
     closed = body.is_closed
     measures["penetration_percent"] = 100.0 * float((distances < 0.0).mean()) if closed else None
     measures["penetration_depth_max"] = max(0.0, -float(distances.min())) if closed else None
-    if not surface.flipped[0].any() and is_inside_out(moved, surface.faces, body):
+    # Seen from within the body every garment looks away from its skin.
+    within = closed and (distances < 0.0).mean() > 0.5
+    if not within and not surface.flipped[0].any() and is_inside_out(moved, surface.faces, body):
         sentence = "All faces look inwards, at the body."
         findings.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
     return findings

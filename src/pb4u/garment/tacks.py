@@ -26,7 +26,8 @@ def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
         tacks: pairs of vertices of the author's mesh, counted from 0.
 
     Raises:
-        InputError: a vertex that does not exist, two that are too far apart, or a seam that no cloth can have.
+        InputError: a vertex that does not exist or is sewn to itself, two that are too far apart, or a seam that no
+            cloth can have.
     """
     if not len(tacks):
         return garment
@@ -36,6 +37,8 @@ def tacked(garment: Garment, tacks: Sequence[tuple[int, int]]) -> Garment:
         raise InputError(
             f"{garment.name}: the tack {_told(bad[0])} names a vertex that is not there; it has {count}, from 0 on."
         )
+    if (alike := pairs[pairs[:, 0] == pairs[:, 1]]).size:
+        raise InputError(f"{garment.name}: the tack {_told(alike[0])} sews a vertex to itself; give two.")
     ends = pairs
     if source is not None:
         ends = garment.faces[source.triangle[pairs], source.barycentric[pairs].argmax(axis=2)]
