@@ -160,7 +160,7 @@ def test_a_move_goes_past_a_body_that_moves_the_other_way() -> None:
 def test_no_move_crosses_a_moving_body_but_where_it_is_let_through(
     wish: float, motion: str, near: float, seed: int
 ) -> None:
-    """From beside a ball to anywhere, while the ball moves; beside one body there is room for all but the wildest."""
+    """From beside a ball to anywhere, while the ball moves; from a few millimetres nothing is let through."""
     timeline = Timeline.of(scene_of("ball slides beneath", height=0.6 + near))
     garments, x, rng = timeline.garments, timeline.skinned(0), np.random.default_rng(seed)
     obstacle = Obstacle.at(garments, timeline.pose(0), x)
@@ -183,7 +183,7 @@ def test_no_move_crosses_a_moving_body_but_where_it_is_let_through(
     through = crossings(reached.numpy(), faces, after, skin)
     assert ended.passed[faces[through[:, 0]]].any(axis=1).all()
     assert not len(self_crossings(reached.numpy(), faces))
-    if motion != "leaps" and wish < 1.0:
+    if motion != "leaps" and wish <= 1e-3 and near > 1e-3:
         assert not ended.passed.any()
 
 
