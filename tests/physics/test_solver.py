@@ -12,6 +12,7 @@ import torch
 from tests.physics.shapes import DT, at_rest, capsule, collider, packed, potential_of, sheet, time_step, tube
 from tests.readable_stiffness import readable_stiffness
 
+import pb4u.physics.incremental_potential as potential_module
 import pb4u.physics.solver.newton_solver as solver_module
 from pb4u.errors import InputError
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
@@ -222,7 +223,9 @@ def system(
     return stiffness, pairs, preconditioner, rng.normal(size=x.shape) * pattern.free[:, None]
 
 
-def test_the_stiffness_matrix_is_the_sum_of_its_terms_and_holds_pins() -> None:
+@pytest.mark.parametrize("few", [0, 4096])
+def test_the_stiffness_matrix_is_the_sum_of_its_terms_and_holds_pins(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(potential_module, "_FEW", few)
     garments, step, start = hanging_sheet(5)
     x = start + 0.01 * torch.randn(start.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
     compiled = step.compiled()

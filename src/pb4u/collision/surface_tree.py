@@ -397,8 +397,11 @@ def _near_around(
         a, b, c, d = corners[pair, 0], corners[pair, 1], corners[pair, 2], corners[pair, 3]
         if not (among[a] or among[b] or among[c] or among[d]):
             continue
-        one, other = ((a, a, a), (b, c, d)) if vertex_face else ((a, b, b), (c, d, d))
-        if not _apart(ends, one, other, begun, ended):
+        if vertex_face:
+            apart = _apart(ends, (a,), (b, c, d), begun, ended)
+        else:
+            apart = _apart(ends, (a, b), (c, d), begun, ended)
+        if not apart:
             near = with_room(near, count)
             copy_row(corners[pair], near[count])
             count += 1
@@ -455,11 +458,11 @@ def _search(
                     continue
                 if _share_a_vertex(faces, f, g):
                     continue
-                if faces[f, 0] >= way[4] and _beside(faces[g], faces[f], way):
-                    continue
-                if faces[g, 0] >= way[4] and _beside(faces[f], faces[g], way):
-                    continue
                 one, other = (faces[f, 0], faces[f, 1], faces[f, 2]), (faces[g, 0], faces[g, 1], faces[g, 2])
+                if one[0] >= way[4] and _beside(other, one, way):
+                    continue
+                if other[0] >= way[4] and _beside(one, other, way):
+                    continue
                 if _apart(ends, one, other, begun, ended):
                     continue
                 for first, second, corners in ((f, g, other), (g, f, one)):
@@ -467,7 +470,7 @@ def _search(
                         v = owned_vertices[first, k]
                         if v < 0 or not (among[v] or asked_faces[second]):
                             continue
-                        if not _apart(ends, (v, v, v), corners, begun, ended):
+                        if not _apart(ends, (v,), corners, begun, ended):
                             near_faces = with_room(near_faces, face_count)
                             near_faces[face_count, 0] = v
                             copy_row(faces[second], near_faces[face_count, 1:])
@@ -476,7 +479,7 @@ def _search(
                     p = owned_edges[f, k]
                     if p < 0:
                         continue
-                    side = edges[p, 0], edges[p, 1], edges[p, 1]
+                    side = edges[p, 0], edges[p, 1]
                     if _apart(ends, side, other, begun, ended):
                         continue
                     for m in range(3):
@@ -485,7 +488,7 @@ def _search(
                             continue
                         if not (among[side[0]] or among[side[1]] or among[edges[q, 0]] or among[edges[q, 1]]):
                             continue
-                        if not _apart(ends, side, (edges[q, 0], edges[q, 1], edges[q, 1]), begun, ended):
+                        if not _apart(ends, side, (edges[q, 0], edges[q, 1]), begun, ended):
                             near_edges = with_room(near_edges, edge_count)
                             copy_row(edges[p], near_edges[edge_count, :2])
                             copy_row(edges[q], near_edges[edge_count, 2:])
@@ -495,16 +498,18 @@ def _search(
 
 @compiled
 def _apart(ends: np.ndarray, one: tuple, other: tuple, begun: float, ended: float) -> bool:
-    """Whether elements with three corners each, or one repeated, are apart along the line between their middles.
+    """Whether elements of one to three corners each are apart along the line between their middles.
 
     By more than a distance `begun` [m] at the beginning of the moves and `ended` [m] at their end, of which the `ends`
     (vertices, 6) [m] are; in between by what lies between these, for along a line that stands still all is linear.
     """
-    x, y, z = 0.0, 0.0, 0.0
+    share, x, y, z = len(other) / len(one), 0.0, 0.0, 0.0
     for v in other:
         x, y, z = x + ends[v, 0] + ends[v, 3], y + ends[v, 1] + ends[v, 4], z + ends[v, 2] + ends[v, 5]
     for v in one:
-        x, y, z = x - ends[v, 0] - ends[v, 3], y - ends[v, 1] - ends[v, 4], z - ends[v, 2] - ends[v, 5]
+        x -= share * (ends[v, 0] + ends[v, 3])
+        y -= share * (ends[v, 1] + ends[v, 4])
+        z -= share * (ends[v, 2] + ends[v, 5])
     far, far_after, near, near_after = -np.inf, -np.inf, np.inf, np.inf
     for v in one:
         far = max(far, x * ends[v, 0] + y * ends[v, 1] + z * ends[v, 2])
@@ -517,31 +522,30 @@ def _apart(ends: np.ndarray, one: tuple, other: tuple, begun: float, ended: floa
 
 
 @compiled
-def _beside(face: np.ndarray, other: np.ndarray, way: tuple) -> bool:
-    """Whether another face (3,) stays on one side of the plane of a `face` (3,).
+def _beside(face: tuple, other: tuple, way: tuple) -> bool:
+    """Whether another face, of three corners, stays on one side of the plane of a `face`.
 
     By more than a distance [m] at the beginning of the moves and another at their end, as the `way` says: vertices
     (vertices, 3) [m], moves (vertices, 3) [m], these two distances [m].
     """
     vertices, moves, begun, ended = way[0], way[1], way[2], way[3]
-    normal, a = np.empty(3), face[0]
-    for axis in range(3):
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        normal[axis] = (vertices[face[1], i] - vertices[a, i]) * (vertices[face[2], j] - vertices[a, j])
-        normal[axis] -= (vertices[face[1], j] - vertices[a, j]) * (vertices[face[2], i] - vertices[a, i])
-    length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    a, b, c = face
+    u, v, w = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    p, q, r = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    x, y, z = v * r - w * q, w * p - u * r, u * q - v * p
+    length = np.sqrt(x * x + y * y + z * z)
+    # The face lies in its plane until it moves.
+    level = x * vertices[a, 0] + y * vertices[a, 1] + z * vertices[a, 2]
     low, high, after_low, after_high = np.inf, -np.inf, np.inf, -np.inf
     own_low, own_high = np.inf, -np.inf
-    for corner in range(3):
-        v, w = other[corner], face[corner]
-        height, rise, own_rise = 0.0, 0.0, 0.0
-        for axis in range(3):
-            height += normal[axis] * (vertices[v, axis] - vertices[a, axis])
-            rise += normal[axis] * moves[v, axis]
-            own_rise += normal[axis] * (vertices[w, axis] - vertices[a, axis] + moves[w, axis])
+    for corner in other:
+        height = x * vertices[corner, 0] + y * vertices[corner, 1] + z * vertices[corner, 2] - level
+        after = height + x * moves[corner, 0] + y * moves[corner, 1] + z * moves[corner, 2]
         low, high = min(low, height), max(high, height)
-        after_low, after_high = min(after_low, height + rise), max(after_high, height + rise)
-        own_low, own_high = min(own_low, own_rise), max(own_high, own_rise)
+        after_low, after_high = min(after_low, after), max(after_high, after)
+    for corner in face:
+        rise = x * moves[corner, 0] + y * moves[corner, 1] + z * moves[corner, 2]
+        own_low, own_high = min(own_low, rise), max(own_high, rise)
     above = low > begun * length and after_low - own_high > ended * length
     return above or (high < -begun * length and own_low - after_high > ended * length)
 
