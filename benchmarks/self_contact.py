@@ -7,12 +7,15 @@
 
 Each clip is a job of the folder `--out`: the same command goes on where it stopped. At the end, or with `--table` at
 once, it prints a Markdown table of the clips that are done, the worst first. Positions are rounded to float32 as they
-are written, and crossings are found by exact predicates. Recordings and garments of others are read from `--data`.
+are written, and crossings are found by exact predicates. Recordings and garments of others are read from `--data`, and
+the garments mended by `pb4u check --fix`.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from functools import partial
@@ -80,8 +83,8 @@ def runs(kind: str, args: argparse.Namespace) -> Iterator[Run]:
     elif kind == "others":
         for garment, (motion, crop) in product(OTHERS, RECORDINGS):
             body = "man" if "_m_" in garment else "woman"
-            file = args.data / "motions" / "cmu_asfamc" / f"{motion}.amc"
-            yield run((str(args.data / "garments" / f"{garment}.obj"),), str(file), None, 60, body=body, crop=crop)
+            file, worn = args.data / "motions" / "cmu_asfamc" / f"{motion}.amc", mended(garment, body, args)
+            yield run((str(worn),), str(file), None, 60, body=body, crop=crop)
     elif kind == "drawn":
         draw, (first, stop) = np.random.default_rng(0), map(int, args.seeds.split(":"))
         for seed in range(stop):
@@ -94,6 +97,17 @@ def runs(kind: str, args: argparse.Namespace) -> Iterator[Run]:
                 yield run(garments, motion, 1500, 60, body_shape=shape, body=body, material=material, seed=seed)
     else:
         raise SystemExit(f"There is no set {kind}: motions, fine, outfits, others or drawn.")
+
+
+def mended(garment: str, body: str, args: argparse.Namespace) -> Path:
+    """A garment of others as `pb4u check --fix` leaves it beside the folder of clips; its own file where that fails."""
+    file = args.data / "garments" / f"{garment}.obj"
+    fixed = args.out.with_name(f"{args.out.name}_garments") / file.name
+    fixed.parent.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-c", "from pb4u.cli.main import main; raise SystemExit(main())", "check", file]
+    if not fixed.exists():
+        subprocess.run([*command, "--body", body, "--fix", fixed], check=False, capture_output=True)
+    return fixed if fixed.exists() else file
 
 
 def attempt(job: RunJob, keep: bool) -> Made | Failure:

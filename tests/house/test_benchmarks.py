@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import time
+from argparse import Namespace
 from importlib import import_module
 from pathlib import Path
 
 import pytest
-from benchmarks import training
+from benchmarks import self_contact, training
 from benchmarks.network import measure, on_a_body
+
+from pb4u.garment.library import garment_names
+from pb4u.motion.library import motion_names
 
 BENCHMARKS = sorted(path.stem for path in (Path(__file__).parents[2] / "benchmarks").glob("*.py"))
 IN_BLENDER = "blender_cloth"
@@ -28,3 +32,13 @@ def test_every_way_to_compute_the_network_is_timed(precision: str) -> None:
 
 def test_the_parts_of_a_training_step_that_are_timed_are_there() -> None:
     assert [name for name, owner, attribute in training.PARTS if not callable(getattr(owner, attribute, None))] == []
+
+
+def test_the_clips_in_contact_are_of_garments_and_motions_that_are_there() -> None:
+    args = Namespace(seeds="20:40", frames=None, triangles=None, out=Path("clips"))
+    clips = {kind: list(self_contact.runs(kind, args)) for kind in ("motions", "fine", "outfits", "drawn")}
+    assert [len(each) for each in clips.values()] == [64, 24, 15, 20]
+    for run in (run for each in clips.values() for run in each):
+        assert {worn.garment for worn in run.garments} <= set(garment_names())
+        assert run.motion in motion_names()
+    assert [run.seed for run in clips["drawn"]] == list(range(20, 40))

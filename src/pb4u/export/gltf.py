@@ -13,7 +13,6 @@ import shutil
 import struct
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -24,8 +23,8 @@ from pb4u.errors import InputWarning
 from pb4u.export.bone_baking import BakedBones, bake_bones
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.panels import SewnPanels
-from pb4u.export.sewing_lines import sewing_lines
-from pb4u.export.shading import SKIN, ClothPart, cloth_parts
+from pb4u.export.sewing_lines import sewn_parts
+from pb4u.export.shading import SKIN, ClothPart
 from pb4u.export.shape_basis import fit_shapes
 from pb4u.geometry.appearance import image_suffix
 from pb4u.progress import Progress, no_progress
@@ -69,10 +68,7 @@ def write_glb(
         with binary.open("wb") as file:
             document = _Document(file, trajectory, bones)
             uv = (header.uvs, header.uv_faces)
-            cloth = cloth_parts(header)
-            if header.uvs is not None and header.appearances is None:
-                lines = sewing_lines(header)
-                cloth = [replace(part, image=lines.drawn_on(header, part)) for part in cloth]
+            cloth, _ = sewn_parts(header)
             document.add_surface(
                 "garment", trajectory.positions, header.faces, uv, cloth, _part(progress, 0, passes),
                 SewnPanels.of(header),

@@ -13,8 +13,8 @@ import torch
 
 from pb4u.errors import InputError, Pb4uError
 from pb4u.export.finite_frames import held_frames
-from pb4u.export.sewing_lines import ABOVE, SewingLines, sewing_lines
-from pb4u.export.shading import SKIN, cloth_parts
+from pb4u.export.sewing_lines import ABOVE, SewingLines, sewn_parts
+from pb4u.export.shading import SKIN, ClothPart
 from pb4u.export.video_writer import open_video
 from pb4u.export.view import View
 from pb4u.geometry.triangle_mesh import vertex_normals
@@ -60,7 +60,8 @@ class StillRenderer:
         self._trajectory = trajectory
         self._view = view
         self._plotter = pyvista.Plotter(off_screen=True, window_size=[view.width, view.height], lighting="none")
-        self._cloth = self._add_cloth(trajectory)
+        parts, lines = sewn_parts(trajectory.header, view.cloths)
+        self._cloth = self._add_cloth(trajectory, parts)
         self._held = frozenset(held_frames(trajectory))
         self._body = None
         faces = trajectory.header.body_faces
@@ -70,17 +71,14 @@ class StillRenderer:
         self._add_ground()
         self._middle = self._middle_height(frames)
         self._distance = max((self._needed_distance(t) for t in frames), default=0.0) * _MARGIN
-        header = trajectory.header
-        lines = sewing_lines(header)
-        self._lines = [self._add_lines(lines.at(lines.width == width)) for width in np.unique(lines.width)]
+        self._lines = [self._add_lines(lines.at(lines.width == width), parts) for width in np.unique(lines.width)]
 
-    def _add_cloth(self, trajectory: Trajectory) -> list[tuple[pyvista.PolyData, np.ndarray]]:
+    def _add_cloth(self, trajectory: Trajectory, parts: list[ClothPart]) -> list[tuple[pyvista.PolyData, np.ndarray]]:
         """Surfaces of the garments, each with the vertex behind each of its points: one of plain colours, one an image.
 
         Vertices at UV seams are copied for an image.
         """
         header, first = trajectory.header, trajectory.positions[0]
-        parts = cloth_parts(header, self._view.cloths)
         plain = [part for part in parts if part.image is None or header.uvs is None]
         added = []
         if plain:
@@ -123,14 +121,14 @@ class StillRenderer:
         )
         return mesh
 
-    def _add_lines(self, lines: SewingLines) -> tuple[pyvista.PolyData, SewingLines]:
+    def _add_lines(self, lines: SewingLines, parts: list[ClothPart]) -> tuple[pyvista.PolyData, SewingLines]:
         """Lines of one width on the cloth."""
         import pyvista
 
         count = len(lines.face)
         cells = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(-1, 2)]).ravel()
         mesh = pyvista.PolyData(np.zeros((2 * count, 3), dtype=np.float32), lines=cells)
-        mesh.cell_data["colours"] = lines.colours(cloth_parts(self._trajectory.header, self._view.cloths))
+        mesh.cell_data["colours"] = lines.colours(parts)
         pixels = self._view.height / (2.0 * self._distance * np.tan(np.deg2rad(_FIELD_OF_VIEW / 2)))
         width = max(lines.width[0] * pixels, 1.0)
         mesh.point_data["Normals"] = np.zeros_like(mesh.points)

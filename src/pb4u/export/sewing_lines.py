@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from pb4u.export.panels import SewnPanels, uv_islands
-from pb4u.export.shading import ClothPart
+from pb4u.export.shading import ClothPart, Colour, cloth_parts
 from pb4u.garment.patterns import PATTERNS
 from pb4u.geometry.topology import Topology
 from pb4u.scene.trajectory import TrajectoryHeader
@@ -97,6 +98,24 @@ class SewingLines(NamedTuple):
         written = io.BytesIO()
         image.save(written, "PNG")
         return written.getvalue()
+
+
+def sewn_parts(header: TrajectoryHeader, chosen: Sequence[Colour] = ()) -> tuple[list[ClothPart], SewingLines]:
+    """The garments with their lines as an image where they have UVs and no image or colour of their author's.
+
+    Args:
+        header: of the surface.
+        chosen: colours of the first garments, as `cloth_parts` takes them.
+
+    Returns:
+        The parts, and the lines that are in no image.
+    """
+    parts, lines = cloth_parts(header, chosen), sewing_lines(header)
+    if header.uvs is None or header.appearances is not None:
+        return parts, lines
+    sewn = [replace(part, image=lines.drawn_on(header, part)) for part in parts]
+    drawn = [part.faces for part in sewn if part.image]
+    return sewn, lines.at(~np.isin(lines.face, np.concatenate(drawn))) if drawn else lines
 
 
 def sewing_lines(header: TrajectoryHeader) -> SewingLines:
