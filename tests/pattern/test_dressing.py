@@ -10,12 +10,15 @@ from pb4u.errors import InputError, InputWarning
 from pb4u.garment.body_form import BodyForm
 from pb4u.garment.fit import RestBody
 from pb4u.garment.material import MATERIALS
+from pb4u.garment.repair import repair
+from pb4u.geometry.mesh_file import PolygonMesh
+from pb4u.geometry.obj_file import read_obj, write_obj
 from pb4u.pattern import files
 from pb4u.pattern.body_measurements import shoulder_height
 from pb4u.pattern.dressing import Dressed, _Sewing, carried, crotch_height, dress
 from pb4u.pattern.files import load_worn, read_dressed, write_worn
 from pb4u.pattern.mesh import mesh_pattern
-from pb4u.pattern.pattern import Panel, Pattern
+from pb4u.pattern.pattern import Panel, Pattern, Seam
 from pb4u.pattern.thin_body import SewingBody
 
 TRIANGLES = 300
@@ -111,6 +114,21 @@ def test_meshes_and_pictures_are_written(dressed, body, tmp_path):
         write_worn(tmp_path / "skirt.fbx", dressed, body)
 
 
+def test_a_welded_drape_in_centimetres_is_a_garment_as_well(dressed, body, tmp_path):
+    # As GarmentCodeData keeps its drapes: one mesh, its seams welded, texture coordinates apart at them.
+    garment, file, mended = dressed.garment, tmp_path / "drape.obj", tmp_path / "mended.obj"
+    write_obj(file, PolygonMesh(100.0 * garment.vertices, tuple(garment.faces), garment.uvs, tuple(garment.uv_faces)))
+    with pytest.raises(InputError, match=r"centimetres.*--fix"):
+        pb4u.make_scene(file, body, "walk", frames=1)
+    source, _, _ = repair(read_obj(file), body)
+    write_obj(mended, source)
+    scene = pb4u.make_scene(mended, body, "walk", frames=2, lead_in=1, pins="waist")
+    assert np.abs(scene.garments[0].garment.vertices - garment.vertices).max() < 1e-4
+    assert scene.garments[0].garment.rest_uv is None
+    trajectory = pb4u.load_simulator("quick-solver").simulate(scene)
+    assert pb4u.measure(trajectory)["metrics"]["self_intersections"]["max"] == 0
+
+
 def test_other_archives_are_no_dressed_garments(dressed, body, tmp_path):
     file = tmp_path / "skirt.npz"
     np.savez(file, positions=np.zeros(3))
@@ -142,9 +160,28 @@ def test_a_pattern_too_small_for_the_body_is_refused(body):
 def test_a_pattern_three_times_too_small_is_refused(body, pattern: Pattern):
     small = [Panel(p.name, p.corners / 3.0, p.position + (0, 0.35, 0)) for p in pattern.panels]
     with pytest.raises(
-        InputError, match=r"tiny is too small for woman: its panels are \d+ cm wide together, and the wa"
+        InputError, match=r"tiny is too small for woman: its panels are \d+ cm wide together \(the widest, "
     ):
         dress(Pattern("tiny", small, pattern.seams), body, 200)
+
+
+def test_a_waistband_that_does_not_close_is_refused(body):
+    # A band of 60 cm in all around a waist of 73: most of the skirt below it is slack.
+    bands = [Panel(f"band {k}", [(-0.15, 0), (0.15, 0), (0.15, 0.04), (-0.15, 0.04)][:: 1 - 2 * k],
+                   position=(0.0, 1.1, 0.2 - 0.4 * k)) for k in range(2)]  # fmt: skip
+    drops = [Panel(f"drop {k}", [(-0.4, -0.5), (0.4, -0.5), (0.3, 0), (-0.3, 0)][:: 1 - 2 * k],
+                   position=(0.0, 1.08, 0.2 - 0.4 * k)) for k in range(2)]  # fmt: skip
+    seams = [Seam(("band 0", 1), ("band 1", 1)), Seam(("band 0", 3), ("band 1", 3))]
+    seams += [Seam(("drop 0", 1), ("drop 1", 1)), Seam(("drop 0", 3), ("drop 1", 3))]
+    seams += [Seam(("band 0", 0), ("drop 0", 2)), Seam(("band 1", 2), ("drop 1", 0))]
+    with pytest.raises(InputError, match=r"strained by \d % on average, and by \d\d % in panel band [01];"):
+        dress(Pattern("wide", [*bands, *drops], seams), body, 400)
+
+
+def test_a_pattern_below_the_trunk_is_refused(body):
+    low = [Panel(p.name, p.corners, p.position / 2.54) for p in skirt().panels]
+    with pytest.raises(InputError, match=r"low lies too low for woman: .* front left, ends 74 cm above"):
+        dress(Pattern("low", low, skirt().seams), body, 200)
 
 
 def test_a_top_is_brought_to_the_shoulders_of_its_body(body):

@@ -75,7 +75,7 @@ CROSSED = [[0, 0], [40, 40], [40, 0], [0, 40]]
     ("specification", "sentence"),
     [
         (_stitched(("a", 1, "b", 9)), "names edge 9 of b, which has 0 to 3"),
-        (_stitched(("a", 1, "c", 0)), "names the panel c, which it does not have"),
+        (_stitched(("a", 1, "c", 0)), "names edge 0 of the panel c, which it does not have"),
         (_stitched(("a", 1, "b", 3), ("a", 1, "b", 1)), "edge 1 of a is sewn twice"),
         (_stitched(), "is in 2 parts: no seam joins b to a"),
         (_panels(vertices=CROSSED), "Panel a: edges 0 and 2 cross"),

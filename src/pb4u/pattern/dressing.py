@@ -105,6 +105,9 @@ _AHEAD = 0.02
 _TIGHT = 0.1
 """Mean strain of the cloth from which on a pattern is too small for a body: those that fit have 0.02 to 0.05."""
 
+_TIGHT_PANEL = 0.2
+"""The same of one panel, such as a waistband that does not close: those that fit have 0.13 at most."""
+
 _NARROW = 0.8
 """Share of the waist from which on cloth goes around a body: narrower cloth is not strained, but ends around the neck.
 """
@@ -315,18 +318,26 @@ class _Sewing:
         return self.colliders.pose(torch.from_numpy(self.body.vertices))
 
     def refuse_narrow(self) -> None:
-        """Refuse cloth over the trunk that cannot go around it."""
-        form, name = self.body.kept("form", BodyForm), self.mesh.pattern.name
-        own = [self.placed[self.mesh.panel == k] for k, p in enumerate(self.mesh.pattern.panels) if p.label != "arm"]
+        """Refuse cloth over the trunk that cannot go around it, and cloth below it, which nothing holds."""
+        form, pattern = self.body.kept("form", BodyForm), self.mesh.pattern
+        trunk = [k for k, panel in enumerate(pattern.panels) if panel.label != "arm"]
+        own = [self.placed[self.mesh.panel == k] for k in trunk]
         low, high = (np.array([end(points[:, 1]) for points in own]) for end in (np.min, np.max))
         widths = np.array([np.hypot(*np.ptp(points[:, [0, 2]], axis=0)) for points in own])
         levels = np.linspace(form.crotch, form.neck[1], 64)[:, None]
-        widest = float((widths * ((low <= levels) & (levels <= high))).sum(axis=1).max())
+        widest = float((widths * ((low <= levels) & (levels <= high))).sum(axis=1).max(initial=0.0))
         waist = trunk_girths(self.body)["waist"][1]
+        if len(own) and high.max() < form.crotch:
+            raise InputError(
+                f"{pattern.name} lies too low for {self.body.name}: its highest panel, "
+                f"{pattern.panels[trunk[high.argmax()]].name}, ends {100 * high.max():.0f} cm above the floor, and the "
+                f"crotch is at {100 * form.crotch:.0f} cm; {_REMEDY}"
+            )
         if 0.0 < widest < _NARROW * waist:
             raise InputError(
-                f"{name} is too small for {self.body.name}: its panels are {100 * widest:.0f} cm wide together, and "
-                f"the waist measures {100 * waist:.0f} cm; {_REMEDY}"
+                f"{pattern.name} is too small for {self.body.name}: its panels are {100 * widest:.0f} cm wide together "
+                f"(the widest, {pattern.panels[trunk[widths.argmax()]].name}, {100 * widths.max():.0f} cm), and the "
+                f"waist measures {100 * waist:.0f} cm; {_REMEDY}"
             )
 
     def sewn(self) -> np.ndarray:
@@ -432,16 +443,12 @@ class _Sewing:
         """The garment that hangs at `places` (vertices, 3) [m], checked, and moved off the skin."""
         garment = self.garment(places)
         if is_inside_out(places, garment.faces, self.rest_body):
-            raise InputError(
-                f"{garment.name} comes out inside out: run the corners of its panels the other way round, or check the "
-                "pattern's unit if it lies lower on the body than it should."
-            )
+            raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
         packed = pack([garment])
         x = torch.from_numpy(places)
         strains = face_strains(x, packed.faces, packed.inverse_rest_shape).numpy()
         strain = float(np.average(strains, weights=garment.face_areas))
-        if strain > _TIGHT:
-            self._refuse_tight(places, strain, strains)
+        self._refuse_tight(places, strain, strains)
         # Contact is at vertices: between them the skin may be through the cloth, its waistband included.
         hanging, cloth = State(x, torch.zeros_like(x), 0), self.potential.self_contact
         x = FaceClearance(clearance=_CLEAR).lift(packed, hanging, self.rest_pose, cloth).positions
@@ -457,9 +464,12 @@ class _Sewing:
         )
 
     def _refuse_tight(self, places: np.ndarray, mean: float, strains: np.ndarray) -> None:
+        """Refuse cloth that is strained too much, all or a panel; names the girths of the body that are too large."""
         panels = self.mesh.pattern.panels
         of_panel = [strains[self.mesh.face_panel == number].mean() for number in range(len(panels))]
         worst = int(np.argmax(of_panel))
+        if mean <= _TIGHT and of_panel[worst] <= _TIGHT_PANEL:
+            return
         levels = places[self.mesh.sewn_faces, 1].mean(axis=1)
         sleeve = np.array([panel.label == "arm" for panel in panels])[self.mesh.face_panel]
         differ = ""

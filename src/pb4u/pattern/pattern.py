@@ -301,7 +301,9 @@ class Pattern:
             for side in (seam.first, seam.second):
                 name, edge = side
                 if name not in self.index:
-                    raise InputError(f"A seam of {self.name} names the panel {name}, which it does not have.")
+                    raise InputError(
+                        f"A seam of {self.name} names edge {edge} of the panel {name}, which it does not have."
+                    )
                 count = self.panels[self.index[name]].edge_count
                 if not 0 <= edge < count:
                     raise InputError(f"A seam of {self.name} names edge {edge} of {name}, which has 0 to {count - 1}.")
