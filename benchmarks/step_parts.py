@@ -4,8 +4,8 @@
         [--against OTHER/src] [--parts]
 
 Every variant (checkout and number of threads) runs in a process of its own. They take their steps in turn, so that a
-machine that slows down slows all alike. Times are medians over the steps after the first; `--parts` (one thread) are
-means of processor time, each part without the parts inside it.
+machine that slows down slows all alike. Times are medians over the steps after the first; `--parts` (of variants with
+one thread) are means of processor time, each part without the parts inside it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -81,6 +82,7 @@ def step_by_step(options: argparse.Namespace) -> None:
         positions.append(state.positions.numpy())
         if number == options.frames - 1:
             row["triangles"] = int(sum(len(worn.garment.faces) for worn in scene.garments))
+            row["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             row["iterations"] = float(np.mean(record.solver_iterations)) if record.solver_iterations else None
             np.save(options.into, np.stack(positions))
         print(json.dumps(row), flush=True)
@@ -97,13 +99,13 @@ def started(source: Path, threads: int, triangles: int, target: Path, options: a
     command = [
         sys.executable, __file__, "--into", str(target), "--triangles", str(triangles), "--frames", str(options.frames),
         "--model", options.model, "--garment", options.garment, "--motion", options.motion,
-        *(["--parts"] if options.parts else []),
+        *(["--parts"] if options.parts and threads == 1 else []),
     ]  # fmt: skip
     return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
 
-def compared(triangles: int, options: argparse.Namespace) -> None:
-    """Print what each variant takes at one size."""
+def compared(triangles: int, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Print what each variant takes at one size, and give it back: ms by the wall, MB at most, shares of parts."""
     own = Path(__file__).parent.parent / "src"
     sources = {"this": own} | ({"other": options.against.resolve()} if options.against else {})
     variants = [(f"{name}, {n} thread(s)", source, n) for name, source in sources.items() for n in options.threads]
@@ -144,6 +146,16 @@ def compared(triangles: int, options: argparse.Namespace) -> None:
         wholes = [1e3 * float(np.mean([row["processor"] for row in kept[began:]])) for kept in rows]
         shares = " ".join(f"{mean:9.1f} ms {mean / whole:6.1%}" for mean, whole in zip(means, wholes, strict=True))
         print(f"    {part:20} {shares}", flush=True)
+    return [
+        {
+            "wall": 1e3 * float(np.median([row["wall"] for row in kept[began:]])),
+            "peak_mb": kept[-1]["peak_mb"],
+            "triangles": kept[-1]["triangles"],
+            "search": sum(row["parts"].get("search", 0.0) for row in kept[began:])
+            / sum(row["processor"] for row in kept[began:]),
+        }
+        for kept in rows
+    ]
 
 
 def main() -> None:

@@ -9,9 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.body.characters import write_doll
 from tests.garment.cloth_shapes import saved, triangle_tube
 
 import pb4u as package
+from pb4u.body import character_file
+from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
 from pb4u.body.vertex_sequence import write_vertex_sequence
 from pb4u.garment.library import build_garment
@@ -127,6 +130,18 @@ def test_written_assets_can_be_used_as_input(pb4u: Callable, tmp_path: Path) -> 
     wrong = pb4u("assets", "write", "tshirt", tmp_path / "t.fbx")
     assert wrong.code == 1
     assert ".obj" in wrong.err
+
+
+def test_a_body_of_ones_own_is_written_as_garments_are_fitted_to_it(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(character_file, "reachable", lambda v, f, candidates, rays: candidates)
+    doll = write_doll(tmp_path / "doll.glb")
+    ended = pb4u("assets", "write", doll, tmp_path / "rest.obj")
+    assert (ended.code, ended.out) == (0, f"Wrote {tmp_path / 'rest.obj'}\n")
+    body = load_body(doll)
+    assert isinstance(body, ShapedBody)
+    np.testing.assert_allclose(read_obj(tmp_path / "rest.obj").vertices, body.vertices, atol=1e-6)
 
 
 def test_assets_write_tells_what_it_wrote(pb4u: Callable, tmp_path: Path) -> None:

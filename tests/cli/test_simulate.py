@@ -78,12 +78,13 @@ def test_writes_trajectory_objs_and_report_by_the_contract(pb4u: Callable, tmp_p
     assert report["diverged"] is False
 
 
+def stopped(*_: object) -> None:
+    raise InputError("No step is taken here.")
+
+
 def test_the_time_of_a_long_run_is_said_before_its_first_step(
     pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(*_: object) -> None:
-        raise InputError("No step is taken here.")
-
     monkeypatch.setattr(run_simulation, "roll_out", stopped)
     flags = ("simulate", *SMALL, "--lead-in", 30, "--out", tmp_path / "a.npz", "--model")
     assert "1030 steps take about" in pb4u(*flags, "solver", "--frames", 1000).err
@@ -132,7 +133,10 @@ def test_tells_the_files_that_it_wrote_when_they_are_there(
     assert pb4u(*flags, "--garment", "tshrt").out == ""
 
 
-def test_cuda_is_no_use_to_what_runs_on_the_processor(pb4u: Callable, tmp_path: Path) -> None:
+def test_cuda_is_no_use_to_what_runs_on_the_processor(
+    pb4u: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_simulation, "roll_out", stopped)
     flags = ("simulate", *SMALL[:4], "--frames", 1, "--out", tmp_path / "a.npz")
     for model in ("skinning", "solver"):
         said = pb4u(*flags, "--model", model, "--device", "cuda").err

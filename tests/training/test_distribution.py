@@ -47,6 +47,8 @@ def losses(mine: Workers) -> tuple[list[float], torch.Tensor]:
 
 
 def test_two_processes_have_the_losses_of_one(tmp_path: Path) -> None:
+    with workers("cpu") as alone:  # first, so that the others need not compile its kernels at the same time
+        expected, weights = losses(alone)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -60,8 +62,6 @@ def test_two_processes_have_the_losses_of_one(tmp_path: Path) -> None:
         }  # fmt: skip
         command = [sys.executable, __file__, str(tmp_path / f"{rank}.pt")]
         processes.append(subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True))
-    with workers("cpu") as alone:
-        expected, weights = losses(alone)
     for process in processes:
         _, err = process.communicate(timeout=120)
         assert process.returncode == 0, err

@@ -98,7 +98,11 @@ def _height(body: Any) -> float:
 @group.command("write", cls=Verb)
 def write(
     name: Annotated[
-        str, typer.Argument(help="Name of a built-in garment, body, motion or material.", show_default=False)
+        str,
+        typer.Argument(
+            help="Name of a built-in garment, body, motion or material, or a file of a body, written at rest.",
+            show_default=False,
+        ),
     ],
     out: Annotated[
         Path,
@@ -115,7 +119,7 @@ def write(
     fps: Annotated[float, typer.Option(help="Frames per second of a motion.")] = 30.0,
     json: JsonFlag = None,
 ) -> None:
-    """Write one built-in asset to a file.\f
+    """Write one built-in asset, or a body of your own at rest, to a file.\f
 
     Each argument is described by its `help`.
 
@@ -130,6 +134,9 @@ def write(
 
     expected = {**dict.fromkeys(garment_names(), ".obj"), **dict.fromkeys(body_names(), ".obj")}
     expected |= {**dict.fromkeys(motion_names(), ".npz"), **dict.fromkeys(MATERIALS, ".json")}
+    is_file = name not in expected and Path(name).exists()
+    if is_file:
+        expected[name] = ".obj"
     if name not in expected:
         raise unknown_name("built-in asset", name, expected)
     if out.suffix.lower() != expected[name]:
@@ -144,9 +151,10 @@ def write(
         return
     if frames < 1 or not 1.0 <= fps <= 1000.0:
         raise InputError(f"A motion has 1 frame or more at 1 to 1000 per second, not {frames} at {fps:g}.")
-    figure = load_body(name if name in body_names() else body, BodyShape.of(body_shape))
+    figure = load_body(name if is_file or name in body_names() else body, BodyShape.of(body_shape))
     if not isinstance(figure, ShapedBody):
-        raise InputError(f"{body} is a sequence of vertices; built-in garments and motions need a body with bones.")
+        given = name if is_file else body
+        raise InputError(f"{given} is a sequence of vertices; this needs a body with bones.")
     if name in motion_names():
         from pb4u.body.vertex_sequence import write_vertex_sequence
 

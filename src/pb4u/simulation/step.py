@@ -124,47 +124,36 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
     yield integrate(step, accelerations)
     if method.network is not None:
-        moved = (
-            _decided(step, method, method.network, accelerations)
-            if rooms is None
-            else _masked(step, method, method.network, accelerations, rooms)
-        )
+        moved = _passes(step, method, method.network, accelerations, rooms)
         yield from (integrate(step, each) for each in moved)
 
 
-def _decided(step: TimeStep, method: StepMethod, network: Pass, accelerations: Tensor) -> Iterator[Tensor]:
-    """Accelerations after each pass of the network, up to the first that is not worth its time in any world."""
-    search, worth = method.search, None
-    for number in range(network.passes + network.further):
-        if number >= network.passes:
-            worth = _is_worth_another(step, method, worth)
-            if not bool(worth.any()):
-                return
-        reached, last = accelerations.detach(), search.last
-        if not bool(torch.isfinite(reached).all()):
-            return
-        search.worth = None
-        move = search.move(step, reached, network.correction(step, reached))
-        accelerations = reached + _where_worth(step, search, move, last, worth)
-        yield accelerations
+def _passes(
+    step: TimeStep, method: StepMethod, network: Pass, accelerations: Tensor, rooms: Rooms | None
+) -> Iterator[Tensor]:
+    """Accelerations after each pass of the network, up to the first that is not worth its time in any world.
 
-
-def _masked(step: TimeStep, method: StepMethod, network: Pass, accelerations: Tensor, rooms: Rooms) -> Iterator[Tensor]:
-    """The same without a decision: as many passes as there is room for, those not worth their time left out."""
+    With `rooms` nothing is decided: as many passes as there is room for, those not worth their time left out.
+    """
     search, passes, most = method.search, network.passes, network.passes + network.further
-    made = rooms.repeats("passes", most)
+    made = most if rooms is None else rooms.repeats("passes", most)
     worth: list[Tensor] = []
     for number in range(min(made + 1, most)):
         if number >= passes:
             worth.append(_is_worth_another(step, method, worth[-1] if worth else None))
+            if rooms is None and not bool(worth[-1].any()):
+                return
         if number == made:
             break
         reached, last = accelerations.detach(), search.last
+        if rooms is None and not bool(torch.isfinite(reached).all()):
+            return
         move = search.move(step, reached, network.correction(step, reached))
-        search.worth = worth[-1] if worth else None
-        accelerations = reached + _where_worth(step, search, move, last, search.worth)
+        goes_on = worth[-1] if worth else None
+        search.worth = None if rooms is None else goes_on
+        accelerations = reached + _where_worth(step, search, move, last, goes_on)
         yield accelerations
-    if most > passes:
+    if rooms is not None and most > passes:
         rooms.note("passes", passes + torch.stack(worth).any(1).sum())
 
 
