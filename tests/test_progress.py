@@ -41,7 +41,7 @@ def test_long_work_is_estimated_before_its_first_part_and_again_where_it_takes_l
 
 
 def test_a_machine_of_half_the_speed_is_expected_to_take_twice_as_long() -> None:
-    clocks = (count(step=0.0065 * times) for times in (1, 2))
+    clocks = (count(step=0.003 * times) for times in (1, 2))
     assert [slowness(clock.__next__) for clock in clocks] == pytest.approx([1.0, 2.0])
 
 

@@ -28,7 +28,7 @@ _SLOWER = 2.0
 """Times the time of a part that was said, or that was too short to say, from which it is said again."""
 
 
-_USUAL = 0.0065
+_USUAL = 0.003
 """Time [s] of the work of `slowness` on one core of the machine of the figures by experience (docs/performance.md)."""
 
 

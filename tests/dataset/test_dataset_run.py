@@ -235,6 +235,20 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_made_twice(
     assert [path.read_bytes() for path in others] == [b"clip1", b"clip2"]
 
 
+def test_a_request_to_end_is_answered_as_before_while_ray_works_and_after() -> None:
+    pytest.importorskip("ray", reason='needs the "ray" extra')
+    asked: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: asked.append(number))
+    try:
+        pool = RayPool("local", attempt)
+        os.kill(os.getpid(), signal.SIGTERM)
+        pool.close()
+        os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert asked == [signal.SIGTERM] * 2
+
+
 def dies_once(job: RunJob) -> Made | Failure:
     """A worker that is killed over seed 1, the first time; only seed 0 is simulated, which is slow in a new worker."""
     begun = Path(os.environ[NOTED])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import signal
 import socket
 import threading
 from abc import ABC, abstractmethod
@@ -172,11 +173,13 @@ class RayPool(WorkerPool):
             own = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
         else:
             _check_reachable(address)
+        self._on_request_to_end = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False, **own)
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"There is no Ray cluster to reach at {address}: {reason}") from error
+        self._answer_as_before()
         # Ray's own second tries are off: who hands out the jobs counts them.
         self._attempt = ray.remote(num_cpus=1, max_retries=0)(attempt)
         self._under_way: dict[Any, Job] = {}
@@ -199,6 +202,12 @@ class RayPool(WorkerPool):
     def close(self) -> None:
         self._under_way.clear()
         self._ray.shutdown()
+        self._answer_as_before()
+
+    def _answer_as_before(self) -> None:
+        """Let a request to end keep what is done: Ray sets a handler of its own, and at its end the system's."""
+        if self._on_request_to_end is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, self._on_request_to_end)
 
 
 def _check_reachable(address: str) -> None:
