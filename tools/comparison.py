@@ -17,7 +17,7 @@ import subprocess
 from pathlib import Path
 
 LAW_OF_K = ("most_propagation_steps=0",)
-"""K in training is the network's own: by the rule, or five without control. Else it is drawn, for the table of depths."""
+"""K in training is the network's own: by the rule, or five without control; else drawn, for the table of depths."""
 
 COMPARED = {
     "pb4u": ("network=pb4u_small_carried",),
