@@ -117,6 +117,9 @@ _REMEDY = "check the pattern's unit, or make it from the body's measures, which 
 _CROTCH_ROOM = 0.01
 """Least distance [m] of the crotch of trousers below that of the body."""
 
+_WAISTBAND = 0.05
+"""Most height [m] above the waist of the top of a skirt: that of a waistband."""
+
 _MIDDLE = 0.02
 """Distance [m] from the middle of the body within which four corners of panels that meet are a crotch."""
 
@@ -299,7 +302,7 @@ class _Sewing:
     def placed(self) -> np.ndarray:
         """Places (points, 3) [m] of the panels, at the height of this body's shoulders where the garment has those.
 
-        Trousers whose crotch would be within the body are lowered to its own.
+        Trousers whose crotch would be within the body, and skirts that would begin above the waist, are lowered.
         """
         places = joined(self.mesh)
         top, rise = shoulder_point(self.mesh, places), 0.0
@@ -307,6 +310,8 @@ class _Sewing:
             rise = shoulder_height(self.body, abs(top[0])) - float(top[1])
         elif (crotch := crotch_height(self.mesh, places)) is not None:
             rise = min(0.0, self.body.kept("form", BodyForm).crotch - _CROTCH_ROOM - crotch)
+        else:
+            rise = min(0.0, trunk_girths(self.body)["waist"][0] + _WAISTBAND - float(places[:, 1].max()))
         return places + rise * np.array(UP)
 
     def pose(self, share: float, done: float) -> ColliderPose:
@@ -484,8 +489,10 @@ class _Sewing:
             return
         levels = places[self.mesh.sewn_faces, 1].mean(axis=1)
         sleeve = np.array([panel.label == "arm" for panel in panels])[self.mesh.face_panel]
-        differ = ""
-        for name, (height, girth) in trunk_girths(self.body).items():
+        differ, own = "", {}
+        if panels[worst].label != "arm":
+            own = {panels[worst].name: float(levels[self.mesh.face_panel == worst].mean())}
+        for name, (height, girth) in trunk_girths(self.body, **own).items():
             around = strains[(np.abs(levels - height) < _SLICE) & ~sleeve]
             if len(around) and around.mean() > 0.5 * _TIGHT:
                 differ += f"; {name}: {100 * girth:.0f} cm, cut for about {100 * girth / (1.0 + around.mean()):.0f}"
