@@ -165,6 +165,15 @@ def test_a_pattern_three_times_too_small_is_refused(body, pattern: Pattern):
         dress(Pattern("tiny", small, pattern.seams), body, 200)
 
 
+def test_a_garment_that_slips_off_the_shoulders_is_refused(body):
+    mesh = mesh_pattern(vest(0.9), 100)
+    sewing = _Sewing(mesh, body, MATERIALS["default"], None)
+    worn = mesh.sewn(sewing.placed)
+    sewing._refuse_slipped(worn - (0, 0.02, 0))
+    with pytest.raises(InputError, match=r"vest is too large for woman: it slips off the shoulders, by 2\d cm"):
+        sewing._refuse_slipped(worn - (0, 0.25, 0))
+
+
 def test_a_waistband_that_does_not_close_is_refused(body):
     # A band of 60 cm in all around a waist of 73: most of the skirt below it is slack.
     bands = [Panel(f"band {k}", [(-0.15, 0), (0.15, 0), (0.15, 0.04), (-0.15, 0.04)][:: 1 - 2 * k],

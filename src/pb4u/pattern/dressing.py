@@ -112,6 +112,9 @@ _NARROW = 0.8
 """Share of the waist from which on cloth goes around a body: narrower cloth is not strained, but ends around the neck.
 """
 
+_SLIPPED = 0.05
+"""Drop [m] of a shoulder seam from which on a garment has slipped off: those that stay drop by less than 0.01."""
+
 _REMEDY = "check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` writes."
 
 _CROTCH_ROOM = 0.01
@@ -307,7 +310,7 @@ class _Sewing:
         places = joined(self.mesh)
         top, rise = shoulder_point(self.mesh, places), 0.0
         if top is not None:
-            rise = shoulder_height(self.body, abs(top[0])) - float(top[1])
+            rise = shoulder_height(self.body, abs(places[top, 0])) - float(places[top, 1])
         elif (crotch := crotch_height(self.mesh, places)) is not None:
             rise = min(0.0, self.body.kept("form", BodyForm).crotch - _CROTCH_ROOM - crotch)
         else:
@@ -461,6 +464,7 @@ class _Sewing:
         garment = self.garment(places)
         if is_inside_out(places, garment.faces, self.rest_body):
             raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
+        self._refuse_slipped(places)
         packed = pack([garment])
         x = torch.from_numpy(places)
         strains = face_strains(x, packed.faces, packed.inverse_rest_shape).numpy()
@@ -479,6 +483,16 @@ class _Sewing:
             depth=self._depth(x),
             strain=strain,
         )
+
+    def _refuse_slipped(self, places: np.ndarray) -> None:
+        """Refuse cloth that was placed on the shoulders and hangs below them."""
+        top = shoulder_point(self.mesh, self.placed)
+        drop = 0.0 if top is None else float(self.placed[top, 1] - places[self.mesh.vertex[top], 1])
+        if drop > _SLIPPED:
+            raise InputError(
+                f"{self.mesh.pattern.name} is too large for {self.body.name}: it slips off the shoulders, by "
+                f"{100 * drop:.0f} cm; make it from the body's measures, which `pb4u measure-body` writes."
+            )
 
     def _refuse_tight(self, places: np.ndarray, mean: float, strains: np.ndarray) -> None:
         """Refuse cloth that is strained too much, all or a panel; names the girths of the body that are too large."""
@@ -529,8 +543,8 @@ def joined(mesh: PatternMesh) -> np.ndarray:
     return places
 
 
-def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> np.ndarray | None:
-    """Highest point (3,) [m] of the seams that run across from front to back panels; None where there are none.
+def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> int | None:
+    """Number of the highest point of the seams that run across from front to back panels; None where there are none.
 
     Args:
         mesh: the panels.
@@ -541,9 +555,9 @@ def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> np.ndarray | None:
     for one, other in mesh.sides:
         run = np.abs(places[one[-1]] - places[one[0]])
         if facing[mesh.panel[one[0]]] * facing[mesh.panel[other[0]]] < 0.0 and run[0] > run[1]:
-            found.append(places[np.concatenate([one, other])])
-    points = np.concatenate(found) if found else places[:0]
-    return points[points[:, 1].argmax()] if len(points) else None
+            found += [one, other]
+    points = np.concatenate(found) if found else []
+    return int(points[places[points, 1].argmax()]) if len(points) else None
 
 
 def crotch_height(mesh: PatternMesh, places: np.ndarray) -> float | None:
