@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -16,13 +16,19 @@ from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import check_writable, json_text, replace_file
 from pb4u.run import with_companions
 
+if TYPE_CHECKING:
+    from pb4u.jobs.worker_pool import WorkerPool
+
 Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
 FORMATS = formats_help()
 
 
 class _Switches:
-    """Names no type beside a switch, which takes no value: `--plan`, not `--plan <bool>`."""
+    """Names no type beside a switch, which takes no value: `--plan`, not `--plan <bool>`.
+
+    A `--help` that is not given is no value to convert either: for that typer would load pydantic, a third of a second.
+    """
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Arguments and options of a verb, help included."""
@@ -30,6 +36,8 @@ class _Switches:
         for each in params:
             if getattr(each, "is_flag", False):
                 each.metavar = ""
+            if each.name == "help":
+                each.default = False
         return params
 
 
@@ -124,6 +132,28 @@ def _read_file(name: str) -> Path:
     return Path(name) if entry is None else entry.path
 
 
+def pool_of(workers: int, ray: str | None) -> Callable[[], WorkerPool]:
+    """Who does the jobs of a run; called once there is work.
+
+    Args:
+        workers: processes on this machine.
+        ray: address of a Ray cluster that does them instead; None for none.
+
+    Raises:
+        InputError: `workers` is not a positive number.
+    """
+    if workers < 1:
+        raise InputError(f"The number of workers must be 1 or more, not {workers}.")
+
+    def pool() -> WorkerPool:
+        from pb4u.jobs.worker_pool import LocalPool, RayPool
+        from pb4u.measures.run_job import attempt
+
+        return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
+
+    return pool
+
+
 class BodyShape(dict[str, float]):
     """Shape parameters of a body by name."""
 
@@ -213,6 +243,10 @@ CropFlag: TypeAlias = Annotated[
 JsonFlag: TypeAlias = Annotated[
     str | None,
     typer.Option(metavar="FILE|-", help="Write the result as JSON to a file; '-' is standard output."),
+]
+WorkersFlag: TypeAlias = Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")]
+RayFlag: TypeAlias = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
 ]
 BonesFlag: TypeAlias = Annotated[
     int | None,

@@ -57,8 +57,7 @@ def train(
     json: JsonFlag = None,
 ) -> None:
     """Train a network. After a kill, --resume goes on from the last checkpoint; an interrupt saves and ends."""
-    from pb4u.training.session import Request
-    from pb4u.training.session import train as run
+    from pb4u.training.session import Request, train as run
 
     check_json_target(json)
     keep_inputs([pack, weights], [("--json", json)])

@@ -17,8 +17,7 @@ from pb4u.errors import InputError, unknown_name
 from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES
 from pb4u.measures.job_planner import JobPlanner, Model
 from pb4u.measures.run_job import RunJob
-from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
-from pb4u.motion.library import motion_names, recording_file
+from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES, motion_names, recording_file
 from pb4u.paper.protocols import PROTOCOLS, Protocol
 from pb4u.paper.reference_energies import REFERENCE_LEAD_IN, stored_reference
 from pb4u.run import Run, WornGarment

@@ -141,8 +141,7 @@ def _reversed(curve: Curve) -> Curve:
 def _outlines(path: Path) -> dict[str, list[Any]]:
     """Segments [user units] of the paths of an SVG by their ids, or the labels that Inkscape shows."""
     try:
-        from svgelements import SVG, Shape
-        from svgelements import Path as Outline
+        from svgelements import SVG, Path as Outline, Shape
     except ImportError as error:
         raise MissingExtraError("svg", "Reading a pattern drawn in an SVG") from error
 

@@ -13,23 +13,21 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.io.atomic_file import replace_file
+from pb4u.io.atomic_file import locked, replace_file
 from pb4u.io.reading_limits import parse_json, read_json, told_error
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
-LOCK = ".lock"
 LAST, BEST, FINAL, CURVE = "last.safetensors", "best.safetensors", "final.safetensors", "curve.png"
 
 
@@ -86,26 +84,19 @@ class RunFolder:
             (self.path / CONFIGURATION).unlink()
             self.path.rmdir()
 
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
+    def held(self) -> AbstractContextManager:
         """Keep other processes from training in the folder.
 
         Raises:
             InputError: another process trains in it.
         """
-        lock = FileLock(self.path / LOCK)
         try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            raise InputError(
-                f"Another process is training in {self.path}; wait for it, or end it, before going on with --resume."
-            ) from None
+            return locked(
+                self.path,
+                f"Another process is training in {self.path}; wait for it, or end it, before going on with --resume.",
+            )
         except OSError as error:
             raise InputError(f"Cannot use the folder {self.path}: {error.strerror or error}.") from error
-        try:
-            yield
-        finally:
-            lock.release()
 
     @staticmethod
     def open(path: Path | str) -> RunFolder:
