@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -47,6 +48,35 @@ class Verb(_Switches, TyperCommand):
 
 class Verbs(_Switches, TyperGroup):
     """A group of verbs."""
+
+
+def with_flags(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Makes a verb of a function, with a flag for each of a group in the place of one argument.
+
+    Args:
+        groups: by name of the argument, the type of each flag as typer reads it. The argument takes what was given by
+            name of the flag, None where nothing was.
+    """
+
+    def made(command: Callable[..., None]) -> Callable[..., None]:
+        parameters = []
+        for own in inspect.signature(command, eval_str=True).parameters.values():
+            flags = groups.get(own.name)
+            parameters += [
+                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+                for name, kind in (flags or {}).items()
+            ] or [own.replace(kind=inspect.Parameter.KEYWORD_ONLY)]
+
+        def call(**given: Any) -> None:
+            gathered = {argument: {name: given.pop(name) for name in flags} for argument, flags in groups.items()}
+            command(**gathered, **given)
+
+        call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        call.__annotations__ = {each.name: each.annotation for each in parameters}
+        call.__doc__, call.__name__ = command.__doc__, command.__name__
+        return call
+
+    return made
 
 
 def say(sentence: str) -> None:

@@ -10,17 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, keep_inputs, say, write_json, wrote
-from pb4u.cli.picture_flags import (
-    BackgroundFlag,
-    ColourFlag,
-    ElevationFlag,
-    SideFlag,
-    SizeFlag,
-    TurntableFlag,
-    view_of,
-)
-from pb4u.cli.run_flags import run_of
+from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, keep_inputs, say, with_flags, write_json, wrote
+from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
+from pb4u.cli.run_flags import run_flags, run_of
 from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
 from pb4u.io.atomic_file import check_writable
@@ -46,6 +38,7 @@ _WORTH_MEASURING = 5.0
 """Seconds by experience from which the speed of the machine is measured."""
 
 
+@with_flags(flags=run_flags(), picture=PICTURE_FLAGS)
 def simulate(
     scene: Annotated[
         Path | None,
@@ -56,7 +49,8 @@ def simulate(
             show_default=False,
         ),
     ] = None,
-    flags: dict[str, Any] = {},  # noqa: B006 (replaced by the flags of a run)
+    *,
+    flags: Mapping[str, Any],
     out: Annotated[
         list[Path] | None,
         typer.Option(
@@ -108,16 +102,11 @@ def simulate(
         ),
     ] = None,
     bones: BonesFlag = None,
-    view: SideFlag = None,
-    elevation: ElevationFlag = None,
-    turntable: TurntableFlag = None,
-    size: SizeFlag = None,
-    colour: ColourFlag = None,
-    background: BackgroundFlag = None,
+    picture: Mapping[str, Any],
 ) -> None:
     """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder.\f
 
-    Each argument is described by its `help`; `flags` are the fields of `Run`.
+    Each argument is described by its `help`; `flags` are the fields of `Run`, `picture` those of pictures.
 
     Raises:
         InputError: the arguments contradict each other, or something they name is unknown or unusable.
@@ -134,7 +123,7 @@ def simulate(
     if bones is not None:
         for target in baked or targets[:1]:
             check_bones(target, bones)
-    seen = view_of(targets, view, elevation, turntable, size, colour, background)
+    seen = view_of(targets, picture)
     _simulate(run, targets, seen, save_scene, live, json, bool(measure), reference, bones)
 
 
