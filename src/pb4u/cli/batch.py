@@ -8,7 +8,17 @@ from typing import Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import JsonFlag, RayFlag, WorkersFlag, check_json_target, keep_inputs, pool_of, say, write_json
+from pb4u.cli.console import (
+    JsonFlag,
+    RayFlag,
+    WorkersFlag,
+    check_json_target,
+    keep_inputs,
+    pool_of,
+    say,
+    tell,
+    write_json,
+)
 from pb4u.errors import Pb4uError
 from pb4u.progress import progress_bar
 
@@ -68,12 +78,10 @@ def batch(
         runs, out, pool, clips_per_shard if format == "webdataset" else None, half=half, jobs_file=jobs.name,
         retry=retry, plan_only=plan, say=say, progress=progress_bar,
     )  # fmt: skip
-    if json:
-        write_json(made, json)
     if plan:
+        write_json(made, json)
         return
-    if json != "-":
-        print(f"{made['done']} of {made['clips']} clips, {told_size(made['bytes'])}: {made['index']}")
+    tell(made, json, f"{made['done']} of {made['clips']} clips, {told_size(made['bytes'])}: {made['index']}")
     for count, what in (
         (made["diverged"], "diverged (the index has them in its column `diverged`)"),
         (made["limbs_through_cloth"], "have limbs that went through the cloth (column `limbs_through_cloth_max`)"),

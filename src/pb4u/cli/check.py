@@ -100,8 +100,7 @@ def check(
         refused = (report["garment"] if fix is None else report["garment"]["remaining"])["refused"]
     if motion is not None:
         report["motion"] = _check_motion(motion, figure, crop)
-    if json:
-        write_json(report, json)
+    write_json(report, json)
     if json != "-":
         _print(report, fix)
     if refused and fix is not None:

@@ -84,16 +84,34 @@ def say(sentence: str) -> None:
     print(f"pb4u: {sentence}", file=sys.stderr)
 
 
-def write_json(payload: Mapping[str, Any], target: str) -> None:
-    """Write JSON to a file, or to standard output; numbers that are not finite become null.
+def tell(payload: Mapping[str, Any], target: str | None, sentence: str) -> None:
+    """Print the result of a verb in a sentence, and as JSON where that is asked for; alone on standard output.
 
     Args:
-        payload: what is written.
-        target: path of the file, or "-" for standard output.
+        payload: the result.
+        target: of `--json`.
+        sentence: what the verb did.
 
     Raises:
         InputError: the file cannot be written.
     """
+    write_json(payload, target)
+    if target != "-":
+        print(sentence)
+
+
+def write_json(payload: Mapping[str, Any], target: str | None) -> None:
+    """Write JSON to a file, or to standard output; numbers that are not finite become null.
+
+    Args:
+        payload: what is written.
+        target: of `--json`: path of the file, or "-" for standard output; None for neither.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    if not target:
+        return
     text = json_text(dict(payload), indent=2)
     if target == "-":
         print(text)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import RayFlag, Switch, WorkersFlag, check_json_target, keep_inputs, pool_of, say, write_json
+from pb4u.cli.console import RayFlag, Switch, WorkersFlag, check_json_target, keep_inputs, pool_of, say, tell
 from pb4u.errors import InputError, Pb4uError
 from pb4u.progress import announced
 
@@ -117,10 +117,7 @@ def evaluate(
         plots.mkdir(parents=True, exist_ok=True)
         for picture in (folder / PLOTS).iterdir():
             shutil.copy2(picture, plots / picture.name)
-    if json:
-        write_json(results, json)
-    if json != "-":
-        print(f"Report: {folder / PAGE}")
+    tell(results, json, f"Report: {folder / PAGE}")
     if failures := results["failures"]:
         raise Pb4uError(
             f"{len(failures)} of {len(failures) + _done(results)} rollouts failed; the first: {failures[0]['job']}: "

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, write_json
+from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, tell
 
 
 def train(
@@ -62,7 +62,4 @@ def train(
     check_json_target(json)
     keep_inputs([pack, weights], [("--json", json)])
     result = run(Request(preset, steps, minutes, out, resume, pack, recordings, tuple(set_ or ()), device, weights))
-    if json:
-        write_json(result, json)
-    if json != "-":
-        print(result["sentence"] + (f" Weights: {result['weights']}" if result["weights"] else ""))
+    tell(result, json, result["sentence"] + (f" Weights: {result['weights']}" if result["weights"] else ""))

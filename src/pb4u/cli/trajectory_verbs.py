@@ -18,8 +18,8 @@ from pb4u.cli.console import (
     check_json_target,
     keep_inputs,
     say,
+    tell,
     with_flags,
-    write_json,
     wrote,
 )
 from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
@@ -72,10 +72,7 @@ def convert(
     with progress_bar(f"writing {out.name}") as report:
         export(chosen, out, report, seen, say, bones)
     summary = {"out": str(out), "frames": chosen.frame_count, "vertices": chosen.positions.shape[1], "fps": chosen.fps}
-    if json:
-        write_json(summary, json)
-    if json != "-":
-        print(wrote([out], chosen.frame_count))
+    tell(summary, json, wrote([out], chosen.frame_count))
 
 
 def view(
