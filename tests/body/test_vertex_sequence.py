@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from pb4u.body.library import load_body
-from pb4u.body.vertex_sequence import VertexSequence, load_vertex_sequence, write_vertex_sequence
+from pb4u.body.sequence_files import load_vertex_sequence, write_vertex_sequence
+from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
 
 

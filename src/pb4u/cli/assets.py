@@ -156,7 +156,7 @@ def write(
         given = name if is_file else body
         raise InputError(f"{given} is a sequence of vertices; this needs a body with bones.")
     if name in motion_names():
-        from pb4u.body.vertex_sequence import write_vertex_sequence
+        from pb4u.body.sequence_files import write_vertex_sequence
 
         moving = figure.posed(load_motion(name).poses(figure, fps, frames))
         write_vertex_sequence(out, moving.positions(0, frames).numpy(), figure.faces, fps, figure.contact)
