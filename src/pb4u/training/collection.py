@@ -17,7 +17,7 @@ from pb4u.motion.library import load_motion, motion_names
 from pb4u.motion.motion import Motion
 from pb4u.progress import Progress, no_progress
 from pb4u.run import WornGarment
-from pb4u.scene.assembly import load_garment
+from pb4u.scene.loaded_garments import load_garment
 from pb4u.training.catalogue import RECORDINGS, SEEDS
 from pb4u.training.configuration import DataSelection
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
