@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -56,6 +58,18 @@ class MissingExtraError(Pb4uError, ImportError):
 
 class InputWarning(UserWarning):
     """An input is unusual but usable; the message is one plain sentence."""
+
+
+def warn(sentence: str) -> None:
+    """Warn of an input, as an `InputWarning` at the line outside of this package that gave it.
+
+    Args:
+        sentence: one plain sentence.
+    """
+    depth, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("pb4u."):
+        depth, frame = depth + 1, frame.f_back
+    warnings.warn(sentence, InputWarning, depth)
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") -> InputError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from copy import copy
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from pb4u.body.animated_body import AnimatedBody
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.geometry.mesh_arrays import as_numbers, checked_faces
 
 DEFAULT_FPS = 30.0
@@ -223,9 +222,7 @@ def require_usable(path: Path | str, vertices: np.ndarray, faces: np.ndarray) ->
     size = float(np.ptp(vertices[0], axis=0).max())
     low, high = _PLAUSIBLE_SIZE
     if _CENTIMETRES[0] <= size <= _CENTIMETRES[1]:
-        warnings.warn(
-            f"{path}: it measures {size:.0f}, so it is taken to be in centimetres.", InputWarning, stacklevel=3
-        )
+        warn(f"{path}: it measures {size:.0f}, so it is taken to be in centimetres.")
         vertices, size = np.asarray(vertices, dtype=np.float32) * np.float32(0.01), 0.01 * size
     if not low <= size <= high:
         raise InputError(
@@ -241,7 +238,7 @@ def _outward(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> np.nd
     volume = np.einsum("fc,fc->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     if volume >= 0:
         return faces
-    warnings.warn(f"{path}: the surface is inside out; its faces were turned round.", InputWarning, stacklevel=3)
+    warn(f"{path}: the surface is inside out; its faces were turned round.")
     return np.ascontiguousarray(faces[:, ::-1])
 
 
@@ -254,7 +251,7 @@ def warn_of_oddities(path: Path | str, sequence: VertexSequence) -> None:
     """
     if not sequence.is_closed:
         message = f"{path}: the body is not closed, so penetration is not reported; fill its holes to have it."
-        warnings.warn(message, InputWarning, stacklevel=3)
+        warn(message)
     middles = np.array([np.mean(frame[::_LOOKED_AT], axis=0, dtype=np.float64) for frame in sequence.vertices])
     steps = np.linalg.norm(np.diff(middles, axis=0), axis=1)
     if (leaps := steps > max(_FASTEST / sequence.stored_fps, _LEAST_LEAP)).any():
@@ -263,8 +260,8 @@ def warn_of_oddities(path: Path | str, sequence: VertexSequence) -> None:
             f"{path}: the body leaps {leaps.sum()} time(s), farthest by {steps[worst]:.1f} m from frame {worst} to "
             f"{worst + 1}; cloth cannot follow, so cut the sequence there."
         )
-        warnings.warn(message, InputWarning, stacklevel=3)
+        warn(message)
     _, height, depth = np.ptp(sequence.rest_vertices, axis=0)
     if depth > 2.0 * height:
         message = f"{path}: the body is {depth:.2f} m along Z and {height:.2f} m along Y: Z seems to be up, not Y."
-        warnings.warn(message, InputWarning, stacklevel=3)
+        warn(message)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,7 +12,7 @@ import typer
 from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, keep_inputs, say, with_flags, write_json, wrote
 from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
 from pb4u.cli.run_flags import run_flags, run_of
-from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
+from pb4u.errors import InputError, Interrupted, Pb4uError, warn
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
 from pb4u.io.atomic_file import check_writable
 from pb4u.progress import announced, progress_bar, slowness
@@ -171,7 +170,7 @@ def _simulate(
         check_live_folder(live)
     simulator = simulator_of(run)
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
-        _warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
+        warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
     scene = scene_for(run, simulator)
     against = _reference(reference, run, simulator, scene)
     if save_scene is not None:
@@ -218,14 +217,14 @@ def _say_how_it_ended(
             "--triangles."
         )
     if diverged is not None:
-        _warn(
+        warn(
             f"The run diverged at frame {diverged}: the cloth is stretched by more than 60 %, or over 0.5 m from where "
             f"the body carries it; {_advice(model)}."
         )
     if through:
         from pb4u.measures.limbs import limbs_sentence
 
-        _warn(f"{limbs_sentence(through, frames)}")
+        warn(f"{limbs_sentence(through, frames)}")
 
 
 def _reference(path: Path | None, run: Run, simulator: Simulator, scene: Scene) -> Trajectory | None:
@@ -245,10 +244,6 @@ def _advice(model: str) -> str:
     if model == "solver":
         return "look at it with `pb4u view`"
     return "try --model solver" if model == "skinning" else "try --model solver, or --refine 10"
-
-
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, InputWarning, stacklevel=2)
 
 
 def _trajectory(
@@ -301,7 +296,7 @@ class _LimbWarnings:
         self.rows.append(self.watch.through(number, frame.positions, frame.body_positions))
         for bone in self.watch.enough:
             if bone not in known:
-                _warn(self.watch.sentence(bone, number, self.model))
+                warn(self.watch.sentence(bone, number, self.model))
 
     def over(self, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
         """Which bones are through cloth in the frames of `trajectory`, as `watched` gives it."""

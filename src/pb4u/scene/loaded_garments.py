@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.collision.remeshing import remesh
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.garment.diagnosis import require_fine, require_near, require_worn
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.garment.fit import RestBody
@@ -138,7 +137,7 @@ def _held(garment: Garment, body: ShapedBody | VertexSequence) -> tuple[Garment,
     support = find_support(garment.vertices, garment.faces, RestBody.of(body))
     if support.held is None:
         return garment, support
-    _say(
+    warn(
         f"{garment.name}: its {support.name}, {int(support.held.sum())} vertices, was found and holds it; --pins "
         "none lets it go."
     )
@@ -180,7 +179,3 @@ def _remeshed(garment: Garment, triangles: int | None) -> Garment:
         return remeshed
     author = garment.source.source
     return replace(remeshed, source=SourceMap(author, *nearest_places(author.vertices, vertices, faces)))
-
-
-def _say(sentence: str) -> None:
-    warnings.warn(sentence, InputWarning, stacklevel=3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.library import load_body
 from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.motion.character_lead_in import character_lead_in
 from pb4u.motion.lead_in import lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
@@ -101,7 +100,7 @@ def _perform(body: ShapedBody, run: Run) -> Performance:
     """A body with bones performs a motion; a character its own clip, where no motion is given."""
     if isinstance(body, Character):
         for note in body.notes:
-            _say(note)
+            warn(note)
         if run.motion is None and (body.clip is not None or not body.is_human):
             return _perform_clip(body, run)
         if not body.is_human:
@@ -115,7 +114,7 @@ def _perform(body: ShapedBody, run: Run) -> Performance:
     poses, more = clip.perform(body, run.fps, frames)
     notes = (*clip.notes, *more)
     for note in notes:
-        _say(note)
+        warn(note)
     return Performance(body.posed(prepend_lead_in(poses, body, run.lead_in)), frames, name, notes)
 
 
@@ -124,7 +123,7 @@ def _perform_clip(body: Character, run: Run) -> Performance:
     _refuse_changes(run, f"{body.name} performs its own clip", "change the clip in its file")
     name = "stand" if body.clip is None else body.clip.name
     if run.clip is None and len(body.clip_names) > 1:
-        _say(f"{body.name} performs {name}, the first of its clips {', '.join(body.clip_names[:10])}; --clip chooses.")
+        warn(f"{body.name} performs {name}, the first of its clips {', '.join(body.clip_names[:10])}; --clip chooses.")
     available = run.frames or DEFAULT_FRAMES if body.clip is None else body.available_frames(run.fps)
     poses = character_lead_in(body, body.clip_poses(run.fps, available), run.fps, run.lead_in)
     return Performance(PosedCharacter(body, poses, run.fps), _frames(run, name, available), name, body.notes)
@@ -157,9 +156,9 @@ def _play(body: VertexSequence, run: Run) -> Performance:
     _refuse_changes(run, by_itself, "change the sequence where it comes from")
     if motion is not None:
         ignored = motion if isinstance(motion, str | Path) else motion.name
-        _say(f"{by_itself}; the motion {ignored} is not used.")
+        warn(f"{by_itself}; the motion {ignored} is not used.")
     if body.from_video and not run.raw_motion:
-        _say(
+        warn(
             f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."
         )
         body = body.smoothed(CUTOFF)
@@ -182,10 +181,6 @@ def _frames(run: Run, name: str, available: int | None) -> int:
         return available or DEFAULT_FRAMES
     if available is not None and run.frames > available:
         there = f"{run.frames} are wanted, {available} are there"
-        _say(f"{name} ends after {available} frames at {run.fps:g} fps; {there}.")
+        warn(f"{name} ends after {available} frames at {run.fps:g} fps; {there}.")
         return available
     return run.frames
-
-
-def _say(sentence: str) -> None:
-    warnings.warn(sentence, InputWarning, stacklevel=3)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import body_names, load_body
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import build_garment
 from pb4u.garment.weight_cache import garment_weights
@@ -149,7 +148,7 @@ def _recorded(folder: Path) -> dict[str, list[Motion]]:
             f"catalogue, such as {first.split('_')[0]}/{first}.amc."
         )
     if missing and not others:
-        warnings.warn(f"{len(missing)} recordings of the catalogue are not in {folder}.", InputWarning, stacklevel=3)
+        warn(f"{len(missing)} recordings of the catalogue are not in {folder}.")
     return found
 
 
