@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +167,7 @@ class _Reader:
 
     def seam(self, number: int, record: Any) -> Seam:
         self.where = f"stitch {number}"
-        first, second = ((str(side["panel"]), int(side["edge"])) for side in record[:2])
+        first, second = ((str(side["panel"]), index(side["edge"])) for side in record[:2])
         return Seam(first, second, same_way="right_wrong" in record[2:])
 
     def _numbers(self, values: Any, columns: int) -> np.ndarray:
