@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 
 _LISTED = 20
@@ -54,6 +55,23 @@ class MissingExtraError(Pb4uError, ImportError):
     def __init__(self, extra: str, purpose: str) -> None:
         super().__init__(f'{purpose} needs the "{extra}" extra: pip install "pb4u[{extra}]".')
         self.extra = extra
+
+
+@contextmanager
+def extra(name: str, purpose: str) -> Iterator[None]:
+    """Refuse what an optional part of the package is needed for, where its imports fail.
+
+    Args:
+        name: of the extra.
+        purpose: feature that needs it, as the beginning of the sentence.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError(name, purpose) from error
 
 
 class InputWarning(UserWarning):

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.errors import InputError, MissingExtraError, unknown_name
+from pb4u.errors import InputError, extra, unknown_name
 from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
 from pb4u.run import read_tables
 
@@ -140,10 +140,8 @@ def _reversed(curve: Curve) -> Curve:
 
 def _outlines(path: Path) -> dict[str, list[Any]]:
     """Segments [user units] of the paths of an SVG by their ids, or the labels that Inkscape shows."""
-    try:
+    with extra("svg", "Reading a pattern drawn in an SVG"):
         from svgelements import SVG, Path as Outline, Shape
-    except ImportError as error:
-        raise MissingExtraError("svg", "Reading a pattern drawn in an SVG") from error
 
     try:
         text = path.read_text(encoding="utf-8")
