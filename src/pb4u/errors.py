@@ -74,6 +74,38 @@ def extra(name: str, purpose: str) -> Iterator[None]:
         raise MissingExtraError(name, purpose) from error
 
 
+@contextmanager
+def on_disk(what: str, kind: type[Pb4uError] = InputError) -> Iterator[None]:
+    """What the disk refuses, as one sentence.
+
+    Args:
+        what: could not be done, as the beginning of the sentence.
+        kind: of the error.
+
+    Raises:
+        Pb4uError: of that kind, in the place of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{what}: {error.strerror or error}.") from error
+
+
+def sentence_on(error: BaseException) -> str | None:
+    """Sentence on an error of this package, of the memory or of the disk; None on any other, which is nobody's input.
+
+    Args:
+        error: the error.
+    """
+    if isinstance(error, Pb4uError):
+        return " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return "There is not enough memory for this; ask for fewer triangles or frames."
+    if isinstance(error, OSError):
+        return f"{error.strerror or error}{f' ({error.filename})' if error.filename else ''}."
+    return None
+
+
 class InputWarning(UserWarning):
     """An input is unusual but usable; the message is one plain sentence."""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.body.vertex_sequence import DEFAULT_FPS, VertexSequence, refuse_large, require_usable, warn_of_oddities
-from pb4u.errors import InputError
+from pb4u.errors import InputError, on_disk
 from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
 from pb4u.geometry.obj_file import read_obj_vertices
 from pb4u.geometry.triangulation import triangulate
@@ -49,10 +49,8 @@ def write_vertex_sequence(
         fps=np.float64(fps),
         contact=np.ones(vertices.shape[1], dtype=bool) if contact is None else contact.astype(bool),
     )
-    try:
+    with on_disk(f"{path} cannot be written"):
         replace_file(Path(path), buffer.getvalue())
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}.") from error
 
 
 def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSequence:

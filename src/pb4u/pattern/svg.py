@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.errors import InputError, extra, unknown_name
+from pb4u.errors import InputError, extra, on_disk, unknown_name
 from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
 from pb4u.run import read_tables
 
@@ -143,10 +143,8 @@ def _outlines(path: Path) -> dict[str, list[Any]]:
     with extra("svg", "Reading a pattern drawn in an SVG"):
         from svgelements import SVG, Path as Outline, Shape
 
-    try:
+    with on_disk(f"The drawing {path} cannot be read"):
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"The drawing {path} cannot be read: {error.strerror or error}.") from None
     if "<!ENTITY" in text or "<use" in text:
         raise InputError(f"{path} draws by reference (<use> or entities): unlink clones before saving it.")
     try:

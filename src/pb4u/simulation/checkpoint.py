@@ -16,7 +16,7 @@ from safetensors.torch import save
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from pb4u.errors import InputError, warn
+from pb4u.errors import InputError, on_disk, warn
 from pb4u.garment.garment import Garment
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.reading_limits import parse_json, told_error
@@ -185,10 +185,8 @@ def save_tensors(
     }
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     content = save(tensors, metadata)
-    try:
+    with on_disk(f"Cannot write the checkpoint {path}"):
         replace_file(path, content)
-    except OSError as error:
-        raise InputError(f"Cannot write the checkpoint {path}: {error.strerror or error}.") from error
 
 
 _OF_A_TRAINING = ("best", "final", "last")
