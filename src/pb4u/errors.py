@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 
@@ -136,3 +136,20 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") ->
     rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names[:_LISTED])}{rest}."
     return InputError(f"{f'{where} has' if where else 'There is'} no {kind} {name!r}; {hint}")
+
+
+def refuse_unknown(kind: str, names: Iterable[str], known: Collection[str], where: str = "") -> None:
+    """Refuse names that are none of the `known`; arguments as in `unknown_name`.
+
+    Args:
+        kind: kind of thing that was named.
+        names: names that were given.
+        known: every name there is.
+        where: section that holds things of the kind.
+
+    Raises:
+        InputError: one of them is none; the first is told of.
+    """
+    for name in names:
+        if name not in known:
+            raise unknown_name(kind, name, known, where)

@@ -17,7 +17,7 @@ from pb4u.cli.console import (
     tell,
     write_json,
 )
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown
 from pb4u.io.atomic_file import check_writable
 from pb4u.progress import progress_bar
 
@@ -137,8 +137,7 @@ def write(
     is_file = name not in expected and Path(name).exists()
     if is_file:
         expected[name] = ".obj"
-    if name not in expected:
-        raise unknown_name("built-in asset", name, expected)
+    refuse_unknown("built-in asset", [name], expected)
     if out.suffix.lower() != expected[name]:
         raise InputError(f"{name} is written as {expected[name]}; {out} ends otherwise.")
     check_writable(out, "the asset")

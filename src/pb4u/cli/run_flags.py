@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 import typer
 
 from pb4u.cli.console import BodyShape, FrameRange, Switch
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, SCENE, Entry, Run, WornGarment, described, entries
 
 AS_RELEASED: Mapping[str, str] = {"pb4u": "release", "hood": "hood", "mgn": "mgn", "contourcraft": "contourcraft"}
@@ -110,9 +110,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     for name in ("material", "pins", "triangles", "texture"):
         if name in given:
             given[name] = _one_each(name, given[name], worn)
-    for name in tuck:
-        if name not in worn:
-            raise unknown_name("garment in this scene", name, worn)
+    refuse_unknown("garment in this scene", tuck, worn)
     if tuck:
         given["tucked"] = [True if name in tuck else None for name in worn]
     if tack:
@@ -201,8 +199,7 @@ def _one_each(flag: str, given: Sequence[GarmentValue], names: Sequence[str]) ->
     values = unnamed if len(unnamed) == len(names) else [unnamed[0] if unnamed else None] * len(names)
     by_name = [each.garment for each in given if each.garment is not None]
     for name in by_name:
-        if name not in names:
-            raise unknown_name("garment in this scene", name, names)
+        refuse_unknown("garment in this scene", [name], names)
         if names.count(name) > 1 or by_name.count(name) > 1:
             why = (
                 f"the scene has {names.count(name)} garments of that name"

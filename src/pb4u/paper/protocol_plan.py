@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pb4u.body.library import body_names, load_body
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES
 from pb4u.measures.job_planner import JobPlanner, Model
 from pb4u.measures.run_job import RunJob
@@ -151,8 +151,7 @@ def plan(request: EvaluationRequest) -> Plan:
     Raises:
         InputError: something is unknown, unusable or empty.
     """
-    if request.protocol not in PROTOCOLS:
-        raise unknown_name("protocol", request.protocol, PROTOCOLS)
+    refuse_unknown("protocol", [request.protocol], PROTOCOLS)
     return _Planning(request).plan()
 
 

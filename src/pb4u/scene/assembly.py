@@ -11,7 +11,7 @@ import numpy as np
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import PosedBody, ShapedBody
-from pb4u.errors import unknown_name
+from pb4u.errors import refuse_unknown
 from pb4u.garment.corrected_placement import CorrectedPlacement
 from pb4u.garment.dressing import AttachedPlacement, Placement, SkinnedPlacement
 from pb4u.garment.fit import RestBody
@@ -53,9 +53,7 @@ def make_scene(
             given without pins, or skin may show through a garment that is coarse for the body.
     """
     known = ("material", "pins", "triangles", *entries("scene"))
-    for option in options:
-        if option not in known:
-            raise unknown_name("option of a scene", option, known)
+    refuse_unknown("option of a scene", options, known)
     named: Sequence[Any] = garment if isinstance(garment, list | tuple) else [garment]
     worn = tuple(each if isinstance(each, WornGarment) else WornGarment(each) for each in named)
     open_ = {name: options.pop(name) for name in ("material", "pins", "triangles") if options.get(name) is not None}

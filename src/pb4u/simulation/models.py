@@ -6,7 +6,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.memory import keep_freed_memory
 from pb4u.run import Run, entries
 from pb4u.simulation.simulator import Simulator
@@ -85,9 +85,7 @@ def load_simulator(name: str | Path = "auto", **options: Any) -> Simulator:
     Raises:
         InputError: an unknown name, a bad file or an impossible option.
     """
-    for option in options:
-        if option not in entries("run"):
-            raise unknown_name("option of a simulator", option, entries("run"))
+    refuse_unknown("option of a simulator", options, entries("run"))
     return simulator_of(Run(model=name, **options))
 
 
