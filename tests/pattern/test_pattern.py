@@ -100,6 +100,10 @@ CROSSED = [[0, 0], [40, 40], [40, 0], [0, 40]]
         (record() | {"properties": {"units_in_meter": "cm"}}, "units_in_meter must be a number"),
         (record() | {"pattern": {"panels": {str(k): {} for k in range(10_000)}}}, "has 10,000 panels"),
         (record() | {"pattern": {}}, "has no 'panels'"),
+        (
+            record() | {"pattern": {"panels": {"a": {"vertices": CROSSED, "edges": PLAIN}}}},
+            "panel a has no 'translation'",
+        ),
     ],
 )
 def test_what_cannot_be_sewn_is_refused_in_one_sentence(specification: dict, sentence: str):

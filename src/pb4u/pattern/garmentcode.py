@@ -147,7 +147,7 @@ class _Reader:
         self.where = f"panel {name}"
         angles = np.array(record.get("rotation", (0, 0, 0)), dtype=np.float64)
         rotation = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
-        position = self._numbers([record.get("translation", (0, 0, 0))], 3)[0]
+        position = self._numbers([record["translation"]], 3)[0]
         return Panel(name, corners, position, rotation, curves, str(record.get("label", "")), labels)
 
     def curve(self, record: Any, start: np.ndarray, end: np.ndarray) -> Curve:
