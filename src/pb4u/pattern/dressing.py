@@ -551,13 +551,12 @@ def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> int | None:
         places: (points, 3) of the panels [m].
     """
     facing = np.array([panel.rotation[2, 2] * panel.area for panel in mesh.pattern.panels])
-    found = []
+    found: list[int] = []
     for one, other in mesh.sides:
         run = np.abs(places[one[-1]] - places[one[0]])
         if facing[mesh.panel[one[0]]] * facing[mesh.panel[other[0]]] < 0.0 and run[0] > run[1]:
-            found += [one, other]
-    points = np.concatenate(found) if found else []
-    return int(points[places[points, 1].argmax()]) if len(points) else None
+            found += [*one.tolist(), *other.tolist()]
+    return max(found, key=lambda point: places[point, 1], default=None)
 
 
 def crotch_height(mesh: PatternMesh, places: np.ndarray) -> float | None:
