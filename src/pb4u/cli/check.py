@@ -89,7 +89,10 @@ def check(
             InputWarning,
             stacklevel=1,
         )
-    figure = load_body(body, BodyShape.of(body_shape))
+    with warnings.catch_warnings():
+        if names:  # a finding of each garment says so
+            warnings.filterwarnings("ignore", ".*the body is not closed", InputWarning)
+        figure = load_body(body, BodyShape.of(body_shape))
     report: dict[str, Any] = {}
     refused = False
     if len(names) > 1:

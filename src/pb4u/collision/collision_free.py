@@ -29,6 +29,10 @@ lies at the smallest gap on skin that bends could not move, so that skin was let
 _OFF_OBSTACLES = 2.0 * SMALLEST_GAP
 """Distance [m] from obstacles to which impulses lead what met them: the next move begins with room."""
 
+_PAST_OBSTACLES = 1.5
+"""Most speed, over that of the fastest of its world, to which an obstacle brings what it meets: cloth that also goes
+aside, or that is met at one end of an edge, cannot keep clear of what pushes it at that speed alone."""
+
 _IMPULSES = 12
 """Rounds of impulses: a stack of layers passes one on from layer to layer."""
 
@@ -274,7 +278,7 @@ def _impulses(
     What meets an obstacle is led to twice the smallest gap from it.
 
     The impulse acts along the line between the nearest points where the pair was stopped, and makes no vertex faster
-    than the `fastest` (worlds,) [m^2] of its world was.
+    than it was and the `fastest` (worlds,) [m^2] of its world, or `_PAST_OBSTACLES` times that.
     """
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
     for pair in np.argsort(shares):
@@ -295,8 +299,9 @@ def _impulses(
                 approach += weights[corner] * between[axis] * moves[ids[corner], axis] / distance
         approach *= 1.0 - shares[pair]
         room = 0.5 * (distance - gaps[pair])
+        faster = 1.0
         if ids.max() >= first_obstacle:
-            room = min(room, distance - _OFF_OBSTACLES)
+            room, faster = min(room, distance - _OFF_OBSTACLES), _PAST_OBSTACLES**2
         excess = -approach - room
         if excess <= 0.0 or response <= 0.0:
             continue
@@ -305,10 +310,11 @@ def _impulses(
             factor, move = inverse[ids[corner]] * weights[corner] * excess / (response * distance), moves[ids[corner]]
             if factor == 0.0:
                 continue
+            speed = move[0] ** 2 + move[1] ** 2 + move[2] ** 2
+            limit = max(faster * fastest[world[ids[corner]]], speed)
             for axis in range(3):
                 move[axis] += factor * between[axis]
             speed = move[0] ** 2 + move[1] ** 2 + move[2] ** 2
-            limit = fastest[world[ids[corner]]]
             if speed > limit:
                 for axis in range(3):
                     move[axis] *= np.sqrt(limit / speed)
