@@ -94,7 +94,9 @@ def started(source: Path, threads: int, triangles: int, target: Path, options: a
     environment = {
         **os.environ,
         "PYTHONPATH": f"{source}{os.pathsep}{own}",
-        **{f"{name}_NUM_THREADS": str(threads) for name in ("OMP", "NUMBA", "MKL", "OPENBLAS")},
+        **{f"{name}_NUM_THREADS": str(threads) for name in ("OMP", "NUMBA")},
+        # As in the command: small products are not shared out.
+        **{f"{name}_NUM_THREADS": "1" for name in ("MKL", "OPENBLAS")},
     }
     command = [
         sys.executable, __file__, "--into", str(target), "--triangles", str(triangles), "--frames", str(options.frames),

@@ -16,7 +16,8 @@ import shutil
 import subprocess
 from pathlib import Path
 
-FIXED_DEPTH = ("most_propagation_steps=0",)
+LAW_OF_K = ("most_propagation_steps=0",)
+"""K in training is the network's own: by the rule, or five without control; else drawn, for the table of depths."""
 
 COMPARED = {
     "pb4u": ("network=pb4u_small_carried",),
@@ -24,9 +25,10 @@ COMPARED = {
     "hood": ("network=hood_small",),
     "eslr": ("network=eslr_small",),
     "contourcraft": ("network=contourcraft_small",),
-    "pb4u-without-control": ("network=small_without_propagation_control", *FIXED_DEPTH),
-    "pb4u-without-scaling": ("network=small_without_update_scaling",),
-    "pb4u-without-both": ("network=small_without_both", *FIXED_DEPTH),
+    "pb4u-by-rule": ("network=pb4u_small_carried", *LAW_OF_K),
+    "pb4u-without-control": ("network=small_without_propagation_control", *LAW_OF_K),
+    "pb4u-without-scaling": ("network=small_without_update_scaling", *LAW_OF_K),
+    "pb4u-without-both": ("network=small_without_both", *LAW_OF_K),
 }
 """The comparison and its ablations, by the name each gets."""
 

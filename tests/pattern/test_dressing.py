@@ -178,6 +178,13 @@ def test_a_waistband_that_does_not_close_is_refused(body):
         dress(Pattern("wide", [*bands, *drops], seams), body, 400)
 
 
+def test_panels_far_from_the_body_are_refused(body):
+    front, *others = vest(0.9).panels
+    moved = Panel(front.name, front.corners, front.position + (40.0, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"vest is not placed around woman: its panel front is 3\d\.\d m away"):
+        dress(Pattern("vest", [moved, *others], vest(0.9).seams), body, 200)
+
+
 def test_a_pattern_below_the_trunk_is_refused(body):
     low = [Panel(p.name, p.corners, p.position / 2.54) for p in skirt().panels]
     with pytest.raises(InputError, match=r"low lies too low for woman: .* front left, ends 74 cm above"):

@@ -8,7 +8,7 @@ from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import face_areas
 from pb4u.pattern.mesh import mesh_pattern
-from pb4u.pattern.pattern import Pattern, Seam
+from pb4u.pattern.pattern import Panel, Pattern, Seam
 
 
 def _areas(corners: np.ndarray) -> np.ndarray:
@@ -94,3 +94,15 @@ def test_panels_lie_side_by_side_in_the_texture():
 def test_too_few_triangles_are_refused():
     with pytest.raises(InputError, match="10 triangles are too few for the 4 panels of skirt"):
         mesh_pattern(skirt(), 10)
+
+
+@pytest.mark.parametrize(
+    ("corners", "touching"),
+    [
+        ([(0, 0), (0.2, 0), (0.2, 0.15), (0.2001, 0), (0.4, 0), (0.4, 0.4), (0, 0.4)], "1 and 2"),
+        ([(0, 0), (0.4, 0), (0.4, 0.4), (0.2, 0), (0, 0.4)], "0 and 3"),
+    ],
+)
+def test_a_slit_without_width_and_edges_that_touch_are_refused(corners: list, touching: str):
+    with pytest.raises(InputError, match=f"Panel a: its edges {touching} touch"):
+        mesh_pattern(Pattern("torn", [Panel("a", corners)], []), 300)

@@ -67,6 +67,11 @@ def _stitched(*stitches: object) -> dict:
     return changed
 
 
+def _curved(kind: str, *params: object) -> dict:
+    curve = {"type": kind, "params": list(params)}
+    return _panels(edges=[{**edge, "curvature": curve} if not k else edge for k, edge in enumerate(PLAIN)])
+
+
 PLAIN = [{"endpoints": [k, (k + 1) % 4]} for k in range(4)]
 CROSSED = [[0, 0], [40, 40], [40, 0], [0, 40]]
 
@@ -86,10 +91,19 @@ CROSSED = [[0, 0], [40, 40], [40, 0], [0, 40]]
         (_panels(vertices=[[0, 0], [4, 0], [4, 3], [0, 3]]), "no gathers take up more than 6 to 1"),
         (_panels(vertices=[["x", 0]]), "panel a is not as GarmentCode writes it"),
         (_panels(vertices=[[0, 0], [np.nan, 0], [4, 3], [0, 3]]), "must be finite numbers"),
+        (_stitched(("a", 1.5, "b", 3)), "stitch 0 is not as GarmentCode writes it"),
+        (_curved("circle", np.inf, 0, 1), "Panel a: the curve of edge 0 must be"),
+        (_curved("circle", -30, 0, 1), "Panel a: the curve of edge 0 must be"),
+        (_curved("quadratic", [np.nan, 0.5]), "Panel a: the curve of edge 0 must be"),
+        (_curved("spline", [0.5, 0.5]), "edge 0 of panel a is not as GarmentCode writes it"),
         (record() | {"properties": {"units_in_meter": 1}}, "spans 40 m, which no garment does; check the unit"),
         (record() | {"properties": {"units_in_meter": "cm"}}, "units_in_meter must be a number"),
         (record() | {"pattern": {"panels": {str(k): {} for k in range(10_000)}}}, "has 10,000 panels"),
         (record() | {"pattern": {}}, "has no 'panels'"),
+        (
+            record() | {"pattern": {"panels": {"a": {"vertices": CROSSED, "edges": PLAIN}}}},
+            "panel a has no 'translation'",
+        ),
     ],
 )
 def test_what_cannot_be_sewn_is_refused_in_one_sentence(specification: dict, sentence: str):

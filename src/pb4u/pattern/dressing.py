@@ -195,6 +195,7 @@ def dress(
     enough = max(round(pattern.area / (0.43 * _COARSE_EDGE**2)), 8 * len(pattern.panels))
     coarse = mesh_pattern(pattern, triangles if triangles < 1.5 * enough else enough)
     sewing = _Sewing(coarse, body, cloth, watch)
+    sewing.refuse_far()
     sewing.refuse_narrow()
     places = sewing.hung(sewing.sewn(), _MOST_HANGING)
     fine = coarse if triangles <= len(coarse.faces) else mesh_pattern(pattern, triangles)
@@ -316,6 +317,17 @@ class _Sewing:
     def rest_pose(self) -> ColliderPose:
         """The body in its size, as simulations touch it."""
         return self.colliders.pose(torch.from_numpy(self.body.vertices))
+
+    def refuse_far(self) -> None:
+        """Refuse panels that the file does not place around the body."""
+        low, high = self.body.vertices.min(axis=0), self.body.vertices.max(axis=0)
+        beyond = np.maximum(low - self.mesh.placed, self.mesh.placed - high).max(axis=1)
+        for number, panel in enumerate(self.mesh.pattern.panels):
+            if (away := beyond[self.mesh.panel == number].min()) > self.body.height:
+                raise InputError(
+                    f"{self.mesh.pattern.name} is not placed around {self.body.name}: its panel {panel.name} is "
+                    f"{away:,.1f} m away; check the panel's translation and the pattern's unit."
+                )
 
     def refuse_narrow(self) -> None:
         """Refuse cloth over the trunk that cannot go around it, and cloth below it, which nothing holds."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -146,7 +147,7 @@ class _Reader:
         self.where = f"panel {name}"
         angles = np.array(record.get("rotation", (0, 0, 0)), dtype=np.float64)
         rotation = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
-        position = self._numbers([record.get("translation", (0, 0, 0))], 3)[0]
+        position = self._numbers([record["translation"]], 3)[0]
         return Panel(name, corners, position, rotation, curves, str(record.get("label", "")), labels)
 
     def curve(self, record: Any, start: np.ndarray, end: np.ndarray) -> Curve:
@@ -166,7 +167,7 @@ class _Reader:
 
     def seam(self, number: int, record: Any) -> Seam:
         self.where = f"stitch {number}"
-        first, second = ((str(side["panel"]), int(side["edge"])) for side in record[:2])
+        first, second = ((str(side["panel"]), index(side["edge"])) for side in record[:2])
         return Seam(first, second, same_way="right_wrong" in record[2:])
 
     def _numbers(self, values: Any, columns: int) -> np.ndarray:

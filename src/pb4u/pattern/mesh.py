@@ -106,7 +106,7 @@ def mesh_pattern(pattern: Pattern, triangles: int) -> PatternMesh:
         triangles: wanted number of triangles.
 
     Raises:
-        InputError: so few triangles cannot mesh it.
+        InputError: so few triangles cannot mesh it, or edges of a panel touch.
     """
     if triangles < 4 * len(pattern.panels):
         raise InputError(f"{triangles} triangles are too few for the {len(pattern.panels)} panels of {pattern.name}.")
@@ -154,6 +154,14 @@ def _in_loop(panel: Panel, counts: np.ndarray, length: float) -> tuple[np.ndarra
     flip = np.array([np.sign(panel.area), 1.0])
     outwards = np.concatenate(bulge) * np.sign(panel.area)
     points, faces = triangulate_loop(np.concatenate(loop) * flip, length, outwards * flip)
+    areas = np.linalg.det(points[faces[:, 1:]] - points[faces[:, :1]])
+    if areas.min() < 1e-9 * length**2:
+        edge_of, corners = np.repeat(np.arange(len(counts)), counts), faces[areas.argmin()]
+        touched = np.unique(edge_of[corners[corners < len(edge_of)]])
+        raise InputError(
+            f"Panel {panel.name}: its edges {' and '.join(map(str, touched))} touch or leave no room for a triangle; "
+            "move them apart."
+        )
     return points * flip, faces
 
 

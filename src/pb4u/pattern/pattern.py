@@ -105,11 +105,10 @@ class Panel:
                 object.__setattr__(self, name, values.reshape(shape) if values.size else values.reshape(0, 2))
             except (TypeError, ValueError):
                 raise InputError(f"Panel {self.name}: its {name} must be numbers of shape {shape}.") from None
+        if not all(np.isfinite(values).all() for values in (self.corners, self.position, self.rotation)):
+            raise InputError(f"Panel {self.name}: its corners and placement must be finite numbers.")
         curves = {k: _as_curve(self.name, k, curve) for k, curve in self.curves.items()}
         object.__setattr__(self, "curves", curves)
-        numbers = [self.corners, self.position, self.rotation, *(curve.controls for curve in curves.values())]
-        if not all(np.isfinite(values).all() for values in numbers):
-            raise InputError(f"Panel {self.name}: its corners, curves and placement must be finite numbers.")
         if not 3 <= len(self.corners) <= MOST_EDGES:
             raise InputError(f"Panel {self.name} has {len(self.corners)} corners; a panel has 3 to {MOST_EDGES}.")
         if odd := [k for k in (*curves, *self.edge_labels) if not 0 <= k < self.edge_count]:
@@ -182,12 +181,15 @@ class Panel:
 
 
 def _as_curve(panel: str, edge: int, curve: Curve | np.ndarray) -> Curve:
-    if isinstance(curve, Curve):
-        return curve
-    controls = np.array(curve, dtype=np.float64).reshape(-1, 2)
-    if not 1 <= len(controls) <= 2:
-        raise InputError(f"Panel {panel}: the curve of edge {edge} must be one or two control points.")
-    return Curve(controls)
+    if not isinstance(curve, Curve):
+        curve = Curve(np.array(curve, dtype=np.float64).reshape(-1, 2))
+    is_drawn = curve.radius > 0.0 if not len(curve.controls) else len(curve.controls) <= 2
+    if not is_drawn or not np.isfinite([curve.radius, *curve.controls.ravel()]).all():
+        raise InputError(
+            f"Panel {panel}: the curve of edge {edge} must be one or two control points, or an arc of a positive "
+            "radius, in finite numbers."
+        )
+    return curve
 
 
 def signed_area(loop: np.ndarray) -> float:
@@ -201,7 +203,7 @@ def signed_area(loop: np.ndarray) -> float:
 
 
 def first_crossing(loop: np.ndarray) -> tuple[int, int] | None:
-    """Two segments of a closed loop of points (n, 2) that cross or lie on each other; None where it is simple.
+    """Two segments of a closed loop of points (n, 2) that cross; None where none do.
 
     Args:
         loop: (n, 2).

@@ -7,6 +7,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError, unknown_name
+from pb4u.memory import keep_freed_memory
 from pb4u.run import Run, entries
 from pb4u.simulation.simulator import Simulator
 
@@ -106,6 +107,7 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.simulation.step_start import BodyMotionWarmStart
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolver, SolverSimulator
 
+    keep_freed_memory()
     model = default_model() if str(run.model) == "auto" else str(run.model)
     _require_possible(run, model)
     potential = IncrementalPotential()
