@@ -36,9 +36,6 @@ aside, or that is met at one end of an edge, cannot keep clear of what pushes it
 _IMPULSES = 12
 """Rounds of impulses: a stack of layers passes one on from layer to layer."""
 
-_IMPULSES_PAST_OBSTACLES = 100
-"""The same past moving obstacles: a sleeve that an arm closes on the trunk needs most of them, and few pairs touch."""
-
 _LEAST_RESPONSE = 0.1
 """Share of the response of a pair of free elements below which an impulse is not made larger for it: where nearly all
 of the weight is on vertices that do not give way, it would fling the others."""
@@ -138,8 +135,7 @@ def _in_one_move(
     np.maximum.at(fastest, tree.vertex_world, (moves**2).sum(axis=1))
     firm = slice(tree.first_obstacle, None)
     closing, looked_up = moves[firm].any(), moves.copy()
-    impulses = _IMPULSES_PAST_OBSTACLES if closing else _IMPULSES
-    for attempt in range(impulses + _ZONES):
+    for attempt in range(_IMPULSES + _ZONES):
         if (shares >= 1.0).all():
             # Changed moves may meet others than the first ones did.
             pairs, gaps = _met(tree, before, moves, passed, began, pairs, _differ(moves, looked_up))
@@ -148,14 +144,14 @@ def _in_one_move(
             if (shares >= 1.0).all():
                 return before + moves, passed
         touching, previous = shares < 1.0, moves.copy()
-        if attempt >= impulses + _ZONES_WITH_OBSTACLES and closing:
+        if attempt >= _IMPULSES + _ZONES_WITH_OBSTACLES and closing:
             # Nor does it help to go with them: there is no room. Beside what stands still there always is.
             passed = passed | _met_by_obstacles(pairs.corners[touching], tree.first_obstacle, len(moves))
             kept = ~through_obstacle(pairs.corners, tree.first_obstacle, passed)
             pairs, gaps, shares = pairs.chosen(kept), gaps[kept], shares[kept]
             touching = shares < 1.0
         hit = pairs.chosen(touching)
-        if attempt < impulses:
+        if attempt < _IMPULSES:
             stopped = (gaps[touching], shares[touching])
             limits = (tree.first_obstacle, fastest)
             _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, *limits)
