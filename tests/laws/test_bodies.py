@@ -228,11 +228,11 @@ def test_where_one_move_finds_no_room_smaller_ones_are_made(monkeypatch: pytest.
     assert obstacle is not None
     in_one, starts = collision_free._in_one_move, []
 
-    def found(tree, before, wanted, masses, known, passed, began):
+    def found(tree, before, wanted, masses, known, passed, began, impulses):
         starts.append(began)
         if np.abs(wanted - before).max() > 0.03:
             return wanted, np.ones(len(before), dtype=bool)
-        return in_one(tree, before, wanted, masses, known, passed, began)
+        return in_one(tree, before, wanted, masses, known, passed, began, impulses)
 
     monkeypatch.setattr(collision_free, "_in_one_move", found)
     reached, after = FELT.self_contact.collision_free_move(timeline.garments, x, x.clone(), obstacle=obstacle)

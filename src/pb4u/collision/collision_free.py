@@ -36,6 +36,9 @@ aside, or that is met at one end of an edge, cannot keep clear of what pushes it
 _IMPULSES = 12
 """Rounds of impulses: a stack of layers passes one on from layer to layer."""
 
+_MORE_IMPULSES = 100
+"""The same where obstacles found no room in those: cloth that an arm closes on the trunk settles slowly."""
+
 _LEAST_RESPONSE = 0.1
 """Share of the response of a pair of free elements below which an impulse is not made larger for it: where nearly all
 of the weight is on vertices that do not give way, it would fling the others."""
@@ -84,8 +87,9 @@ def past_obstacles(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions near `wanted` that `before` reaches without an element passing through another; obstacles go first.
 
-    Where obstacles leave no room in one move they go in several, each on from where the last turned the surface aside.
-    If that leaves no room either, they are let through the elements that they meet last.
+    Where obstacles leave no room in one move, though more impulses are given, they go in several, each on from where
+    the last turned the surface aside. If that leaves no room either, they are let through the elements that they meet
+    last.
 
     Args:
         tree: of the surface, its obstacles last.
@@ -100,16 +104,18 @@ def past_obstacles(
         passed through by then.
     """
     passed = np.zeros(len(before), dtype=bool) if passed is None else passed
-    reached, through = _in_one_move(tree, before, wanted, masses, known, passed, before)
-    if through.sum() == passed.sum():
-        return reached, through
+    found = []
+    for impulses in (_IMPULSES, _MORE_IMPULSES):
+        found.append(_in_one_move(tree, before, wanted, masses, known, passed, before, impulses))
+        if found[-1][1].sum() == passed.sum():
+            return found[-1]
     x, still, aside = before, passed, np.zeros_like(before)
     for part in range(1, _PARTS + 1):
         way = wanted + (part / _PARTS - 1.0) * (wanted - before)
         # Gaps are those of the whole move: what is nearer than a gap has no finite energy.
-        x, still = _in_one_move(tree, x, way + aside, masses, None, still, before)
+        x, still = _in_one_move(tree, x, way + aside, masses, None, still, before, _IMPULSES)
         aside = x - way
-    return (x, still) if still.sum() < through.sum() else (reached, through)
+    return min(*found, (x, still), key=lambda each: each[1].sum())
 
 
 def _in_one_move(
@@ -120,8 +126,12 @@ def _in_one_move(
     known: tuple[ElementPairs, np.ndarray] | None,
     passed: np.ndarray,
     began: np.ndarray,
+    impulses: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same in one linear move; pairs keep the gaps (pairs,) [m] that they have where they `began` (vertices, 3)."""
+    """The same in one linear move; pairs keep the gaps (pairs,) [m] that they have where they `began` (vertices, 3).
+
+    What touches still after so many rounds of `impulses` moves together.
+    """
     moves = wanted - before
     if not moves.any():
         return wanted, passed
@@ -135,7 +145,7 @@ def _in_one_move(
     np.maximum.at(fastest, tree.vertex_world, (moves**2).sum(axis=1))
     firm = slice(tree.first_obstacle, None)
     closing, looked_up = moves[firm].any(), moves.copy()
-    for attempt in range(_IMPULSES + _ZONES):
+    for attempt in range(impulses + _ZONES):
         if (shares >= 1.0).all():
             # Changed moves may meet others than the first ones did.
             pairs, gaps = _met(tree, before, moves, passed, began, pairs, _differ(moves, looked_up))
@@ -144,14 +154,14 @@ def _in_one_move(
             if (shares >= 1.0).all():
                 return before + moves, passed
         touching, previous = shares < 1.0, moves.copy()
-        if attempt >= _IMPULSES + _ZONES_WITH_OBSTACLES and closing:
+        if attempt >= impulses + _ZONES_WITH_OBSTACLES and closing:
             # Nor does it help to go with them: there is no room. Beside what stands still there always is.
             passed = passed | _met_by_obstacles(pairs.corners[touching], tree.first_obstacle, len(moves))
             kept = ~through_obstacle(pairs.corners, tree.first_obstacle, passed)
             pairs, gaps, shares = pairs.chosen(kept), gaps[kept], shares[kept]
             touching = shares < 1.0
         hit = pairs.chosen(touching)
-        if attempt < _IMPULSES:
+        if attempt < impulses:
             stopped = (gaps[touching], shares[touching])
             limits = (tree.first_obstacle, fastest)
             _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, *limits)
