@@ -32,6 +32,13 @@ LONGEST_FIRST = (
 is checked, the other worker compiles those that both need."""
 
 
+def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
+    # Those of pytest-xdist in `addopts`, for a run without it.
+    if not pluginmanager.hasplugin("xdist"):
+        parser.addoption("--dist")
+        parser.addoption("--no-loadscope-reorder", action="store_true")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     order = {Path(__file__).parent / name: number for number, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: order.get(item.path, len(order)))

@@ -43,10 +43,10 @@ class Moment:
 
     garments: PackedGarments
     state: State
-    collider: ColliderFrame | None
+    collider: ColliderFrame
 
     def shifted(self, shift: Tensor) -> Moment:
-        collider = None if self.collider is None else placed(self.collider, lambda positions: positions + shift)
+        collider = placed(self.collider, lambda positions: positions + shift)
         return replace(self, state=replace(self.state, positions=self.state.positions + shift), collider=collider)
 
     def alone(self, garment: int) -> Moment:
@@ -55,12 +55,10 @@ class Moment:
         state = replace(
             self.state, positions=self.state.positions[start:stop], velocities=self.state.velocities[start:stop]
         )
-        collider = self.collider
-        if collider is not None:
-            bodies, rows = collider.colliders, collider.colliders.world_vertices[garment]
-            faces = bodies.faces[bodies.world_faces[garment]] - rows.start
-            own = pack_colliders([faces], [bodies.contact[rows]], [0], bodies.ground_height)
-            collider = placed(collider, lambda positions: positions[rows], own)
+        bodies, rows = self.collider.colliders, self.collider.colliders.world_vertices[garment]
+        faces = bodies.faces[bodies.world_faces[garment]] - rows.start
+        own = pack_colliders([faces], [bodies.contact[rows]], [0], bodies.ground_height)
+        collider = placed(self.collider, lambda positions: positions[rows], own)
         packed = pack([self.garments.garments[garment]], dtype=self.garments.dtype)
         return Moment(packed, state, collider)
 
@@ -85,19 +83,17 @@ def moment(garments: list[Garment], body: bool = True, seed: int = 0, dtype: tor
 
     positions = packed.rest_positions + noise(packed.rest_positions, 5e-4)
     velocities = noise(positions, 0.1)
-    collider = None
-    if body:
-        frames, faces = [], []
-        for index, garment in enumerate(garments):
-            extent = np.ptp(garment.vertices, axis=0)
-            under = sheet(9, 9, edge=float(max(extent[0], extent[2])) / 12, seed=seed + index + 1)
-            vertices = torch.as_tensor(under.vertices, dtype=dtype) - torch.tensor([0.0, 0.015, 0.0], dtype=dtype)
-            frames.append(vertices)
-            faces.append(torch.as_tensor(under.faces))
-        now, contact = torch.cat(frames), [torch.ones(len(part), dtype=torch.bool) for part in frames]
-        bodies = pack_colliders(faces, contact, range(len(garments)))
-        previous, following = now + noise(now, 2e-3), now + noise(now, 2e-3)
-        collider = ColliderFrame(bodies.pose(previous), bodies.pose(now), bodies.pose(following))
+    frames, faces = [], []
+    for index, garment in enumerate(garments):
+        extent = np.ptp(garment.vertices, axis=0)
+        under = sheet(9, 9, edge=float(max(extent[0], extent[2])) / 12, seed=seed + index + 1)
+        vertices = torch.as_tensor(under.vertices, dtype=dtype) - torch.tensor([0.0, 0.015, 0.0], dtype=dtype)
+        frames.append(vertices if body else vertices[:0])
+        faces.append(torch.as_tensor(under.faces)[: None if body else 0])
+    now, contact = torch.cat(frames), [torch.ones(len(part), dtype=torch.bool) for part in frames]
+    bodies = pack_colliders(faces, contact, range(len(garments)))
+    previous, following = now + noise(now, 2e-3), now + noise(now, 2e-3)
+    collider = ColliderFrame(bodies.pose(previous), bodies.pose(now), bodies.pose(following))
     return Moment(packed, State(positions, velocities, 0), collider)
 
 

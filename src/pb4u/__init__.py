@@ -59,76 +59,43 @@ _HOMES = {
     "no_progress": "pb4u.progress:no_progress",
 }
 
-__all__ = [
-    "AnimatedBody",
-    "Body",
-    "DressedGarment",
-    "Frame",
-    "Garment",
-    "GarmentSkinning",
-    "InputError",
-    "InputWarning",
-    "Interrupted",
-    "Material",
-    "Motion",
-    "Panel",
-    "Pattern",
-    "Pb4uError",
-    "PolygonMesh",
-    "Progress",
-    "Run",
-    "RunRecord",
-    "Scene",
-    "Seam",
-    "Simulator",
-    "SourceMap",
-    "State",
-    "Trajectory",
-    "TrajectoryHeader",
-    "VertexSequence",
-    "View",
-    "WornGarment",
-    "body_from_arrays",
-    "build_garment",
-    "dress",
-    "export_trajectory",
-    "load_body",
-    "load_motion",
-    "load_simulator",
-    "make_scene",
-    "measure",
-    "no_progress",
-    "read_garment",
-    "read_pattern",
-]
+__all__ = list(_HOMES)
 
 if TYPE_CHECKING:
-    from pb4u.body.animated_body import AnimatedBody
-    from pb4u.body.body_model import ShapedBody as Body
-    from pb4u.body.library import load_body
-    from pb4u.body.vertex_sequence import VertexSequence, body_from_arrays
-    from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
-    from pb4u.export.registry import export as export_trajectory
-    from pb4u.export.view import View
-    from pb4u.garment.garment import Garment, GarmentSkinning, SourceMap
-    from pb4u.garment.garment_file import read_garment
-    from pb4u.garment.library import build_garment
-    from pb4u.garment.material import Material
-    from pb4u.geometry.mesh_file import PolygonMesh
-    from pb4u.measures.metrics import measure
-    from pb4u.motion.library import load_motion
-    from pb4u.motion.motion import Motion
-    from pb4u.pattern.dressing import dress
-    from pb4u.pattern.files import read_pattern
-    from pb4u.pattern.pattern import Panel, Pattern, Seam
-    from pb4u.progress import Progress, no_progress
-    from pb4u.run import Run, WornGarment
-    from pb4u.scene.assembly import make_scene
-    from pb4u.scene.scene import DressedGarment, Scene
-    from pb4u.scene.state import State
-    from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
-    from pb4u.simulation.models import load_simulator
-    from pb4u.simulation.simulator import RunRecord, Simulator
+    from pb4u.body.animated_body import AnimatedBody as AnimatedBody
+    from pb4u.body.body_model import ShapedBody
+    from pb4u.body.library import load_body as load_body
+    from pb4u.body.vertex_sequence import VertexSequence as VertexSequence, body_from_arrays as body_from_arrays
+    from pb4u.errors import (
+        InputError as InputError,
+        InputWarning as InputWarning,
+        Interrupted as Interrupted,
+        Pb4uError as Pb4uError,
+    )
+    from pb4u.export.registry import export
+    from pb4u.export.view import View as View
+    from pb4u.garment.garment import Garment as Garment, GarmentSkinning as GarmentSkinning, SourceMap as SourceMap
+    from pb4u.garment.garment_file import read_garment as read_garment
+    from pb4u.garment.library import build_garment as build_garment
+    from pb4u.garment.material import Material as Material
+    from pb4u.geometry.mesh_file import PolygonMesh as PolygonMesh
+    from pb4u.measures.metrics import measure as measure
+    from pb4u.motion.library import load_motion as load_motion
+    from pb4u.motion.motion import Motion as Motion
+    from pb4u.pattern.dressing import dress as dress
+    from pb4u.pattern.files import read_pattern as read_pattern
+    from pb4u.pattern.pattern import Panel as Panel, Pattern as Pattern, Seam as Seam
+    from pb4u.progress import Progress as Progress, no_progress as no_progress
+    from pb4u.run import Run as Run, WornGarment as WornGarment
+    from pb4u.scene.assembly import make_scene as make_scene
+    from pb4u.scene.scene import DressedGarment as DressedGarment, Scene as Scene
+    from pb4u.scene.state import State as State
+    from pb4u.scene.trajectory import Frame as Frame, Trajectory as Trajectory, TrajectoryHeader as TrajectoryHeader
+    from pb4u.simulation.models import load_simulator as load_simulator
+    from pb4u.simulation.simulator import RunRecord as RunRecord, Simulator as Simulator
+
+    Body = ShapedBody
+    export_trajectory = export
 
 
 def __getattr__(name: str) -> Any:

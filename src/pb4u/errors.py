@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import sys
+import warnings
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 
 _LISTED = 20
@@ -54,8 +57,69 @@ class MissingExtraError(Pb4uError, ImportError):
         self.extra = extra
 
 
+@contextmanager
+def extra(name: str, purpose: str) -> Iterator[None]:
+    """Refuse what an optional part of the package is needed for, where its imports fail.
+
+    Args:
+        name: of the extra.
+        purpose: feature that needs it, as the beginning of the sentence.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError(name, purpose) from error
+
+
+@contextmanager
+def on_disk(what: str, kind: type[Pb4uError] = InputError) -> Iterator[None]:
+    """What the disk refuses, as one sentence.
+
+    Args:
+        what: could not be done, as the beginning of the sentence.
+        kind: of the error.
+
+    Raises:
+        Pb4uError: of that kind, in the place of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{what}: {error.strerror or error}.") from error
+
+
+def sentence_on(error: BaseException) -> str | None:
+    """Sentence on an error of this package, of the memory or of the disk; None on any other, which is nobody's input.
+
+    Args:
+        error: the error.
+    """
+    if isinstance(error, Pb4uError):
+        return " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return "There is not enough memory for this; ask for fewer triangles or frames."
+    if isinstance(error, OSError):
+        return f"{error.strerror or error}{f' ({error.filename})' if error.filename else ''}."
+    return None
+
+
 class InputWarning(UserWarning):
     """An input is unusual but usable; the message is one plain sentence."""
+
+
+def warn(sentence: str) -> None:
+    """Warn of an input, as an `InputWarning` at the line outside of this package that gave it.
+
+    Args:
+        sentence: one plain sentence.
+    """
+    depth, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("pb4u."):
+        depth, frame = depth + 1, frame.f_back
+    warnings.warn(sentence, InputWarning, depth)
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") -> InputError:
@@ -72,3 +136,20 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") ->
     rest = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(names[:_LISTED])}{rest}."
     return InputError(f"{f'{where} has' if where else 'There is'} no {kind} {name!r}; {hint}")
+
+
+def refuse_unknown(kind: str, names: Iterable[str], known: Collection[str], where: str = "") -> None:
+    """Refuse names that are none of the `known`; arguments as in `unknown_name`.
+
+    Args:
+        kind: kind of thing that was named.
+        names: names that were given.
+        known: every name there is.
+        where: section that holds things of the kind.
+
+    Raises:
+        InputError: one of them is none; the first is told of.
+    """
+    for name in names:
+        if name not in known:
+            raise unknown_name(kind, name, known, where)

@@ -12,7 +12,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import lru_cache
 from numbers import Integral, Real
@@ -21,7 +21,7 @@ from pkgutil import resolve_name
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import replace_file
 
@@ -276,7 +276,7 @@ class Run:
         Raises:
             InputError: an entry is unknown, or a value cannot be used.
         """
-        _refuse_unknown("entry", given, ENTRIES)
+        refuse_unknown("entry", given, ENTRIES)
         values = {name: _located(name, value, folder) for name, value in given.items()}
         worn: Sequence[WornGarment] = self.garments
         if "garment" in values:
@@ -322,7 +322,7 @@ class Run:
             raise InputError(f"There is no scene file {path}.")
         tables = read_tables(path, "a scene file")
         try:
-            _refuse_unknown("section", tables, ("format_version", "scene", "garments", "run"))
+            refuse_unknown("section", tables, ("format_version", "scene", "garments", "run"))
             version = tables.get("format_version", FORMAT_VERSION)
             if version != FORMAT_VERSION:
                 raise InputError(f"The file is of format version {version!r}; this version reads {FORMAT_VERSION}.")
@@ -551,17 +551,11 @@ def _is_same(garment: object, other: object) -> bool:
     return garment is other
 
 
-def _refuse_unknown(what: str, given: Iterable[str], known: Collection[str], where: str = "") -> None:
-    for name in given:
-        if name not in known:
-            raise unknown_name(what, name, known, where)
-
-
 def _section(title: str, table: Any, section: str, folder: Path) -> dict[str, Any]:
     """The entries of a section, its files found from the `folder` of the scene file."""
     if not isinstance(table, dict):
         raise InputError(f"The section {title} must hold entries such as name = value, not {table!r}.")
-    _refuse_unknown("entry", table, entries(section), title)
+    refuse_unknown("entry", table, entries(section), title)
     return {name: _located(name, value, folder) for name, value in table.items()}
 
 

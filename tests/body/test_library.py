@@ -5,7 +5,7 @@ import pytest
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import body_names, load_body
-from pb4u.body.vertex_sequence import write_vertex_sequence
+from pb4u.body.sequence_files import write_vertex_sequence
 from pb4u.errors import InputError
 
 

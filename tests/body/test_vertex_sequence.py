@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from pb4u.body.library import load_body
-from pb4u.body.vertex_sequence import VertexSequence, load_vertex_sequence, write_vertex_sequence
+from pb4u.body.sequence_files import load_vertex_sequence, write_vertex_sequence
+from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, InputWarning
 
 
@@ -227,9 +228,10 @@ def test_an_npz_that_hides_objects_is_refused(tmp_path: Path, box: tuple[np.ndar
 
 def test_an_open_body_is_warned_of(tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:
     write_vertex_sequence(tmp_path / "body.npz", box[0], box[1][:-1], 30.0)
-    with pytest.warns(InputWarning, match="not closed, so penetration is not reported"):
+    with pytest.warns(InputWarning, match="not closed, so penetration is not reported") as told:
         body = load_vertex_sequence(tmp_path / "body.npz")
     assert not body.is_closed
+    assert told[0].filename == __file__
 
 
 def test_z_up_and_inside_out_are_warned_of(tmp_path: Path, box: tuple[np.ndarray, np.ndarray]) -> None:

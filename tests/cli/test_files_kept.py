@@ -17,7 +17,7 @@ import pytest
 from filelock import FileLock
 from tests.garment.cloth_shapes import quad_tube, saved
 
-from pb4u.body.vertex_sequence import write_vertex_sequence
+from pb4u.body.sequence_files import write_vertex_sequence
 from pb4u.errors import Interrupted
 from pb4u.io.atomic_file import MARK, replace_file, sweep, working_folder
 from pb4u.run import Run

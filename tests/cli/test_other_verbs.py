@@ -17,7 +17,7 @@ import pb4u as package
 from pb4u.body import character_file
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import load_body
-from pb4u.body.vertex_sequence import write_vertex_sequence
+from pb4u.body.sequence_files import write_vertex_sequence
 from pb4u.garment.library import build_garment
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import read_obj, write_obj

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
+from pb4u.body.sequence_files import load_vertex_sequence
 from pb4u.body.smpl import read_contact
-from pb4u.body.vertex_sequence import load_vertex_sequence
 from pb4u.compat.garment_dictionary import read_dictionary_garment
 from pb4u.compat.recording_as_released import read_smpl_sequence
 from pb4u.compat.released_weights import read_released

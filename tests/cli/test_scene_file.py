@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.garment.cloth_shapes import saved as cloth_file
-from tests.garment.cloth_shapes import triangle_tube
+from tests.garment.cloth_shapes import saved as cloth_file, triangle_tube
 
 from pb4u.run import Run, WornGarment
 from pb4u.scene.trajectory import Trajectory

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from tests.collision.crossing_free_states import Surface, folded, lying, nested, stack
 from tests.physics.shapes import sheet
 

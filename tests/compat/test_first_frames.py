@@ -37,7 +37,6 @@ def begun(start: Any) -> tuple[Timeline, list[Any], list[TimeStep]]:
 
 
 def body(step: TimeStep) -> tuple[Tensor, Tensor, Tensor]:
-    assert step.collider is not None
     return tuple(pose.positions for pose in (step.collider.previous, step.collider.now, step.collider.following))  # type: ignore[return-value]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.export.readers import assert_obj, mdd_frames, pc2_frames
 
-from pb4u.body.vertex_sequence import load_vertex_sequence
+from pb4u.body.sequence_files import load_vertex_sequence
 from pb4u.errors import InputError
 from pb4u.export.registry import export
 from pb4u.export.selection import on_source

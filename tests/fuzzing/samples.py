@@ -38,8 +38,9 @@ from pb4u import __version__
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.character import Character, PosedCharacter
 from pb4u.body.library import load_body
+from pb4u.body.sequence_files import write_vertex_sequence
 from pb4u.body.smpl import read_contact
-from pb4u.body.vertex_sequence import VertexSequence, write_vertex_sequence
+from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.cli.main import main
 from pb4u.compat.garment_dictionary import read_dictionary_garment
 from pb4u.compat.recording_as_released import RecordingAsItIs

@@ -18,7 +18,7 @@ from pb4u.garment.tacks import tacked
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.topology import Topology
 from pb4u.run import WornGarment
-from pb4u.scene.assembly import load_garment
+from pb4u.scene.loaded_garments import load_garment
 
 FALLS = {"skirt", "trousers", "cardigan"}
 

@@ -21,3 +21,13 @@ def test_what_takes_long_to_import_waits_until_it_is_used() -> None:
     slow = "{'scipy.signal', 'scipy.stats'} & set(sys.modules)"
     program = f"import sys, pb4u; pb4u.make_scene, pb4u.load_simulator; assert not {slow}"
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_help_is_told_without_what_computes() -> None:
+    slow = "{'filelock', 'numpy', 'pydantic', 'scipy', 'torch'} & set(sys.modules)"
+    program = (
+        "import sys; from pb4u.cli.main import main; sys.argv = ['pb4u', 'simulate', '--help']\n"
+        f"try: main()\nfinally: assert not {slow}"
+    )
+    told = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+    assert "--garment" in told

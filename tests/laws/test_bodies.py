@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from tests.laws.test_self_contact import OneMethod, methods
 from tests.simulation.ball_scene import sheet
 

@@ -249,7 +249,6 @@ def test_stiffness_is_the_derivative_of_the_gradient(name: str, monkeypatch: pyt
         planes = contacts.next
         assert planes is not None
         x += (1.8e-3 - planes.signed_distance(x))[:, None] * planes.normals
-        assert at.collider is not None
         at = replace(at, collider=placed(at.collider, bodies=replace(at.collider.colliders, ground_height=None)))
         frozen = replace(frozen, step=at)
     term = frozen.potential.term(name)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from ball_scene import MATERIAL, Ball
 from tests.collision.crossing_free_states import Surface, folded, stack
-from tests.physics.shapes import DT, packed, sheet, time_step
+from tests.physics.shapes import DT, nobody, packed, sheet, time_step
 
 from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.errors import InputError
@@ -250,7 +250,7 @@ def slid(coefficient: float, degrees: float, steps: int = 9) -> tuple[float, flo
         if k == settling:
             state = State(state.positions, torch.zeros_like(start), state.frame)
             settled = state.positions
-        step = TimeStep(garments, state, None, DT, down, start)
+        step = TimeStep(garments, state, nobody(), DT, down, start)
         solution = solver.minimise(potential.of(step), step.with_pins(state.positions + DT * state.velocities))
         state, unsolved = step.reached(solution.positions), unsolved + (not solution.converged)
     return float((state.positions - settled)[free, 0].mean()), float(state.velocities[free, 0].mean()), unsolved

@@ -109,7 +109,7 @@ def test_jobs_of_a_pack_have_the_results_of_each_alone(monkeypatch: pytest.Monke
 
 def test_what_a_card_takes_whole_is_packed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: True)
-    monkeypatch.setattr(NetworkSimulator, "__init__", lambda self, *given: None)
+    monkeypatch.setattr(NetworkSimulator, "__init__", lambda self, *given, **more: None)
     monkeypatch.setattr(NetworkSimulator, "on_card", True)
     on_card = replace(RUN, **ALONE, model="pb4u-small", device="cuda")
     jobs = [RunJob(replace(on_card, seed=seed), weights="digest") for seed in range(MOST_TOGETHER + 2)]

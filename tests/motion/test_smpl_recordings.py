@@ -7,8 +7,8 @@ import pickle
 import numpy as np
 import pytest
 
+from pb4u.body.sequence_files import write_vertex_sequence
 from pb4u.body.skeleton import joint_positions
-from pb4u.body.vertex_sequence import write_vertex_sequence
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import angle_between, from_axis_angle, rotate
 from pb4u.motion.library import load_motion

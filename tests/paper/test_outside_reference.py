@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from benchmarks.outside_reference import hinge_stiffness, newton_membrane, wave_speed
+from tests.physics.shapes import nobody
 from tests.simulation.ball_scene import MATERIAL, Ball, ball_scene, sheet
 from torch import Tensor
 
@@ -205,7 +206,7 @@ def test_hinge_stiffness_gives_our_bending_energy() -> None:
     lengths = np.linalg.norm(folded[hinges[:, 1]] - folded[hinges[:, 0]], axis=1)
     theirs = float((0.5 * stiffness[: len(hinges)] * lengths * angles**2).sum())
     state, nowhere = State(x, torch.zeros_like(x), 0), torch.zeros(3, dtype=x.dtype)
-    step = TimeStep(pack([garment]), state, None, 1 / 30.0, nowhere)
+    step = TimeStep(pack([garment]), state, nobody(), 1 / 30.0, nowhere)
     assert theirs == pytest.approx(float(Bending().energies(step, ContactSet(), x)), rel=1e-9)
 
 

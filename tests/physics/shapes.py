@@ -67,6 +67,10 @@ def collider(
     return colliders([(vertices, faces)], [0], motion, ground_height, contact)
 
 
+def nobody() -> ColliderFrame:
+    return collider(np.zeros((0, 3)), np.zeros((0, 3)))
+
+
 def colliders(
     bodies: Sequence[tuple[np.ndarray, np.ndarray]],
     worlds: Sequence[int],
@@ -102,7 +106,7 @@ def time_step(
 ) -> TimeStep:
     """A step under standard gravity, from rest by default."""
     down = garments.rest_positions.new_tensor((0.0, -STANDARD_GRAVITY, 0.0)) if gravity is None else gravity
-    return TimeStep(garments, state or at_rest(garments), collider, dt, down)
+    return TimeStep(garments, state or at_rest(garments), collider or nobody(), dt, down)
 
 
 def potential_of(

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from tests.physics.shapes import DT, at_rest, capsule, collider, packed, potential_of, sheet, time_step, tube
+from tests.physics.shapes import DT, at_rest, capsule, collider, nobody, packed, potential_of, sheet, time_step, tube
 from tests.readable_stiffness import readable_stiffness
 
 import pb4u.physics.incremental_potential as potential_module
@@ -196,7 +196,7 @@ def test_integrator() -> None:
     pins = torch.full((4, 3), 9.0)
     pins[1] = torch.tensor([0.1, 0.2, 0.3])
     state = State(torch.zeros(4, 3), velocities, 4)
-    after = integrate(TimeStep(garments, state, None, 0.1, torch.zeros(3), pins), acceleration)
+    after = integrate(TimeStep(garments, state, nobody(), 0.1, torch.zeros(3), pins), acceleration)
     torch.testing.assert_close(after.positions[0], torch.tensor([0.3, -0.01, 0.0]))
     torch.testing.assert_close(after.velocities[0], torch.tensor([3.0, -0.1, 0.0]))
     torch.testing.assert_close(after.positions[1], pins[1])

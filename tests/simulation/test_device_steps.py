@@ -250,7 +250,6 @@ def test_garments_of_different_k_step_side_by_side() -> None:
     torch.manual_seed(0)
     model = AccelerationModel(replace(NETWORKS["literal"], width=8, blocks=1).network()).double()
     at = moment([sheet(8, 8), sheet(6, 6, edge=0.02)])
-    assert at.collider is not None
     expected = accelerations(model, at, (4, 2))
     bodies = at.collider.colliders.to(torch.device("cpu"), Rooms())
     poses = (at.collider.previous, at.collider.now, at.collider.following)

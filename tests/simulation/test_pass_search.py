@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from ball_scene import ball_scene, sheet
+from tests.physics.shapes import nobody
 from torch import Tensor
 
 from pb4u.errors import InputError
@@ -45,7 +46,7 @@ def sheets(*cells: int, pinned: bool = False) -> TimeStep:
         generator = torch.Generator().manual_seed(cells[garment])
         crumpled[mine] += 1e-3 * torch.randn(crumpled[mine].shape, generator=generator, dtype=torch.float64)
     state = State(crumpled, torch.zeros_like(crumpled), 0)
-    return TimeStep(packed, state, None, 1 / 30, torch.tensor([0.0, -9.81, 0.0]).double(), crumpled + 0.002)
+    return TimeStep(packed, state, nobody(), 1 / 30, torch.tensor([0.0, -9.81, 0.0]).double(), crumpled + 0.002)
 
 
 class JacobiPass:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from pb4u.body.baked_body import BakedBody
 from pb4u.body.body_model import BodyModel
 from pb4u.body.skinning import strongest_influences
-from pb4u.errors import InputWarning, MissingExtraError
+from pb4u.errors import extra, warn
 
 # Closed and free of eyes and tongue. The "smpl" and "smplx" topologies carry non-commercial data and are never used.
 _TOPOLOGY = "anny-noeyes-notongue"
@@ -73,15 +72,9 @@ class AnnyBody(BodyModel):
 
 
 def _anny_model() -> Any:
-    try:
+    with extra("anny", "A body shape beyond the built-in ones"):
         import anny
-    except ImportError as error:
-        raise MissingExtraError("anny", "A body shape beyond the built-in ones") from error
     cache = anny.paths.get_anny_cache_path()
     if not any(cache.rglob("build_compact_model_data_*")):
-        warnings.warn(
-            f"Anny builds its rig once on each machine, which takes 3 to 5 minutes and 0.8 GB in {cache}.",
-            InputWarning,
-            stacklevel=2,
-        )
+        warn(f"Anny builds its rig once on each machine, which takes 3 to 5 minutes and 0.8 GB in {cache}.")
     return anny.Anny(topology=_TOPOLOGY, pose_parameterization="world-orient", skinning_method="lbs")

@@ -12,8 +12,9 @@ from pb4u.body.baked_body import BUILT_IN, BakedBody
 from pb4u.body.body_model import BodyModel, ShapedBody
 from pb4u.body.character_file import read_character
 from pb4u.body.sam3d_body import VERTICES, is_sam3d_folder
+from pb4u.body.sequence_files import SUFFIXES, load_vertex_sequence
 from pb4u.body.smpl import SmplBody
-from pb4u.body.vertex_sequence import SUFFIXES, VertexSequence, load_vertex_sequence
+from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, unknown_name
 from pb4u.io.array_archive import member_names
 from pb4u.io.gltf_file import SUFFIXES as GLTF_SUFFIXES
@@ -38,7 +39,7 @@ _FORMATS = (
     _Format("pb4u.body.library:read_pickled_body", (".pkl",)),
     _Format(_CHARACTER, GLTF_SUFFIXES),
     _Format("pb4u.body.sam3d_body:read_sam3d_body", (".npz", _FOLDER), (VERTICES,)),
-    _Format("pb4u.body.vertex_sequence:load_vertex_sequence", (".npz", *SUFFIXES, _FOLDER)),
+    _Format("pb4u.body.sequence_files:load_vertex_sequence", (".npz", *SUFFIXES, _FOLDER)),
 )
 _MODELS = {"anny": "pb4u.body.anny_body:AnnyBody"}
 

@@ -7,14 +7,13 @@ estimator's.
 
 from __future__ import annotations
 
-import re
-import warnings
 from pathlib import Path
 
 import numpy as np
 
-from pb4u.body.vertex_sequence import VertexSequence, require_usable, surface_of
-from pb4u.errors import InputError, InputWarning
+from pb4u.body.sequence_files import by_number, surface_of
+from pb4u.body.vertex_sequence import VertexSequence, require_usable
+from pb4u.errors import InputError, warn
 from pb4u.io.array_archive import member_names, read_arrays
 from pb4u.io.reading_limits import refusing
 
@@ -46,7 +45,7 @@ def read_sam3d_body(path: Path) -> VertexSequence:
     Raises:
         InputError: a part is missing, frames have different vertices, or there are no faces.
     """
-    files = sorted(path.glob("*.npz"), key=_natural) if path.is_dir() else [path]
+    files = sorted(path.glob("*.npz"), key=by_number) if path.is_dir() else [path]
     frames: list[np.ndarray] = []
     faces: np.ndarray | None = None
     for file in files:
@@ -69,11 +68,9 @@ def read_sam3d_body(path: Path) -> VertexSequence:
     floor = float(np.percentile(vertices[..., 1].min(axis=1), _FLOOR_PERCENTILE))
     middle = vertices[0].mean(axis=0)
     vertices -= np.array([middle[0], floor, middle[2]], dtype=np.float32)
-    warnings.warn(
+    warn(
         f"{path.name}: the ground is taken to be level for the camera, {-floor:.2f} m below it; where the camera "
         "looked down, turn the body upright first.",
-        InputWarning,
-        stacklevel=2,
     )
     sequence = VertexSequence(path.stem, vertices, faces)
     sequence.from_video = True
@@ -92,7 +89,3 @@ def _faces_beside(path: Path, count: int) -> np.ndarray:
         f"{path} has no faces: put the estimator's beside it, numpy.save('faces.npy', estimator.faces), or the .ply "
         "that the notebook writes of a frame."
     )
-
-
-def _natural(path: Path) -> list[object]:
-    return [int(word) if word.isdigit() else word for word in re.split(r"(\d+)", path.stem)]

@@ -24,6 +24,16 @@ class SkinningWeights:
     bones: np.ndarray
     weights: np.ndarray
 
+    def dense(self, bone_count: int) -> np.ndarray:
+        """Weights (vertices, bones) float64 of every bone.
+
+        Args:
+            bone_count: bones of the body.
+        """
+        dense = np.zeros((len(self.bones), bone_count))
+        np.add.at(dense, (np.arange(len(dense))[:, None], self.bones), self.weights)
+        return dense
+
     def share_of(self, bones: np.ndarray) -> np.ndarray:
         """Share of each vertex's motion that some bones have.
 

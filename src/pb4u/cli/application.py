@@ -21,7 +21,6 @@ from pb4u.cli import (
     trajectory_verbs,
 )
 from pb4u.cli.console import Verb, Verbs
-from pb4u.cli.run_flags import with_run_flags
 
 app = typer.Typer(
     cls=Verbs,
@@ -35,7 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for verb in (
-    with_run_flags(simulate.simulate),
+    simulate.simulate,
     trajectory_verbs.view,
     check.check,
     dress.dress,

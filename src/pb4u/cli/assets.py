@@ -14,9 +14,10 @@ from pb4u.cli.console import (
     Verb,
     Verbs,
     check_json_target,
+    tell,
     write_json,
 )
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown
 from pb4u.io.atomic_file import check_writable
 from pb4u.progress import progress_bar
 
@@ -38,10 +39,9 @@ def assets(
         return
     check_json_target(json)
     found = catalogue()
-    if json:
-        write_json(found, json)
-        if json == "-":
-            return
+    write_json(found, json)
+    if json == "-":
+        return
     from rich.console import Console
     from rich.table import Table
 
@@ -137,8 +137,7 @@ def write(
     is_file = name not in expected and Path(name).exists()
     if is_file:
         expected[name] = ".obj"
-    if name not in expected:
-        raise unknown_name("built-in asset", name, expected)
+    refuse_unknown("built-in asset", [name], expected)
     if out.suffix.lower() != expected[name]:
         raise InputError(f"{name} is written as {expected[name]}; {out} ends otherwise.")
     check_writable(out, "the asset")
@@ -147,7 +146,7 @@ def write(
         from dataclasses import asdict
 
         write_json(asdict(MATERIALS[name]), str(out))
-        _tell(json, name=name, kind="material", out=str(out))
+        tell({"name": name, "kind": "material", "out": str(out)}, json, f"Wrote {out}")
         return
     if frames < 1 or not 1.0 <= fps <= 1000.0:
         raise InputError(f"A motion has 1 frame or more at 1 to 1000 per second, not {frames} at {fps:g}.")
@@ -156,12 +155,12 @@ def write(
         given = name if is_file else body
         raise InputError(f"{given} is a sequence of vertices; this needs a body with bones.")
     if name in motion_names():
-        from pb4u.body.vertex_sequence import write_vertex_sequence
+        from pb4u.body.sequence_files import write_vertex_sequence
 
         moving = figure.posed(load_motion(name).poses(figure, fps, frames))
         write_vertex_sequence(out, moving.positions(0, frames).numpy(), figure.faces, fps, figure.contact)
-        counts = {"vertices": len(figure.vertices), "triangles": len(figure.faces), "frames": frames, "fps": fps}
-        _tell(json, name=name, kind="motion", out=str(out), body=figure.name, **counts)
+        told = {"name": name, "kind": "motion", "out": str(out), "body": figure.name, "vertices": len(figure.vertices)}
+        tell({**told, "triangles": len(figure.faces), "frames": frames, "fps": fps}, json, f"Wrote {out}")
         return
     from pb4u.geometry.mesh_file import PolygonMesh
     from pb4u.geometry.obj_file import write_obj
@@ -172,15 +171,8 @@ def write(
         uv_faces = None if garment.uv_faces is None else tuple(garment.uv_faces)
         kind, mesh = "garment", PolygonMesh(garment.vertices, tuple(garment.faces), garment.uvs, uv_faces)
     write_obj(out, mesh)
-    counts = {"vertices": len(mesh.vertices), "triangles": len(mesh.polygons)}
-    _tell(json, name=name, kind=kind, out=str(out), body=figure.name, **counts)
-
-
-def _tell(json: str | None, **summary: Any) -> None:
-    if json:
-        write_json(summary, json)
-    if json != "-":
-        print(f"Wrote {summary['out']}")
+    told = {"name": name, "kind": kind, "out": str(out), "body": figure.name, "vertices": len(mesh.vertices)}
+    tell({**told, "triangles": len(mesh.polygons)}, json, f"Wrote {out}")
 
 
 @group.command("pack", cls=Verb)
@@ -219,13 +211,11 @@ def pack(
     with progress_bar("pack") as progress:
         data = collect(configuration.data, recordings, configuration.seed, progress)
     save_training_data(data, out)
-    _tell(
-        json, out=str(out), preset=preset, bodies=len(data.bodies), garments=len(data.outfits), clips=len(data.clips),
-        bytes=out.stat().st_size,
-    )  # fmt: skip
-    if json != "-":
-        print(
-            f"{out}: {len(data.bodies)} bodies, {len(data.outfits)} garments, {len(data.clips)} clips, "
-            f"{out.stat().st_size / 1e6:.1f} MB; train with `pb4u train --pack {out.name} --preset {preset} "
-            "--out RUN`, and the same --set."
-        )
+    counts = {"bodies": len(data.bodies), "garments": len(data.outfits), "clips": len(data.clips)}
+    size = out.stat().st_size
+    tell(
+        {"out": str(out), "preset": preset, **counts, "bytes": size},
+        json,
+        f"Wrote {out}: {', '.join(f'{count} {what}' for what, count in counts.items())}, {size / 1e6:.1f} MB; train "
+        f"with `pb4u train --pack {out.name} --preset {preset} --out RUN`, and the same --set.",
+    )

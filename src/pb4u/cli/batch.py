@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, say, write_json
-from pb4u.errors import InputError, Pb4uError
+from pb4u.cli.console import (
+    JsonFlag,
+    RayFlag,
+    WorkersFlag,
+    check_json_target,
+    keep_inputs,
+    pool_of,
+    say,
+    tell,
+    write_json,
+)
+from pb4u.errors import Pb4uError
 from pb4u.progress import progress_bar
-
-if TYPE_CHECKING:
-    from pb4u.jobs.worker_pool import WorkerPool
 
 _FAILURES_TOLD = 10
 """Failures that are printed one by one; the index has all."""
@@ -32,10 +39,8 @@ def batch(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the dataset.", show_default=False)],
-    workers: Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")] = 1,
-    ray: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
-    ] = None,
+    workers: WorkersFlag = 1,
+    ray: RayFlag = None,
     format: Annotated[
         Literal["folder", "webdataset"],
         typer.Option("--format", help="A folder of trajectories, or tar files of many as WebDataset reads them."),
@@ -66,26 +71,17 @@ def batch(
 
     check_json_target(json)
     keep_inputs([jobs], [("--json", json), ("--out", out)])
-    if workers < 1:
-        raise InputError(f"The number of workers must be 1 or more, not {workers}.")
+    pool = pool_of(workers, ray)
     runs = read_jobs(jobs, MOST_CLIPS if most_clips is None else most_clips)
-
-    def pool() -> WorkerPool:
-        from pb4u.jobs.worker_pool import LocalPool, RayPool
-        from pb4u.measures.run_job import attempt
-
-        return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
 
     made = make_dataset(
         runs, out, pool, clips_per_shard if format == "webdataset" else None, half=half, jobs_file=jobs.name,
         retry=retry, plan_only=plan, say=say, progress=progress_bar,
     )  # fmt: skip
-    if json:
-        write_json(made, json)
     if plan:
+        write_json(made, json)
         return
-    if json != "-":
-        print(f"{made['done']} of {made['clips']} clips, {told_size(made['bytes'])}: {made['index']}")
+    tell(made, json, f"{made['done']} of {made['clips']} clips, {told_size(made['bytes'])}: {made['index']}")
     for count, what in (
         (made["diverged"], "diverged (the index has them in its column `diverged`)"),
         (made["limbs_through_cloth"], "have limbs that went through the cloth (column `limbs_through_cloth_max`)"),

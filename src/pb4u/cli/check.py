@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,7 +17,7 @@ from pb4u.cli.console import (
     keep_inputs,
     write_json,
 )
-from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name
+from pb4u.errors import InputError, Pb4uError, unknown_name, warn
 from pb4u.io.atomic_file import check_writable
 
 
@@ -83,11 +82,9 @@ def check(
     if fix is not None:
         _check_fix(fix, given)
     if triangles is not None and not set(names) <= set(garment_names()):
-        warnings.warn(
+        warn(
             "--triangles is for a built-in garment and is not used here; what a file holds is checked as it is, and "
             "`pb4u simulate --triangles` remeshes it.",
-            InputWarning,
-            stacklevel=1,
         )
     with warnings.catch_warnings():
         if names:  # a finding of each garment says so
@@ -103,8 +100,7 @@ def check(
         refused = (report["garment"] if fix is None else report["garment"]["remaining"])["refused"]
     if motion is not None:
         report["motion"] = _check_motion(motion, figure, crop)
-    if json:
-        write_json(report, json)
+    write_json(report, json)
     if json != "-":
         _print(report, fix)
     if refused and fix is not None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -16,13 +17,19 @@ from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import check_writable, json_text, replace_file
 from pb4u.run import with_companions
 
+if TYPE_CHECKING:
+    from pb4u.jobs.worker_pool import WorkerPool
+
 Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
 FORMATS = formats_help()
 
 
 class _Switches:
-    """Names no type beside a switch, which takes no value: `--plan`, not `--plan <bool>`."""
+    """Names no type beside a switch, which takes no value: `--plan`, not `--plan <bool>`.
+
+    A `--help` that is not given is no value to convert either: for that typer would load pydantic, a third of a second.
+    """
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Arguments and options of a verb, help included."""
@@ -30,6 +37,8 @@ class _Switches:
         for each in params:
             if getattr(each, "is_flag", False):
                 each.metavar = ""
+            if each.name == "help":
+                each.default = False
         return params
 
 
@@ -41,21 +50,68 @@ class Verbs(_Switches, TyperGroup):
     """A group of verbs."""
 
 
+def with_flags(**groups: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Makes a verb of a function, with a flag for each of a group in the place of one argument.
+
+    Args:
+        groups: by name of the argument, the type of each flag as typer reads it. The argument takes what was given by
+            name of the flag, None where nothing was.
+    """
+
+    def made(command: Callable[..., None]) -> Callable[..., None]:
+        parameters = []
+        for own in inspect.signature(command, eval_str=True).parameters.values():
+            flags = groups.get(own.name)
+            parameters += [
+                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+                for name, kind in (flags or {}).items()
+            ] or [own.replace(kind=inspect.Parameter.KEYWORD_ONLY)]
+
+        def call(**given: Any) -> None:
+            gathered = {argument: {name: given.pop(name) for name in flags} for argument, flags in groups.items()}
+            command(**gathered, **given)
+
+        call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        call.__annotations__ = {each.name: each.annotation for each in parameters}
+        call.__doc__, call.__name__ = command.__doc__, command.__name__
+        return call
+
+    return made
+
+
 def say(sentence: str) -> None:
     """Tell what a user may want to know besides the result, on standard error."""
     print(f"pb4u: {sentence}", file=sys.stderr)
 
 
-def write_json(payload: Mapping[str, Any], target: str) -> None:
-    """Write JSON to a file, or to standard output; numbers that are not finite become null.
+def tell(payload: Mapping[str, Any], target: str | None, sentence: str) -> None:
+    """Print the result of a verb in a sentence, and as JSON where that is asked for; alone on standard output.
 
     Args:
-        payload: what is written.
-        target: path of the file, or "-" for standard output.
+        payload: the result.
+        target: of `--json`.
+        sentence: what the verb did.
 
     Raises:
         InputError: the file cannot be written.
     """
+    write_json(payload, target)
+    if target != "-":
+        print(sentence)
+
+
+def write_json(payload: Mapping[str, Any], target: str | None) -> None:
+    """Write JSON to a file, or to standard output; numbers that are not finite become null.
+
+    Args:
+        payload: what is written.
+        target: of `--json`: path of the file, or "-" for standard output; None for neither.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    if not target:
+        return
     text = json_text(dict(payload), indent=2)
     if target == "-":
         print(text)
@@ -122,6 +178,28 @@ def _read_file(name: str) -> Path:
     """The file of an entry `FILE.pkl:NAME`, or `name` as a path."""
     entry = DictionaryEntry.parse(name)
     return Path(name) if entry is None else entry.path
+
+
+def pool_of(workers: int, ray: str | None) -> Callable[[], WorkerPool]:
+    """Who does the jobs of a run; called once there is work.
+
+    Args:
+        workers: processes on this machine.
+        ray: address of a Ray cluster that does them instead; None for none.
+
+    Raises:
+        InputError: `workers` is not a positive number.
+    """
+    if workers < 1:
+        raise InputError(f"The number of workers must be 1 or more, not {workers}.")
+
+    def pool() -> WorkerPool:
+        from pb4u.jobs.worker_pool import LocalPool, RayPool
+        from pb4u.measures.run_job import attempt
+
+        return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
+
+    return pool
 
 
 class BodyShape(dict[str, float]):
@@ -213,6 +291,10 @@ CropFlag: TypeAlias = Annotated[
 JsonFlag: TypeAlias = Annotated[
     str | None,
     typer.Option(metavar="FILE|-", help="Write the result as JSON to a file; '-' is standard output."),
+]
+WorkersFlag: TypeAlias = Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")]
+RayFlag: TypeAlias = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
 ]
 BonesFlag: TypeAlias = Annotated[
     int | None,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, write_json
+from pb4u.cli.console import JsonFlag, check_json_target, tell
 from pb4u.errors import InputError
 from pb4u.io.atomic_file import check_writable
 
@@ -64,14 +64,11 @@ def convert_weights(
         "time_step": released.record.dt,
         "dropped": list(released.dropped),
     }
-    if json:
-        write_json(summary, json)
-    if json == "-":
-        return
-    print(f"Wrote {out}: {released.preset}, {parameters:,} parameters, licence {released.licence}.")
+    told = f"Wrote {out}: {released.preset}, {parameters:,} parameters, licence {released.licence}."
     if released.dropped:
         parts = sorted({_part(key) for key in released.dropped})
-        print(f"Left out, since nothing reads them: {len(released.dropped)} tensors of {', '.join(parts)}.")
+        told += f"\nLeft out, since nothing reads them: {len(released.dropped)} tensors of {', '.join(parts)}."
+    tell(summary, json, told)
 
 
 def _part(key: str) -> str:

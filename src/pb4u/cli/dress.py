@@ -79,5 +79,4 @@ def dress(
         f"{figure.name} in {seconds:.1f} s; {report['crossings']} crossings, {1000 * report['depth']:.1f} mm in the "
         f"body at most. Wrote {', '.join(map(str, out))}."
     )
-    if json is not None:
-        write_json(report, json)
+    write_json(report, json)

@@ -5,16 +5,13 @@ from __future__ import annotations
 import shutil
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
-from pb4u.cli.console import Switch, check_json_target, keep_inputs, say, write_json
+from pb4u.cli.console import RayFlag, Switch, WorkersFlag, check_json_target, keep_inputs, pool_of, say, tell
 from pb4u.errors import InputError, Pb4uError
 from pb4u.progress import announced
-
-if TYPE_CHECKING:
-    from pb4u.jobs.worker_pool import WorkerPool
 
 
 def evaluate(
@@ -74,10 +71,8 @@ def evaluate(
     ] = None,
     scenes: Annotated[int | None, typer.Option(help="Scenes that robustness draws. Default: 64.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the scenes that robustness draws.")] = 0,
-    workers: Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")] = 1,
-    ray: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
-    ] = None,
+    workers: WorkersFlag = 1,
+    ray: RayFlag = None,
     retry: Annotated[bool, typer.Option("--retry", help="Try rollouts again that failed before.")] = False,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the run. Default: evaluate_PROTOCOL.")
@@ -104,8 +99,7 @@ def evaluate(
     check_json_target(json)
     read = [name for names in (models, garments, motions, bodies) for name in _names(names) or ()]
     keep_inputs(read, [("--json", json)])
-    if workers < 1:
-        raise InputError(f"The number of workers must be 1 or more, not {workers}.")
+    pool = pool_of(workers, ray)
     if refine < 0:
         raise InputError(f"The number of refining iterations must be 0 or more, not {refine}.")
     request = EvaluationRequest(
@@ -116,12 +110,6 @@ def evaluate(
         excess=measure is not None,
     )  # fmt: skip
 
-    def pool() -> WorkerPool:
-        from pb4u.jobs.worker_pool import LocalPool, RayPool
-        from pb4u.measures.run_job import attempt
-
-        return LocalPool(workers, attempt) if ray is None else RayPool(ray, attempt, workers)
-
     folder = out or Path(f"evaluate_{protocol}")
     progress = partial(announced, part="rollout", say=say, alike=False)
     results = run(request, folder, pool, retry, say=say, progress=progress)
@@ -129,10 +117,7 @@ def evaluate(
         plots.mkdir(parents=True, exist_ok=True)
         for picture in (folder / PLOTS).iterdir():
             shutil.copy2(picture, plots / picture.name)
-    if json:
-        write_json(results, json)
-    if json != "-":
-        print(f"Report: {folder / PAGE}")
+    tell(results, json, f"Report: {folder / PAGE}")
     if failures := results["failures"]:
         raise Pb4uError(
             f"{len(failures)} of {len(failures) + _done(results)} rollouts failed; the first: {failures[0]['job']}: "

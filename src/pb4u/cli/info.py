@@ -40,10 +40,9 @@ def info(
     if model is not None:
         found["model"], described = describe_model(model)
         found |= described
-    if json:
-        write_json(found, json)
-        if json == "-":
-            return
+    write_json(found, json)
+    if json == "-":
+        return
     from rich.console import Console
     from rich.table import Table
 

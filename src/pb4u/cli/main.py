@@ -8,7 +8,7 @@ import sys
 import traceback
 import warnings
 
-from pb4u.errors import InputWarning, Interrupted, Pb4uError, interrupt_behind
+from pb4u.errors import InputWarning, Interrupted, interrupt_behind, sentence_on
 
 _LONGEST = 1500
 """Characters that a refusal has at most: a screen of a terminal."""
@@ -48,13 +48,10 @@ def main() -> None:
         if (interrupt := interrupt_behind(error)) is None:
             raise
         sys.exit(_tell(interrupt))
-    except Pb4uError as error:
-        _fail(str(error), debug)
-    except MemoryError:
-        _fail("There is not enough memory for this; ask for fewer triangles or frames.", debug)
-    except OSError as error:
-        where = f" ({error.filename})" if error.filename else ""
-        _fail(f"{error.strerror or error}{where}.", debug)
+    except Exception as error:
+        if (sentence := sentence_on(error)) is None:
+            raise
+        _fail(sentence, debug)
 
 
 def answer_signals() -> None:
@@ -79,7 +76,6 @@ def _tell(interrupt: KeyboardInterrupt) -> int:
 def _fail(sentence: str, debug: bool) -> None:
     if debug:
         traceback.print_exc()
-    sentence = " ".join(sentence.split())
     # What is refused may be quoted, and be a file's whole content.
     print(f"pb4u: {sentence[:_LONGEST]}{' ..' if len(sentence) > _LONGEST else ''}", file=sys.stderr)
     sys.exit(1)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,89 +18,76 @@ if TYPE_CHECKING:
 
 _PANEL = "Pictures and videos"
 
-SideFlag: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--view",
-        metavar="SIDE|DEGREES",
-        help="Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.",
-        rich_help_panel=_PANEL,
-    ),
-]
-ElevationFlag: TypeAlias = Annotated[
-    float | None,
-    typer.Option(
-        metavar="DEGREES", help="Angle of the camera above the ground, 0 to 90. Default: 8.", rich_help_panel=_PANEL
-    ),
-]
-TurntableFlag: TypeAlias = Annotated[
-    float | None,
-    typer.Option(
-        metavar="DEGREES",
-        help="Turn of the camera over the whole clip, as 360. Default: 0.",
-        rich_help_panel=_PANEL,
-    ),
-]
-SizeFlag: TypeAlias = Annotated[
-    str | None,
-    typer.Option(metavar="WIDTHxHEIGHT", help="Size of a picture in pixels. Default: 560x800.", rich_help_panel=_PANEL),
-]
-ColourFlag: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="Colour of the first garment in pictures, as a name or #RRGGBB; given again, of the next. Default: blue.",
-        rich_help_panel=_PANEL,
-    ),
-]
-BackgroundFlag: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        help="Colour behind and below them, as a name or #RRGGBB. Default: light grey.", rich_help_panel=_PANEL
-    ),
-]
+PICTURE_FLAGS: Mapping[str, Any] = {
+    "view": Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIDE|DEGREES",
+            help="Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.",
+            rich_help_panel=_PANEL,
+        ),
+    ],
+    "elevation": Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEGREES", help="Angle of the camera above the ground, 0 to 90. Default: 8.", rich_help_panel=_PANEL
+        ),
+    ],
+    "turntable": Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEGREES",
+            help="Turn of the camera over the whole clip, as 360. Default: 0.",
+            rich_help_panel=_PANEL,
+        ),
+    ],
+    "size": Annotated[
+        str | None,
+        typer.Option(
+            metavar="WIDTHxHEIGHT", help="Size of a picture in pixels. Default: 560x800.", rich_help_panel=_PANEL
+        ),
+    ],
+    "colour": Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Colour of the first garment in pictures, as a name or #RRGGBB; given again, of the next. Default: "
+            "blue.",
+            rich_help_panel=_PANEL,
+        ),
+    ],
+    "background": Annotated[
+        str | None,
+        typer.Option(
+            help="Colour behind and below them, as a name or #RRGGBB. Default: light grey.", rich_help_panel=_PANEL
+        ),
+    ],
+}
 
 
-def view_of(
-    targets: Sequence[Path],
-    side: str | None,
-    elevation: float | None,
-    turntable: float | None,
-    size: str | None,
-    colours: list[str] | None,
-    background: str | None,
-) -> View | None:
+def view_of(targets: Sequence[Path], given: Mapping[str, Any]) -> View | None:
     """The view that the flags ask for; None where none of them is given.
 
     Args:
         targets: files to write, of suffixes that are known; one of them at least has pictures where a flag is given.
-        side: of `--view`.
-        elevation: of `--elevation`.
-        turntable: of `--turntable`.
-        size: of `--size`.
-        colours: of `--colour`.
-        background: of `--background`.
+        given: values of the flags by name.
 
     Raises:
         InputError: a flag has no such value, or the files have no pictures of that kind.
     """
     from pb4u.export.view import View
 
-    asked: dict[str, Any] = {}
-    if side is not None:
-        asked["azimuth"] = _azimuth(side)
-    if elevation is not None:
-        asked["elevation"] = elevation
-    if turntable is not None:
-        asked["turntable"] = turntable
-    if size is not None:
+    asked: dict[str, Any] = {name: given[name] for name in ("elevation", "turntable") if given[name] is not None}
+    if given["view"] is not None:
+        asked["azimuth"] = _azimuth(given["view"])
+    if (size := given["size"]) is not None:
         width, _, height = size.lower().partition("x")
         if not (width.isdecimal() and height.isdecimal()):
             raise InputError(f"--size is WIDTHxHEIGHT in pixels, such as 1080x1920; not {size!r}.")
         asked["width"], asked["height"] = int(width), int(height)
-    if colours:
-        asked["cloths"] = tuple(_rgb(colour) for colour in colours)
-    if background is not None:
-        asked["background"] = _rgb(background)
+    if given["colour"]:
+        asked["cloths"] = tuple(_rgb(colour) for colour in given["colour"])
+    if given["background"] is not None:
+        asked["background"] = _rgb(given["background"])
     if not asked:
         return None
     view = View(**asked)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
@@ -10,7 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 import typer
 
 from pb4u.cli.console import BodyShape, FrameRange, Switch
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, SCENE, Entry, Run, WornGarment, described, entries
 
 AS_RELEASED: Mapping[str, str] = {"pb4u": "release", "hood": "hood", "mgn": "mgn", "contourcraft": "contourcraft"}
@@ -94,29 +93,6 @@ def released_entries(method: str) -> dict[str, Any]:
     }
 
 
-def with_run_flags(command: Callable[..., None]) -> Callable[..., None]:
-    """`command(scene, flags, ...)` as the command line calls it: a flag for every field of a run in place of `flags`.
-
-    Args:
-        command: takes the values of those flags, by name of the field, as its argument `flags`.
-    """
-    own = list(inspect.signature(command, eval_str=True).parameters.values())
-    made = [*_garment_parameters(), *_run_parameters()]
-    names = {each.name for each in made}
-
-    def call(**given: Any) -> None:
-        command(flags={name: given[name] for name in names}, **{k: v for k, v in given.items() if k not in names})
-
-    place = next(number for number, each in enumerate(own) if each.name == "flags")
-    parameters = [
-        each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in [*own[:place], *made, *own[place + 1 :]]
-    ]
-    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    call.__annotations__ = {each.name: each.annotation for each in parameters}
-    call.__doc__, call.__name__ = command.__doc__, command.__name__
-    return call
-
-
 def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     """The run that the flags change.
 
@@ -134,9 +110,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     for name in ("material", "pins", "triangles", "texture"):
         if name in given:
             given[name] = _one_each(name, given[name], worn)
-    for name in tuck:
-        if name not in worn:
-            raise unknown_name("garment in this scene", name, worn)
+    refuse_unknown("garment in this scene", tuck, worn)
     if tuck:
         given["tucked"] = [True if name in tuck else None for name in worn]
     if tack:
@@ -153,38 +127,28 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
     return described_run.with_entries({**({} if method is None else released_entries(method)), **given})
 
 
-def _garment_parameters() -> list[inspect.Parameter]:
-    made = []
-    for entry in described(WornGarment).values():
-        if entry.name == "tucked":
-            made.append(_parameter("tuck", TuckFlag))
-        elif entry.name == "tacks":
-            parser = GarmentValue.parse_pair
-            made.append(
-                _parameter("tack", Annotated[list[GarmentValue] | None, _option(entry, " Repeatable.", parser)])
-            )
-        elif entry.name == "garment":
-            made.append(
-                _parameter(entry.name, Annotated[list[str] | None, _option(entry, " Repeatable, inner first.")])
-            )
-        else:
-            parser = GarmentValue.parse_count if entry.kind == "whole" else GarmentValue.parse
-            more = " Once for all garments, once a garment in their order, or as NAME=VALUE."
-            kind = Annotated[list[GarmentValue] | None, _option(entry, more, parser=parser)]
-            made.append(_parameter(entry.name, kind))
-    return made
-
-
-def _run_parameters() -> list[inspect.Parameter]:
+def run_flags() -> dict[str, Any]:
+    """Type of the flag of each field of a run, as typer reads it."""
     listed = [described(Run)[name] for name in (*entries("scene"), *entries("run"))]
     listed.sort(key=lambda entry: (SCENE, BODY, MODEL, RESEARCH).index(entry.flag.panel))
-    return [
-        *(
-            _parameter(entry.name, Annotated[_kind(entry), _option(entry, parser=_PARSERS.get(entry.name))])
-            for entry in listed
-        ),
-        _parameter("as_released", AsReleasedFlag),
-    ]
+    return {
+        **dict(map(_garment_flag, described(WornGarment).values())),
+        **{entry.name: Annotated[_kind(entry), _option(entry, parser=_PARSERS.get(entry.name))] for entry in listed},
+        "as_released": AsReleasedFlag,
+    }
+
+
+def _garment_flag(entry: Entry) -> tuple[str, Any]:
+    """Name of the flag of a field of `WornGarment`, and its type."""
+    if entry.name == "tucked":
+        return "tuck", TuckFlag
+    if entry.name == "tacks":
+        return "tack", Annotated[list[GarmentValue] | None, _option(entry, " Repeatable.", GarmentValue.parse_pair)]
+    if entry.name == "garment":
+        return entry.name, Annotated[list[str] | None, _option(entry, " Repeatable, inner first.")]
+    parser = GarmentValue.parse_count if entry.kind == "whole" else GarmentValue.parse
+    more = " Once for all garments, once a garment in their order, or as NAME=VALUE."
+    return entry.name, Annotated[list[GarmentValue] | None, _option(entry, more, parser)]
 
 
 _PARSERS: dict[str, Callable[[str], Any]] = {"crop": FrameRange.parse, "body_shape": BodyShape.parse}
@@ -224,10 +188,6 @@ def _option(entry: Entry, more: str = "", parser: Callable[[str], Any] | None = 
     )
 
 
-def _parameter(name: str, annotation: Any) -> inspect.Parameter:
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
-
-
 def _one_each(flag: str, given: Sequence[GarmentValue], names: Sequence[str]) -> list[Any]:
     """The value of a flag for each of the garments called `names`; None where it says nothing."""
     unnamed = [each.value for each in given if each.garment is None]
@@ -239,8 +199,7 @@ def _one_each(flag: str, given: Sequence[GarmentValue], names: Sequence[str]) ->
     values = unnamed if len(unnamed) == len(names) else [unnamed[0] if unnamed else None] * len(names)
     by_name = [each.garment for each in given if each.garment is not None]
     for name in by_name:
-        if name not in names:
-            raise unknown_name("garment in this scene", name, names)
+        refuse_unknown("garment in this scene", [name], names)
         if names.count(name) > 1 or by_name.count(name) > 1:
             why = (
                 f"the scene has {names.count(name)} garments of that name"

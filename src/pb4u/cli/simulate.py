@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -10,18 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, keep_inputs, say, write_json, wrote
-from pb4u.cli.picture_flags import (
-    BackgroundFlag,
-    ColourFlag,
-    ElevationFlag,
-    SideFlag,
-    SizeFlag,
-    TurntableFlag,
-    view_of,
-)
-from pb4u.cli.run_flags import run_of
-from pb4u.errors import InputError, InputWarning, Interrupted, Pb4uError
+from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, keep_inputs, say, with_flags, write_json, wrote
+from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
+from pb4u.cli.run_flags import run_flags, run_of
+from pb4u.errors import InputError, Interrupted, Pb4uError, warn
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
 from pb4u.io.atomic_file import check_writable
 from pb4u.progress import announced, progress_bar, slowness
@@ -46,6 +37,7 @@ _WORTH_MEASURING = 5.0
 """Seconds by experience from which the speed of the machine is measured."""
 
 
+@with_flags(flags=run_flags(), picture=PICTURE_FLAGS)
 def simulate(
     scene: Annotated[
         Path | None,
@@ -56,7 +48,8 @@ def simulate(
             show_default=False,
         ),
     ] = None,
-    flags: dict[str, Any] = {},  # noqa: B006 (replaced by the flags of a run)
+    *,
+    flags: Mapping[str, Any],
     out: Annotated[
         list[Path] | None,
         typer.Option(
@@ -108,16 +101,11 @@ def simulate(
         ),
     ] = None,
     bones: BonesFlag = None,
-    view: SideFlag = None,
-    elevation: ElevationFlag = None,
-    turntable: TurntableFlag = None,
-    size: SizeFlag = None,
-    colour: ColourFlag = None,
-    background: BackgroundFlag = None,
+    picture: Mapping[str, Any],
 ) -> None:
     """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder.\f
 
-    Each argument is described by its `help`; `flags` are the fields of `Run`.
+    Each argument is described by its `help`; `flags` are the fields of `Run`, `picture` those of pictures.
 
     Raises:
         InputError: the arguments contradict each other, or something they name is unknown or unusable.
@@ -134,7 +122,7 @@ def simulate(
     if bones is not None:
         for target in baked or targets[:1]:
             check_bones(target, bones)
-    seen = view_of(targets, view, elevation, turntable, size, colour, background)
+    seen = view_of(targets, picture)
     _simulate(run, targets, seen, save_scene, live, json, bool(measure), reference, bones)
 
 
@@ -182,7 +170,7 @@ def _simulate(
         check_live_folder(live)
     simulator = simulator_of(run)
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
-        _warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
+        warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
     scene = scene_for(run, simulator)
     against = _reference(reference, run, simulator, scene)
     if save_scene is not None:
@@ -229,14 +217,14 @@ def _say_how_it_ended(
             "--triangles."
         )
     if diverged is not None:
-        _warn(
+        warn(
             f"The run diverged at frame {diverged}: the cloth is stretched by more than 60 %, or over 0.5 m from where "
             f"the body carries it; {_advice(model)}."
         )
     if through:
         from pb4u.measures.limbs import limbs_sentence
 
-        _warn(f"{limbs_sentence(through, frames)}")
+        warn(f"{limbs_sentence(through, frames)}")
 
 
 def _reference(path: Path | None, run: Run, simulator: Simulator, scene: Scene) -> Trajectory | None:
@@ -256,10 +244,6 @@ def _advice(model: str) -> str:
     if model == "solver":
         return "look at it with `pb4u view`"
     return "try --model solver" if model == "skinning" else "try --model solver, or --refine 10"
-
-
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, InputWarning, stacklevel=2)
 
 
 def _trajectory(
@@ -312,7 +296,7 @@ class _LimbWarnings:
         self.rows.append(self.watch.through(number, frame.positions, frame.body_positions))
         for bone in self.watch.enough:
             if bone not in known:
-                _warn(self.watch.sentence(bone, number, self.model))
+                warn(self.watch.sentence(bone, number, self.model))
 
     def over(self, trajectory: Trajectory) -> tuple[np.ndarray, LimbWatch]:
         """Which bones are through cloth in the frames of `trajectory`, as `watched` gives it."""

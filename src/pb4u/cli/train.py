@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, write_json
+from pb4u.cli.console import JsonFlag, check_json_target, keep_inputs, tell
 
 
 def train(
@@ -57,13 +57,9 @@ def train(
     json: JsonFlag = None,
 ) -> None:
     """Train a network. After a kill, --resume goes on from the last checkpoint; an interrupt saves and ends."""
-    from pb4u.training.session import Request
-    from pb4u.training.session import train as run
+    from pb4u.training.session import Request, train as run
 
     check_json_target(json)
     keep_inputs([pack, weights], [("--json", json)])
     result = run(Request(preset, steps, minutes, out, resume, pack, recordings, tuple(set_ or ()), device, weights))
-    if json:
-        write_json(result, json)
-    if json != "-":
-        print(result["sentence"] + (f" Weights: {result['weights']}" if result["weights"] else ""))
+    tell(result, json, result["sentence"] + (f" Weights: {result['weights']}" if result["weights"] else ""))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import webbrowser
+from collections.abc import Mapping
 from pathlib import Path
 from time import sleep as wait
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -17,21 +18,15 @@ from pb4u.cli.console import (
     check_json_target,
     keep_inputs,
     say,
-    write_json,
+    tell,
+    with_flags,
     wrote,
 )
-from pb4u.cli.picture_flags import (
-    BackgroundFlag,
-    ColourFlag,
-    ElevationFlag,
-    SideFlag,
-    SizeFlag,
-    TurntableFlag,
-    view_of,
-)
+from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
 from pb4u.progress import progress_bar
 
 
+@with_flags(picture=PICTURE_FLAGS)
 def convert(
     trajectory: Annotated[
         Path,
@@ -55,12 +50,8 @@ def convert(
         Literal["simulated", "source"],
         typer.Option(help="The simulated mesh, or the author's own with its vertex order, polygons and UVs."),
     ] = "simulated",
-    view: SideFlag = None,
-    elevation: ElevationFlag = None,
-    turntable: TurntableFlag = None,
-    size: SizeFlag = None,
-    colour: ColourFlag = None,
-    background: BackgroundFlag = None,
+    *,
+    picture: Mapping[str, Any],
     json: JsonFlag = None,
 ) -> None:
     """Write a trajectory in another format."""
@@ -73,7 +64,7 @@ def convert(
         check_bones(out, bones)
     check_json_target(json)
     keep_inputs([trajectory], [("--json", json)], [out])
-    seen = view_of([out], view, elevation, turntable, size, colour, background)
+    seen = view_of([out], picture)
     opened = open_trajectory(trajectory)
     chosen = select_frames(opened, range_, every)
     if on == "source":
@@ -81,10 +72,7 @@ def convert(
     with progress_bar(f"writing {out.name}") as report:
         export(chosen, out, report, seen, say, bones)
     summary = {"out": str(out), "frames": chosen.frame_count, "vertices": chosen.positions.shape[1], "fps": chosen.fps}
-    if json:
-        write_json(summary, json)
-    if json != "-":
-        print(wrote([out], chosen.frame_count))
+    tell(summary, json, wrote([out], chosen.frame_count))
 
 
 def view(

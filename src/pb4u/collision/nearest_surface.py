@@ -82,9 +82,7 @@ class TriangleSurface:
     @cached_property
     def fans(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Begin of the faces of each vertex (vertices + 1,), these faces, and which vertices are on a border."""
-        around = np.argsort(self.faces.reshape(-1), kind="stable") // 3
-        begins = np.searchsorted(np.sort(self.faces.reshape(-1)), np.arange(self.vertex_count + 1))
-        return begins, around, self.topology.border_vertices
+        return *self.topology.vertex_faces, self.topology.border_vertices
 
     @cached_property
     def closed(self) -> bool:

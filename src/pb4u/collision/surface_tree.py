@@ -33,6 +33,7 @@ from pb4u.collision.element_pairs import (
     rest_distances,
 )
 from pb4u.collision.jit import compiled
+from pb4u.geometry.topology import Topology
 from pb4u.threads import parallel_map
 
 _ROOM = 0.08
@@ -323,9 +324,8 @@ def _pairs_around(
 
     Their corners (pairs, 4) int32 each; each pair once.
     """
-    by_vertex = np.argsort(faces.reshape(-1), kind="stable")
-    starts = np.searchsorted(faces.reshape(-1)[by_vertex], np.arange(vertex_count + 1))
-    near_faces, near_edges = _listed_around(faces, edges, owned_vertices, owned_edges, by_vertex // 3, starts)
+    starts, ring = Topology(faces, vertex_count).vertex_faces
+    near_faces, near_edges = _listed_around(faces, edges, owned_vertices, owned_edges, ring, starts)
     sides = edges[near_edges].reshape(-1, 4)
     return np.column_stack([near_faces[:, 0], faces[near_faces[:, 1]]]).astype(np.int32), sides.astype(np.int32)
 

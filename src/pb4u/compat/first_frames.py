@@ -52,7 +52,6 @@ class StandingStart(StartProtocol):
         state = State(settled.positions, settled.velocities * (SETTLING_DT / timeline.dt), 2)
         yield state
         step = timeline.step_from(state)
-        assert step.collider is not None
         standing = ColliderFrame(step.collider.now, step.collider.now, step.collider.following)
         yield take(replace(step, collider=standing), method)
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from pb4u.compat.released_file import NETWORK, ReleasedFile, prefixed, reordered
 from pb4u.compat.released_methods import METHODS, ReleasedMethod
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown
 from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.encode_process_decode import LEVEL_WIDTH, TYPE_WIDTH, EncodeProcessDecode
 from pb4u.network.graph.features import TABLES, FeatureLayout, MaterialRange, total_width
@@ -114,8 +114,7 @@ def read_released(path: Path | str, method: str | None = None, licence: str | No
 
 def _method(file: ReleasedFile, name: str | None) -> ReleasedMethod:
     if name is not None:
-        if name not in METHODS:
-            raise unknown_name("released network", name, METHODS)
+        refuse_unknown("released network", [name], METHODS)
         return METHODS[name]
     model = file.settings.get("model") if isinstance(file.settings, Mapping) else None
     named = next(iter(model)) if isinstance(model, Mapping) and len(model) == 1 else None

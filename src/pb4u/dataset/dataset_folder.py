@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, on_disk
 from pb4u.io.atomic_file import MARK, move_into_place
 from pb4u.jobs.job_folder import JobFolder
 from pb4u.measures.run_job import RunJob
@@ -56,13 +56,11 @@ class DatasetFolder(JobFolder):
         self._clips_per_shard = clips_per_shard
         form = "folder" if clips_per_shard is None else "webdataset"
         super().__init__(path, "a dataset", {"format": form, "precision": "half" if half else "full"})
-        try:
+        with on_disk(f"Cannot use the folder {path}"):
             for folder in (path, path / CLIPS, path / SHARDS):
                 for leftover in folder.glob(f".*{MARK}"):
                     leftover.unlink()
             self._in_shards = _shard_members(path / SHARDS)
-        except OSError as error:
-            raise InputError(f"Cannot use the folder {path}: {error.strerror or error}.") from error
 
     def result(self, job: Any) -> dict[str, Any] | None:
         """The record of a clip; None where it, or its trajectory, is not there whole.

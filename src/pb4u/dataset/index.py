@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from pb4u.dataset.dataset_folder import INDEX, DatasetFolder
-from pb4u.errors import MissingExtraError
+from pb4u.errors import extra
 from pb4u.garment.material import Material
 from pb4u.measures.metrics import ENERGIES, OF_A_CLIP, STRAINS
 from pb4u.measures.run_job import RunJob
@@ -25,10 +25,8 @@ def require_parquet() -> None:
     Raises:
         MissingExtraError: pyarrow is not installed.
     """
-    try:
+    with extra("dataset", "The index of a dataset"):
         import pyarrow.parquet  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("dataset", "The index of a dataset") from error
 
 
 def write_index(folder: DatasetFolder, jobs: Sequence[RunJob]) -> None:

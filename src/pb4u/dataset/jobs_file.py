@@ -13,7 +13,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown
 from pb4u.run import ENTRIES, Run, read_tables
 
 MOST_CLIPS = 100_000
@@ -80,9 +80,7 @@ def _run(number: int, entries: Mapping[str, Any], folder: Path, scenes: dict[Pat
 
 
 def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, Any]]]:
-    for name in tables:
-        if name not in _SECTIONS:
-            raise unknown_name("section", name, _SECTIONS)
+    refuse_unknown("section", tables, _SECTIONS)
     version = tables.get("format_version", FORMAT_VERSION)
     if version != FORMAT_VERSION:
         raise InputError(f"it is of format version {version!r}; this version reads {FORMAT_VERSION}.")
@@ -111,9 +109,7 @@ def _described_clips(tables: dict[str, Any]) -> tuple[int, Iterator[dict[str, An
 def _table(section: str, table: Any) -> dict[str, Any]:
     if not isinstance(table, dict):
         raise InputError(f"the section {section} must hold entries such as name = value, not {table!r}.")
-    for name in table:
-        if name not in _KNOWN:
-            raise unknown_name("entry", name, _KNOWN, section)
+    refuse_unknown("entry", table, _KNOWN, section)
     return table
 
 

@@ -20,7 +20,7 @@ from pb4u.measures.job_planner import JobPlanner
 from pb4u.measures.run_job import MOST_TOGETHER, RunJob
 from pb4u.motion.library import load_motion, motion_names
 from pb4u.run import Run, WornGarment
-from pb4u.scene.assembly import DEFAULT_FRAMES
+from pb4u.scene.moving_body import DEFAULT_FRAMES
 from pb4u.simulation.models import simulator_of
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 

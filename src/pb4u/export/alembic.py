@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pb4u.errors import MissingExtraError
+from pb4u.errors import extra
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.shading import unit_normals
 from pb4u.progress import Progress, no_progress
@@ -29,11 +29,9 @@ def check_alembic(path: Path) -> None:
     Raises:
         MissingExtraError: the "abc" extra is not installed.
     """
-    try:
+    with extra("abc", f"Writing {path.suffix}"):
         import alembic3d  # noqa: F401
         import imath  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("abc", f"Writing {path.suffix}") from error
 
 
 def write_alembic(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:

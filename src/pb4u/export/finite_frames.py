@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.scene.trajectory import Trajectory
 
 HELD_FRAMES = "held_frames"
@@ -34,11 +33,9 @@ def hold_finite(trajectory: Trajectory) -> Trajectory:
     if not whole.any() or not body_whole.any():
         raise InputError("No frame of the trajectory is finite, so there is nothing to write; simulate it again.")
     held = np.flatnonzero(~(whole & body_whole)).tolist()
-    warnings.warn(
+    warn(
         f"{len(held)} of {len(whole)} frames are not finite ({spans(held)}); each is written as the last whole frame "
         "before it, and marked where the format allows.",
-        InputWarning,
-        stacklevel=2,
     )
     return replace(
         trajectory,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import shutil
 import struct
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,7 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pb4u.errors import InputWarning
+from pb4u.errors import warn
 from pb4u.export.bone_baking import BakedBones, bake_bones
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.panels import SewnPanels
@@ -152,11 +151,9 @@ class _Document:
         shown = positions if self._bones is None else positions[:1]
         basis = fit_shapes(shown, faces, _TOLERANCE, _MOST_TARGETS, progress)
         if basis.error > _TOLERANCE:
-            warnings.warn(
+            warn(
                 f"{_MOST_TARGETS} morph targets leave the {name} up to {1000 * basis.error:.1f} mm from the "
                 "trajectory; write a shorter range, or USD, which is exact.",
-                InputWarning,
-                stacklevel=2,
             )
         of_vertex, corners, uvs = split_seams(len(basis.start), faces, *uv)
         attributes = {

@@ -17,17 +17,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from filelock import FileLock, Timeout
 
 from pb4u.errors import InputError
 from pb4u.export.mesh_sequence import pc2_header
 from pb4u.export.selection import source_garments, source_motion
+from pb4u.io.atomic_file import LOCK, locked
 from pb4u.scene.trajectory import Frame, TrajectoryHeader
 
 PROGRESS = "progress.jsonl"
 """A line {"step": done, "steps": in all, "frames": written} for every step; it also marks a folder as one of these."""
-
-_LOCK = ".lock"
 
 
 def check_live_folder(folder: Path) -> None:
@@ -46,7 +44,7 @@ def check_live_folder(folder: Path) -> None:
         raise InputError(f"The folder {parent} for --live does not exist; make it first.")
     if not os.access(parent, os.W_OK):
         raise InputError(f"The folder {parent} for --live cannot be written to.")
-    others = folder.exists() and any(entry.name != _LOCK for entry in folder.iterdir())
+    others = folder.exists() and any(entry.name != LOCK for entry in folder.iterdir())
     if others and not (folder / PROGRESS).is_file():
         raise InputError(f"{folder} for --live holds other files; give a new folder, or an empty one.")
 
@@ -155,18 +153,13 @@ class LiveCaches:
 @contextmanager
 def _held(folder: Path) -> Iterator[None]:
     """Keep other processes from writing in a folder."""
-    lock = FileLock(folder / _LOCK)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise InputError(f"Another process writes in {folder}; wait for it, or give --live another folder.") from None
-    try:
-        yield
-    finally:
-        # Before it is released, since another could hold it then.
-        with suppress(OSError):
-            (folder / _LOCK).unlink()
-        lock.release()
+    with locked(folder, f"Another process writes in {folder}; wait for it, or give --live another folder."):
+        try:
+            yield
+        finally:
+            # Before it is released, since another could hold it then.
+            with suppress(OSError):
+                (folder / LOCK).unlink()
 
 
 def _file_names(header: TrajectoryHeader) -> list[str]:

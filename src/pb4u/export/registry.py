@@ -9,7 +9,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, on_disk
 from pb4u.io.atomic_file import check_writable, move_into_place, working_folder
 from pb4u.progress import Progress, no_progress
 
@@ -273,15 +273,13 @@ def export(
     if bones is not None:
         check_bones(path, bones)
         seen["bones"] = bones
-    try:
+    with on_disk(f"Cannot write {path}"):
         with working_folder(path) as folder:
             told = writer(shown, folder / path.name, progress or no_progress, **seen)
             for written in sorted(p for p in folder.iterdir() if not p.name.startswith(".")):
                 move_into_place(written, path.with_name(written.name))
         for stale in _function(form.stale)(path, shown.frame_count) if form.stale else ():
             stale.unlink()
-    except OSError as error:
-        raise InputError(f"Cannot write {path}: {error.strerror or error}.") from error
     if told and say is not None:
         say(f"{path.name} {told}")
     return path

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
 
 Compute = Callable[[Any, Any], np.ndarray]
@@ -81,11 +80,7 @@ def select_frames(trajectory: Trajectory, span: tuple[int, int] | None, every: i
     if every > 1 and last - first > 1 and every >= last - first:
         raise InputError(f"Every {every}th of {last - first} frames is one frame; give a smaller stride.")
     if span is not None and span[1] > last:
-        warnings.warn(
-            f"The trajectory has {last} frames; of the range {first}:{span[1]}, {first}:{last} is there.",
-            InputWarning,
-            stacklevel=2,
-        )
+        warn(f"The trajectory has {last} frames; of the range {first}:{span[1]}, {first}:{last} is there.")
     return Trajectory(
         replace(trajectory.header, fps=trajectory.fps / every),
         trajectory.positions[kept],

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pb4u.errors import MissingExtraError
+from pb4u.errors import extra
 from pb4u.export.finite_frames import HELD_FRAMES, held_frames
 from pb4u.export.incomplete_file import incomplete
 from pb4u.export.panels import SewnPanels
@@ -37,10 +37,8 @@ def check_usd(path: Path) -> None:
     Raises:
         MissingExtraError: the "usd" extra is not installed.
     """
-    try:
+    with extra("usd", f"Writing {path.suffix}"):
         import pxr.Usd  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("usd", f"Writing {path.suffix}") from error
 
 
 def write_usd(trajectory: Trajectory, path: Path, progress: Progress = no_progress) -> None:

@@ -14,7 +14,7 @@ from types import ModuleType
 
 import numpy as np
 
-from pb4u.errors import MissingExtraError, Pb4uError
+from pb4u.errors import MissingExtraError, Pb4uError, extra
 from pb4u.export.incomplete_file import incomplete
 
 _H264_ENCODERS = ("libx264", "h264_videotoolbox", "h264_mf", "libopenh264")
@@ -212,10 +212,8 @@ def _opencv_encodes(code: str, fps: float, size: tuple[int, int]) -> bool:
 def _opencv() -> ModuleType:
     # Read once, when the first video is opened: ffmpeg's libraries tell of a trial that fails on standard error.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    try:
+    with extra("render", "Writing MP4"):
         import cv2
-    except ImportError as error:
-        raise MissingExtraError("render", "Writing MP4") from error
     return cv2
 
 

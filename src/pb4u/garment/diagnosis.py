@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
@@ -14,7 +13,7 @@ from scipy.spatial import cKDTree
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import self_crossings
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.garment.coarseness import Coarseness
 from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_inside_out
 from pb4u.garment.garment import Garment
@@ -193,7 +192,7 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
         if finding.severity is Severity.REFUSED:
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
     for finding in findings:
-        warnings.warn(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.", InputWarning, stacklevel=3)
+        warn(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
 
 
 def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
@@ -230,7 +229,7 @@ def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted:
         sentence = f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}."
         if finding.severity is Severity.REFUSED and not accepted:
             raise InputError(sentence)
-        warnings.warn(sentence, InputWarning, stacklevel=3)
+        warn(sentence)
 
 
 def _surface_findings(surface: SourceSurface) -> list[Finding]:

@@ -58,13 +58,11 @@ class GarmentSkinning:
             corners: (vertices, 3) int64, corners of the triangle that each lies on.
             barycentric: (vertices, 3) its coordinates there, rows sum to 1.
         """
-        dense = np.zeros((len(self.vertices), self.bone_count))
-        np.add.at(dense, (np.arange(len(dense))[:, None], self.weights.bones), self.weights.weights)
 
         def mixed(values: np.ndarray) -> np.ndarray:
             return np.einsum("vc,vc...->v...", barycentric, values[corners])
 
-        weights = np.maximum(mixed(dense), 0.0)
+        weights = np.maximum(mixed(self.weights.dense(self.bone_count)), 0.0)
         bones = np.broadcast_to(np.arange(self.bone_count), weights.shape)
         return GarmentSkinning(
             mixed(self.vertices),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 
 from pb4u.body.library import body_names
 from pb4u.collision.nearest_surface import TriangleSurface
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.garment.garment import Garment, SourceMap
 from pb4u.garment.material import Material
 from pb4u.garment.pins import resolve_pins
@@ -171,7 +170,7 @@ def _report_faults(path: Path, surface: SourceSurface) -> None:
     if uvs is not None and not np.isfinite(uvs).all():
         sentences.append(f"{(~np.isfinite(uvs)).any(axis=1).sum()} texture coordinates are not finite.")
     for sentence in sentences:
-        warnings.warn(f"{path.name}: {sentence}", InputWarning, stacklevel=3)
+        warn(f"{path.name}: {sentence}")
 
 
 def likely_unit(vertices: np.ndarray) -> str | None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.remeshing import remesh
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.body_form import BodyForm
 from pb4u.garment.clearance import clear_of_body
 from pb4u.garment.garment import Garment
@@ -46,8 +46,7 @@ def build_garment(name: str, body: ShapedBody, triangles: int = LEVELS["base"]) 
     Raises:
         InputError: an unknown name, a count out of range, or a body without those joints.
     """
-    if name not in PATTERNS:
-        raise unknown_name("garment", name, PATTERNS)
+    refuse_unknown("garment", [name], PATTERNS)
     if isinstance(triangles, bool) or not isinstance(triangles, (int, np.integer)):
         raise InputError(f"The number of triangles must be a whole number, not {triangles!r}.")
     if not FEWEST_TRIANGLES <= triangles <= MOST_TRIANGLES:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.limb_bones import limb_bones
 from pb4u.collision.crossings import segments_through_faces
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.garment.fit import RestBody
 from pb4u.garment.garment import Garment
 from pb4u.garment.repair import push_out
@@ -63,5 +62,5 @@ def with_limbs_inside(garment: Garment, body: ShapedBody | AnimatedBody) -> Garm
     sentence = (
         f"{garment.name}: {', '.join(limbs[:4])} went through it at rest; it was pushed out, by {farthest:.1f} cm."
     )
-    warnings.warn(sentence, InputWarning, stacklevel=3)
+    warn(sentence)
     return replace(garment, vertices=pushed)

@@ -41,7 +41,7 @@ def borrow_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
     # Hands, and skin inside other skin, must not drag cloth along.
     allowed = np.flatnonzero(body.contact) if body.contact.any() else np.arange(len(body.vertices))
     tree = cKDTree(body.vertices[allowed])
-    skin_weights = _dense(body.weights, body.skeleton.bone_count)[allowed]
+    skin_weights = body.weights.dense(body.skeleton.bone_count)[allowed]
     distances, nearest = tree.query(garment.vertices, k=min(_NEIGHBOURS, len(allowed)))
     distances, nearest = distances.reshape(len(distances), -1), nearest.reshape(len(nearest), -1)
 
@@ -84,12 +84,6 @@ def diffuse(garment: Garment, values: np.ndarray, reach: np.ndarray) -> np.ndarr
     spread = np.zeros_like(values)
     spread[:, used] = np.maximum(solver.solve(np.ascontiguousarray(values[:, used], dtype=np.float64)), 0.0)
     return spread
-
-
-def _dense(weights: SkinningWeights, bones: int) -> np.ndarray:
-    dense = np.zeros((len(weights.bones), bones))
-    np.add.at(dense, (np.arange(len(dense))[:, None], weights.bones), weights.weights)
-    return dense
 
 
 def _nearest_skin(

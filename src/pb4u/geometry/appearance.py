@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import json
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.reading_limits import parse_json
 
@@ -208,9 +207,5 @@ def _with_image(appearance: Appearance, mtl: Path, words: list[str]) -> Appearan
         for file in (mtl.parent / name, mtl.parent / Path(name).name):
             if file.is_file():
                 return Appearance(appearance.name, image=read_image(file))
-    _warn(f"{mtl.name}: the image {words[-1] if words else ''} is missing; put it beside the file to see it.")
+    warn(f"{mtl.name}: the image {words[-1] if words else ''} is missing; put it beside the file to see it.")
     return appearance
-
-
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, InputWarning, stacklevel=4)

@@ -103,14 +103,6 @@ def split_edges(
     return vertices, np.concatenate(parts), locked
 
 
-def _vertex_faces(faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Faces around each vertex: start and count per vertex, and the concatenated face indices."""
-    corners = faces.reshape(-1)
-    order = np.argsort(corners, kind="stable")
-    counts = np.bincount(corners, minlength=vertex_count)
-    return np.cumsum(counts) - counts, counts, order // 3
-
-
 def collapse_short_edges(
     vertices: np.ndarray, faces: np.ndarray, shortest: float, longest: float, locked: np.ndarray, turn: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
@@ -145,10 +137,11 @@ def collapse_short_edges(
     u, v = np.where(swap, v, u), np.where(swap, u, v)
     merged = np.where((held_u == held_v)[:, None], 0.5 * (vertices[u] + vertices[v]), vertices[u])
 
-    start, count, ring_faces = _vertex_faces(faces, len(vertices))
-    sizes = np.concatenate([count[u], count[v]])
+    begins, around = mesh.vertex_faces
+    ends = np.concatenate([u, v])
+    sizes = begins[ends + 1] - begins[ends]
     owner = np.repeat(np.tile(np.arange(len(u)), 2), sizes)
-    touched = ring_faces[_ragged(np.concatenate([start[u], start[v]]), sizes)]
+    touched = around[_ragged(begins[ends], sizes)]
 
     good = _link_condition(faces, owner, touched, u, v, on_border[candidates], len(vertices))
 

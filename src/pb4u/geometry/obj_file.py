@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pb4u.errors import InputError
+from pb4u.errors import InputError, on_disk
 from pb4u.geometry.appearance import Appearance, Appearances, read_mtl, write_mtl
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.io.atomic_file import replace_file
@@ -225,12 +225,10 @@ def write_obj(path: Path, mesh: PolygonMesh, groups: Sequence[str] = ()) -> None
             f"{name}f " + " ".join(str(v + 1) for v in polygon.tolist()) + "\n"
             for name, polygon in zip(names, mesh.polygons, strict=True)
         ]
-    try:
+    with on_disk(f"{path} cannot be written"):
         if looks is not None:
             write_mtl(mtl, looks.listed)
         replace_file(path, "".join(parts).encode())
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror or error}.") from None
 
 
 def group_name(name: str) -> str:

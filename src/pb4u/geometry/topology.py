@@ -116,6 +116,13 @@ class Topology:
         return on_border
 
     @cached_property
+    def vertex_faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the faces around each vertex begin (vertices + 1,), and these faces, all int64."""
+        corners = self.faces.reshape(-1)
+        by_vertex = np.argsort(corners, kind="stable")
+        return np.searchsorted(corners[by_vertex], np.arange(self.vertex_count + 1)), by_vertex // 3
+
+    @cached_property
     def boundary_edges(self) -> np.ndarray:
         """Directed half-edges (borders, 2) int64 that only one face uses, in that face's direction."""
         return self._half_edges[self.edge_face_counts[self.face_edges.T.reshape(-1)] == 1]

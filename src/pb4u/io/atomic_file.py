@@ -17,15 +17,17 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-from filelock import FileLock, Timeout
+from typing import TYPE_CHECKING, Any
 
 from pb4u.errors import InputError
 
+if TYPE_CHECKING:
+    from filelock import AcquireReturnProxy
+
 MARK = ".pb4u"
 """End of the name of what is not finished."""
-_LOCK = ".lock"
+LOCK = ".lock"
+"""Name of the file by which a process holds a folder."""
 _UNLOCKED_SECONDS = 60.0
 """Age from which what holds no lock is a leftover: a folder is locked, and a file written, in far less."""
 _NAME_KEPT = 100
@@ -44,14 +46,33 @@ def working_folder(path: Path) -> Iterator[Path]:
     """
     sweep(path.parent)
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:_NAME_KEPT]}.", suffix=MARK, dir=path.parent))
-    lock = FileLock(folder / _LOCK)
     try:
-        lock.acquire(timeout=0)
-        yield folder
+        with locked(folder, f"Another process writes in {folder}."):
+            try:
+                yield folder
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        lock.release()
-        shutil.rmtree(folder, ignore_errors=True)
+
+
+def locked(folder: Path, busy: str) -> AcquireReturnProxy:
+    """Keep other processes out of a folder until the end of a `with`.
+
+    Args:
+        folder: path of the folder.
+        busy: what to tell whoever finds it held.
+
+    Raises:
+        InputError: another process holds it.
+        OSError: its lock cannot be made.
+    """
+    from filelock import FileLock, Timeout
+
+    try:
+        return FileLock(folder / LOCK).acquire(timeout=0)
+    except Timeout:
+        raise InputError(busy) from None
 
 
 def sweep(folder: Path) -> None:
@@ -61,7 +82,7 @@ def sweep(folder: Path) -> None:
         folder: path of the folder.
     """
     for leftover in folder.glob(f".*{MARK}"):
-        with contextlib.suppress(OSError, Timeout):
+        with contextlib.suppress(OSError, InputError):
             if leftover.is_symlink():
                 continue
             if leftover.is_dir():
@@ -71,10 +92,9 @@ def sweep(folder: Path) -> None:
 
 
 def _sweep_folder(leftover: Path) -> None:
-    if not (leftover / _LOCK).exists() and not _is_old(leftover):
+    if not (leftover / LOCK).exists() and not _is_old(leftover):
         return
-    lock = FileLock(leftover / _LOCK)
-    with lock.acquire(timeout=0):
+    with locked(leftover, f"Another process writes in {leftover}."):
         shutil.rmtree(leftover, ignore_errors=True)
     shutil.rmtree(leftover, ignore_errors=True)
 

@@ -18,17 +18,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
-from filelock import FileLock, Timeout
-
 from pb4u import __version__
-from pb4u.errors import InputError, Pb4uError
-from pb4u.io.atomic_file import json_text, replace_file
+from pb4u.errors import InputError, Pb4uError, on_disk
+from pb4u.io.atomic_file import LOCK, json_text, locked, replace_file
 from pb4u.io.reading_limits import read_json
 from pb4u.jobs.job import Failure, Job, JobPack, Made, jobs_of
 from pb4u.jobs.worker_pool import WorkerPool
 from pb4u.progress import Progress, no_progress
 
-MANIFEST, JOBS, LOCK = "manifest.json", "jobs", ".lock"
+MANIFEST, JOBS = "manifest.json", "jobs"
 
 FOLDER_VERSION = 3
 """Raised when a job or its measuring comes to mean something else, so that no older result is taken for it.
@@ -59,18 +57,13 @@ class JobFolder:
     def __init__(self, path: Path, kind: str, settings: Mapping[str, str]) -> None:
         self.path, self._kind, self._settings = path, kind, dict(settings)
         self._jobs = path / JOBS
-        try:
+        with on_disk(f"Cannot use the folder {path}"):
             foreign = path.exists() and (not path.is_dir() or _is_foreign(path))
             if foreign:
                 raise InputError(f"{path} exists and is no folder of {kind}; give another --out.")
             self._require_same()
             self._jobs.mkdir(parents=True, exist_ok=True)
-            self._lock = FileLock(path / LOCK)
-            self._lock.acquire(timeout=0)
-        except Timeout as error:
-            raise InputError(f"Another process is at work in {path}; wait for it, or give another --out.") from error
-        except OSError as error:
-            raise InputError(f"Cannot use the folder {path}: {error.strerror or error}.") from error
+            self._lock = locked(path, f"Another process is at work in {path}; wait for it, or give another --out.").lock
         for leftover in [*path.glob(f".{MANIFEST}.*"), *self._jobs.glob(".*")]:
             leftover.unlink(missing_ok=True)
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeAlias
 
-from pb4u.errors import InputError, MissingExtraError
+from pb4u.errors import InputError, extra
 from pb4u.jobs.job import Failure, Job
 
 _ANSWER_TIME = 5.0
@@ -161,10 +161,8 @@ class RayPool(WorkerPool):
     size = 1000  # Ray queues what its machines cannot start yet
 
     def __init__(self, address: str, attempt: Attempt, workers: int = 1) -> None:
-        try:
+        with extra("ray", "Running on a cluster"):
             import ray
-        except ImportError as error:
-            raise MissingExtraError("ray", "Running on a cluster") from error
         self._ray = ray
         # Nothing is reported to anyone unless the user asks Ray to.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")

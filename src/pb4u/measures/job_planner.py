@@ -16,7 +16,7 @@ from pb4u.jobs.job import digest
 from pb4u.measures.run_job import RunJob
 from pb4u.motion.library import motion_names, recording_file
 from pb4u.run import Run, with_companions
-from pb4u.scene.assembly import DEFAULT_MOTION
+from pb4u.scene.moving_body import DEFAULT_MOTION
 from pb4u.simulation.checkpoint import weights_file
 from pb4u.simulation.models import default_model, simulator_of
 from pb4u.simulation.stepwise_simulator import NetworkSimulator

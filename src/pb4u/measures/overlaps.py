@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pb4u.collision.crossings import self_crossings
+from pb4u.geometry.topology import Topology
+from pb4u.geometry.triangle_mesh import face_areas
 
 _TWICE = 1.0
 """Winding number above which a point of the surface lies inside another part of it: there it is 1.5, elsewhere 0.5."""
@@ -17,24 +19,16 @@ def overlapping_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         vertices: (vertices, 3) [m], finite.
         faces: (faces, 3) int64 of a closed surface.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     overlapping = np.zeros(len(faces), dtype=bool)
     overlapping[self_crossings(vertices, faces)] = True
     if not overlapping.any():
         return overlapping
     # What crosses is the border between what lies inside and what does not: one point tells of each piece.
     free = np.flatnonzero(~overlapping)
-    shape = (len(free), len(vertices))
-    corners = coo_matrix((np.ones(3 * len(free)), (np.repeat(np.arange(len(free)), 3), faces[free].reshape(-1))), shape)
-    count, piece = connected_components(corners @ corners.T, directed=False)
-    largest = np.bincount(piece).argmax()
-    for number in range(count):
+    piece = Topology(faces[free], len(vertices)).piece_of_vertex[faces[free, 0]]
+    for number in np.setdiff1d(piece, np.bincount(piece).argmax()):
         own = free[piece == number]
-        if number == largest:
-            continue
-        middle = own[np.argsort(_areas(vertices, faces[own]))[len(own) // 2]]
+        middle = own[np.argsort(face_areas(vertices, faces[own]))[len(own) // 2]]
         overlapping[own] = winding_number(vertices[faces[middle]].mean(axis=0), vertices, faces) > _TWICE
     return overlapping
 
@@ -55,9 +49,3 @@ def winding_number(point: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -
     dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
     angles = 2.0 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
     return float(angles.sum() / (4.0 * np.pi))
-
-
-def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    areas: np.ndarray = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return areas

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.errors import unknown_name
+from pb4u.errors import refuse_unknown
 from pb4u.motion.gait import RUN, WALK, Gaiting
 from pb4u.motion.humanoid import Humanoid, humanoid_of
 from pb4u.motion.motion import Motion, Performed
@@ -48,8 +48,7 @@ class ProceduralMotion(Motion):
     """
 
     def __init__(self, name: str, seed: int = 0, arms_away_degrees: float | None = None) -> None:
-        if name not in CLIPS:
-            raise unknown_name("built-in motion", name, CLIPS)
+        refuse_unknown("built-in motion", [name], CLIPS)
         super().__init__(name, None, arms_away_degrees=arms_away_degrees)
         self.seed = seed
         draw = np.random.default_rng(seed).uniform(-1.0, 1.0, 2) if seed else np.zeros(2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -9,13 +10,10 @@ from torch import Tensor
 
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.network.graph.garment_graph import incident_lengths
-from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.packed import PackedGarments
-from pb4u.simulation.first_frame import FirstFrame, OneLongStep
 from pb4u.simulation.network_pass import DescentFeature
 from pb4u.simulation.pass_search import search_of
-from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.step_start import start_of
@@ -25,6 +23,7 @@ from pb4u.simulation.timeline import Timeline
 GRADIENT_DESCENT, WARM_START = "gradient-descent", "warm-start"
 
 
+@dataclass(eq=False)
 class ControlSimulator(StepwiseSimulator):
     """The start, search and passes of a network, with gradient descent in its place, or with nothing.
 
@@ -34,37 +33,27 @@ class ControlSimulator(StepwiseSimulator):
     Args:
         name: one of the two.
         like: network whose start, search and number of passes are taken.
-        refine: solver iterations after each step, which is retried where they fail; 0 for none.
-        contact: pushes out vertices left inside the body; none by default.
         passes: gradients in a step; None is the number of the network.
-        first_frame: makes frame 0; by default one long step of the method's own.
-        potential: energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
     """
 
-    def __init__(
-        self,
-        name: str,
-        like: GraphNetwork,
-        refine: int = 0,
-        contact: ContactResponse | None = None,
-        passes: int | None = None,
-        first_frame: FirstFrame | None = None,
-        potential: IncrementalPotential | None = None,
-    ) -> None:
-        self.name, self.like, self.refine = name, like, refine
-        self.contact, self.first_frame = contact, first_frame or OneLongStep()
-        self.potential = potential or IncrementalPotential()
-        self.passes, self.further = (like.passes, like.further_passes) if passes is None else (passes, 0)
-        if name != GRADIENT_DESCENT:
-            self.passes = self.further = 0
+    name: str
+    like: GraphNetwork
+    passes: int | None = None
+
+    @property
+    def _repeats(self) -> tuple[int, int]:
+        """Gradients in a step, and the most beyond those."""
+        if self.name != GRADIENT_DESCENT:
+            return 0, 0
+        return (self.like.passes, self.like.further_passes) if self.passes is None else (self.passes, 0)
 
     def settings(self) -> dict[str, Any]:
-        return {**super().settings(), "refine": self.refine, "device": "cpu", "passes": self.passes}
+        return {**super().settings(), "refine": self.refine, "device": "cpu", "passes": self._repeats[0]}
 
     def method(self, timeline: Timeline, record: RunRecord) -> StepMethod:
         return StepMethod(
             start_of(self.like),
-            GradientPass(timeline.garments, self.passes, self.further) if self.passes else None,
+            GradientPass(timeline.garments, *self._repeats) if self._repeats[0] else None,
             self.refinement(record),
             self.contact,
             self.potential.self_contact,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from pb4u.errors import unknown_name
+from pb4u.errors import refuse_unknown
 from pb4u.network.acceleration_model import NetworkConfiguration
 from pb4u.network.graph.features import ADVANCE, DESCENT, FeatureLayout, MaterialRange
 from pb4u.network.graph.pins import PinsAtTarget, PinsAtTargetInEdges
@@ -196,6 +196,5 @@ def network_preset(name: str) -> NetworkConfiguration:
     Raises:
         InputError: there is none; the names are listed.
     """
-    if name not in NETWORKS:
-        raise unknown_name("network preset", name, NETWORKS)
+    refuse_unknown("network preset", [name], NETWORKS)
     return NETWORKS[name]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import html
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,18 @@ class Plot:
     title: str
     caption: str
     png: bytes
+
+
+def png(figure: Any, resolution: int) -> bytes:
+    """Content of the PNG file of a figure.
+
+    Args:
+        figure: of matplotlib.
+        resolution: pixels an inch.
+    """
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=resolution)
+    return stream.getvalue()
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ from pb4u.errors import InputError, Pb4uError
 from pb4u.export.picture import render
 from pb4u.export.view import View
 from pb4u.measures.run_job import RunJob
-from pb4u.paper.page import Block, Plot, Remark
+from pb4u.paper.page import Block, Plot, Remark, png
 from pb4u.paper.protocol_plan import Case
 from pb4u.paper.summary import Row, Summary
 from pb4u.scene.trajectory import Trajectory
@@ -116,6 +115,4 @@ def _compose(grid: dict[str, dict[str, _Cell]], models: list[str]) -> bytes:
         row[0].set_ylabel(garment, fontsize=9)
     for model, axis in zip(models, panels[0], strict=True):
         axis.set_title(model, fontsize=9)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=150)
-    return stream.getvalue()
+    return png(figure, 150)

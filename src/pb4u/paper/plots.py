@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from pb4u.paper.page import Block, Plot
+from pb4u.paper.page import Block, Plot, png
 from pb4u.paper.paper_figures import paper_figures
 from pb4u.paper.summary import Cell, Summary
 from pb4u.paper.tables import PAPER_MARK, label
@@ -199,6 +198,4 @@ def _plot(name: str, title: str, caption: str, figure: Figure, axes: Sequence[An
     figure.set_figheight(figure.get_figheight() + _ENTRY_HEIGHT * -(-len(entries) // columns))
     lines = [entries[model] for model in names]
     figure.legend(lines, names, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=130)
-    return [Plot(name, title, caption, stream.getvalue())]
+    return [Plot(name, title, caption, png(figure, 130))]

@@ -13,12 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pb4u.body.library import body_names, load_body
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES
 from pb4u.measures.job_planner import JobPlanner, Model
 from pb4u.measures.run_job import RunJob
-from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
-from pb4u.motion.library import motion_names, recording_file
+from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES, motion_names, recording_file
 from pb4u.paper.protocols import PROTOCOLS, Protocol
 from pb4u.paper.reference_energies import REFERENCE_LEAD_IN, stored_reference
 from pb4u.run import Run, WornGarment
@@ -152,8 +151,7 @@ def plan(request: EvaluationRequest) -> Plan:
     Raises:
         InputError: something is unknown, unusable or empty.
     """
-    if request.protocol not in PROTOCOLS:
-        raise unknown_name("protocol", request.protocol, PROTOCOLS)
+    refuse_unknown("protocol", [request.protocol], PROTOCOLS)
     return _Planning(request).plan()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import statistics
 from collections.abc import Callable, Iterable
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 
 from pb4u.errors import Pb4uError
 from pb4u.measures.divergence import SLID, SLID_FRAMES
-from pb4u.paper.page import Block, Plot, Remark, Table
+from pb4u.paper.page import Block, Plot, Remark, Table, png
 from pb4u.paper.pictures import draw_still
 from pb4u.paper.summary import FAR_FROM_FLOOR, MOST_INSIDE, Row, Summary, share_text
 
@@ -44,7 +43,7 @@ def robustness_table(summary: Summary) -> list[Block]:
     for model in summary.plan.protocol.models:
         done = [row for row in summary.select(model=model) if row.result or row.failure]
         inside = _finite(row.value("penetration_percent") for row in done)
-        crossings = _finite(_mean(row, "self_intersections") for row in done)
+        crossings = _finite(row.value("self_intersections") for row in done)
         ratios = _ratios(done)
         rows.append(
             [
@@ -58,7 +57,7 @@ def robustness_table(summary: Summary) -> list[Block]:
                 _shown(ratios, max, ".2f"),
                 _shown(inside, statistics.fmean, ".2g"),
                 _shown(inside, max, ".2g"),
-                _shown(_finite(1e3 * _most(row, "penetration_depth_max") for row in done), max, ".1f"),
+                _shown([1e3 * row.deepest for row in done if row.deepest is not None], max, ".1f"),
                 _shown(crossings, statistics.fmean, ".1f"),
                 _shown(crossings, max, ".0f"),
                 _shown(_finite(row.value("ms") for row in done), statistics.median, ".0f"),
@@ -145,10 +144,8 @@ def failure_pictures(summary: Summary) -> list[Block]:
     for axis, (row, picture) in zip(panels, shown, strict=False):
         axis.imshow(picture)
         axis.set_title(f"{row.case.number}: {row.model}\n{row.faults[0]}", fontsize=7)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=110)
     left = f" {len(failed) - MOST_PICTURES} more are named above alone." if len(failed) > MOST_PICTURES else ""
-    return [Plot("failures", title, f"Number of the scene, model, and what went wrong.{left}", stream.getvalue())]
+    return [Plot("failures", title, f"Number of the scene, model, and what went wrong.{left}", png(figure, 110))]
 
 
 def _scene_words(row: Row) -> str:
@@ -168,15 +165,6 @@ def _ratios(rows: Iterable[Row]) -> list[float]:
 
 def _finite(values: Iterable[float | None]) -> list[float]:
     return [value for value in values if value is not None and math.isfinite(value)]
-
-
-def _mean(row: Row, metric: str) -> float | None:
-    return (row.result or {}).get("metrics", {}).get(metric, {}).get("mean")
-
-
-def _most(row: Row, metric: str) -> float:
-    value = (row.result or {}).get("metrics", {}).get(metric, {}).get("max")
-    return math.nan if value is None else float(value)
 
 
 def _shown(values: list[float], of: Callable[[list[float]], float], digits: str) -> str:

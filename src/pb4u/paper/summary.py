@@ -182,6 +182,12 @@ class Row:
         good = self.result["frames"] if diverged_at is None else diverged_at
         return 100.0 * float(good) / (self.case.job.run.frames or 1)
 
+    @property
+    def deepest(self) -> float | None:
+        """Deepest penetration of all frames [m]."""
+        depth: float | None = (self.result or {}).get("metrics", {}).get("penetration_depth_max", {}).get("max")
+        return depth
+
     def value(self, quantity: str) -> float | None:
         """A quantity by the name that tables use; energies [J] are means over frames by the released convention.
 
@@ -282,14 +288,13 @@ class Summary:
         rows = self.select(level=level, model=model, steps=steps)
         results = [row.result for row in rows if row.result is not None]
         triangles = spread(float(result["triangles"]) for result in results)
-        depths = [result["metrics"].get("penetration_depth_max", {}).get("max") for result in results]
         return Cell(
             level,
             model,
             steps,
             triangles.mean if triangles else None,
             {name: spread(row.value(name) for row in rows) for name in (*self.energies, *_BESIDE_ENERGIES)},
-            max((depth for depth in depths if depth is not None), default=None),
+            max((row.deepest for row in rows if row.deepest is not None), default=None),
             len(rows),
             len(results),
             sum(row.failure is not None for row in rows),

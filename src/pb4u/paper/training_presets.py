@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pb4u.errors import unknown_name
+from pb4u.errors import refuse_unknown
 from pb4u.paper import network_presets
 from pb4u.paper.network_presets import (
     pb4u_paper,
@@ -192,6 +192,5 @@ def training_preset(name: str) -> TrainingConfiguration:
     Raises:
         InputError: there is none; the names are listed.
     """
-    if name not in TRAININGS:
-        raise unknown_name("training preset", name, TRAININGS)
+    refuse_unknown("training preset", [name], TRAININGS)
     return TRAININGS[name]

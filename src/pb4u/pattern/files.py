@@ -6,14 +6,13 @@ import contextlib
 import hashlib
 import io
 import json
-import warnings
 from pathlib import Path
 
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.vertex_sequence import VertexSequence
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.garment.weight_cache import cache_folder
@@ -76,9 +75,7 @@ def load_worn(
         return dressed_once(read_pattern(path), body, material, triangles or DEFAULT_TRIANGLES)
     mesh, places, made_on = read_dressed(path)
     if made_on[1] != body_key(body):
-        warnings.warn(
-            f"{path.name} was dressed on {made_on[0]}; it is dressed again on {body.name}.", InputWarning, stacklevel=2
-        )
+        warn(f"{path.name} was dressed on {made_on[0]}; it is dressed again on {body.name}.")
         return dressed_once(mesh.pattern, body, material, triangles or len(mesh.faces))
     return passed_on(mesh, places, body, material, triangles)
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from pb4u.errors import InputError, MissingExtraError, unknown_name
+from pb4u.errors import InputError, extra, on_disk, refuse_unknown
 from pb4u.pattern.pattern import Curve, Panel, Pattern, Seam, signed_area
 from pb4u.run import read_tables
 
@@ -51,9 +51,7 @@ def read_drawn(path: str | Path) -> Pattern:
     """
     path = Path(path)
     record = read_tables(path, "a pattern drawn in an SVG")
-    for key in record:
-        if key not in _KEYS:
-            raise unknown_name("entry", key, _KEYS, str(path))
+    refuse_unknown("entry", record, _KEYS, str(path))
     entries, seams = record.get("panels"), record.get("seams", [])
     if not isinstance(record.get("svg"), str) or not isinstance(entries, dict) or not isinstance(seams, list):
         raise InputError(
@@ -63,8 +61,7 @@ def read_drawn(path: str | Path) -> Pattern:
     outlines = _outlines(path.parent / record["svg"])
     panels = []
     for name, entry in entries.items():
-        if name not in outlines:
-            raise unknown_name("path", name, tuple(outlines), record["svg"])
+        refuse_unknown("path", [name], tuple(outlines), record["svg"])
         panels.append(_panel(path, name, entry, outlines[name]))
     return Pattern(path.stem, panels, [_seam(path, number, seam) for number, seam in enumerate(seams)])
 
@@ -74,9 +71,7 @@ def _panel(path: Path, name: str, entry: Any, outline: list[Any]) -> Panel:
 
     if not isinstance(entry, dict) or "position" not in entry:
         raise InputError(f"{path}: [panels.{name}] must say where the panel is placed: position = [x, y, z] in metres.")
-    for key in entry:
-        if key not in _PANEL_KEYS:
-            raise unknown_name("entry", key, _PANEL_KEYS, f"[panels.{name}] of {path}")
+    refuse_unknown("entry", entry, _PANEL_KEYS, f"[panels.{name}] of {path}")
     try:
         angles = np.array(entry.get("rotation", (0, 0, 0)), dtype=np.float64).reshape(3)
         position = np.array(entry["position"], dtype=np.float64).reshape(3)
@@ -140,16 +135,11 @@ def _reversed(curve: Curve) -> Curve:
 
 def _outlines(path: Path) -> dict[str, list[Any]]:
     """Segments [user units] of the paths of an SVG by their ids, or the labels that Inkscape shows."""
-    try:
-        from svgelements import SVG, Shape
-        from svgelements import Path as Outline
-    except ImportError as error:
-        raise MissingExtraError("svg", "Reading a pattern drawn in an SVG") from error
+    with extra("svg", "Reading a pattern drawn in an SVG"):
+        from svgelements import SVG, Path as Outline, Shape
 
-    try:
+    with on_disk(f"The drawing {path} cannot be read"):
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"The drawing {path} cannot be read: {error.strerror or error}.") from None
     if "<!ENTITY" in text or "<use" in text:
         raise InputError(f"{path} draws by reference (<use> or entities): unlink clones before saving it.")
     try:

@@ -35,7 +35,7 @@ class TimeStep:
     Args:
         garments: static quantities.
         state: positions [m] and velocities [m/s] at frame t.
-        collider: the bodies around the step, or None.
+        collider: the bodies around the step, if any, and the ground.
         dt: length of the step [s].
         gravity: (3,) [m/s^2].
         pin_positions: (vertices, 3) [m] where the pinned vertices will be after the step; other rows are not read. None
@@ -48,7 +48,7 @@ class TimeStep:
 
     garments: PackedGarments
     state: State
-    collider: ColliderFrame | None
+    collider: ColliderFrame
     dt: float
     gravity: Tensor
     pin_positions: Tensor | None = None
@@ -66,12 +66,12 @@ class TimeStep:
     @property
     def bodies(self) -> ColliderFrame | None:
         """The bodies around the step where there are any."""
-        return None if self.collider is None or self.collider.empty else self.collider
+        return None if self.collider.empty else self.collider
 
     @property
     def ground_height(self) -> float | None:
         """Height of the ground plane [m], or None."""
-        return None if self.collider is None else self.collider.ground_height
+        return self.collider.ground_height
 
     @cached_property
     def contacts(self) -> ContactSet:
@@ -130,7 +130,7 @@ class TimeStep:
         return replace(
             self,
             state=state,
-            collider=None if self.bodies is None else self.bodies.between(k / count, (k + 1) / count),
+            collider=self.collider.between(k / count, (k + 1) / count),
             dt=self.dt / count,
             pin_positions=None if pins is None else torch.lerp(self.state.positions, pins, (k + 1) / count),
             skinned_motion=None if motion is None else motion / count,

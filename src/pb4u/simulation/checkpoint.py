@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -17,7 +16,7 @@ from safetensors.torch import save
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, on_disk, warn
 from pb4u.garment.garment import Garment
 from pb4u.io.atomic_file import replace_file
 from pb4u.io.reading_limits import parse_json, told_error
@@ -111,11 +110,9 @@ class Checkpoint:
         self.warn_of_resolution(garment)
         fewest, most = self.record.propagation_steps
         if steps != 0 and not fewest <= steps <= most:
-            warnings.warn(
+            warn(
                 f"{garment.name}: {steps} propagation steps, where the weights {self.name} were trained with "
                 f"{fewest} to {most}; expect over-stretched or unsteady cloth.",
-                InputWarning,
-                stacklevel=3,
             )
 
     def warn_of_resolution(self, garment: Garment) -> None:
@@ -131,12 +128,10 @@ class Checkpoint:
         if length > coarsest:
             side, bound, expect = "coarser", coarsest, "stiffer cloth, fewer wrinkles and deeper contact"
         triangles = round(garment.triangle_count * (length / bound) ** 2, -2)
-        warnings.warn(
+        warn(
             f"{garment.name}: its edges are {1e3 * length:.1f} mm long on average, {side} than the "
             f"{1e3 * finest:.1f} to {1e3 * coarsest:.1f} mm that the weights {self.name} have seen; expect {expect}, "
             f"or remesh it with `--triangles {triangles:.0f}`.",
-            InputWarning,
-            stacklevel=3,
         )
 
 
@@ -190,10 +185,8 @@ def save_tensors(
     }
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     content = save(tensors, metadata)
-    try:
+    with on_disk(f"Cannot write the checkpoint {path}"):
         replace_file(path, content)
-    except OSError as error:
-        raise InputError(f"Cannot write the checkpoint {path}: {error.strerror or error}.") from error
 
 
 _OF_A_TRAINING = ("best", "final", "last")

@@ -5,7 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
+import numpy as np
+import torch
+
+from pb4u.collision.jit import as_float64
+from pb4u.garment.tangles import untangled_start
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.newton_solver import Solver
 from pb4u.scene.state import State
@@ -47,8 +53,13 @@ def untangled(timeline: Timeline, method: StepMethod, state: State) -> State:
     Raises:
         InputError: what crosses cannot be untangled.
     """
-    cloth = method.self_contact
-    return state if cloth is None else replace(state, positions=cloth.free_start(timeline.garments, state.positions))
+    if method.self_contact is None:
+        return state
+    garments, positions, free = timeline.garments, as_float64(state.positions), []
+    for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
+        worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
+        free.append(untangled_start(worn, positions[first:stop]))
+    return replace(state, positions=torch.from_numpy(np.concatenate(free)).to(state.positions))
 
 
 class AsPlaced(FirstFrame):

@@ -6,7 +6,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown, unknown_name
 from pb4u.memory import keep_freed_memory
 from pb4u.run import Run, entries
 from pb4u.simulation.simulator import Simulator
@@ -85,9 +85,7 @@ def load_simulator(name: str | Path = "auto", **options: Any) -> Simulator:
     Raises:
         InputError: an unknown name, a bad file or an impossible option.
     """
-    for option in options:
-        if option not in entries("run"):
-            raise unknown_name("option of a simulator", option, entries("run"))
+    refuse_unknown("option of a simulator", options, entries("run"))
     return simulator_of(Run(model=name, **options))
 
 
@@ -117,26 +115,25 @@ def simulator_of(run: Run) -> Simulator:
     # The solver improves a state more, and settles it better, than one long step of a network at the same cost.
     solves = (model in OPTIONS and not looks_at(model, "refine")) or run.refine > 0
     first_frame = _first_frame(run.first_frame, "settled" if solves else "long_step", potential)
+    common: dict[str, Any] = {"contact": contact, "first_frame": first_frame, "potential": potential}
     if model == "skinning":
         return SkinningSimulator()
     if model == "solver":
         # Where cloth stops cloth, what free flight leaves behind a fast limb would stay caught on it.
         start = free_flight if run.self_contact is False else BodyMotionWarmStart().positions
-        return SolverSimulator(contact=contact, first_frame=first_frame, potential=potential, start=start)
+        return SolverSimulator(start=start, **common)
     if model == "quick-solver":
-        return QuickSolver(run.refine, contact, first_frame, potential)
+        return QuickSolver(refine=run.refine, **common)
     # Where the solver refines, it improves a state more than a further pass does.
     passes = 1 if run.passes is None and run.refine else run.passes
     if model in OPTIONS:
         like = load_checkpoint_of(_shipped_network(model)).model.network
         control: type[Simulator] = resolve_name("pb4u.paper.controls:ControlSimulator")
-        return control(model, like, run.refine, contact, passes, first_frame, potential)  # type: ignore[call-arg]
+        return control(model, like, passes, refine=run.refine, **common)  # type: ignore[call-arg]
     device = available_device(run.device)
     precision = _precision(run.precision, device, run.refine)
     checkpoint = load_checkpoint_of(model)
-    return NetworkSimulator(
-        checkpoint, run.propagation_steps, run.refine, contact, device, passes, first_frame, potential, precision
-    )
+    return NetworkSimulator(checkpoint, run.propagation_steps, device, passes, precision, refine=run.refine, **common)
 
 
 def _shipped_network(control: str) -> str:

@@ -76,7 +76,6 @@ class NetworkPass:
         return self._graph(step, self.features.scaled(step, accelerations)[0])
 
     def _graph(self, step: TimeStep, made: Mapping[str, Tensor]) -> Graph:
-        assert step.collider is not None
         extra = {name: value.to(self.device) for name, value in made.items()}
         state = replace(
             step.state,

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from pb4u.errors import InputWarning, Interrupted
+from pb4u.errors import Interrupted, warn
 from pb4u.export.selection import resampled
 from pb4u.progress import Progress, no_progress, shown
 from pb4u.run import Run
@@ -66,7 +65,7 @@ def simulated_fps(run: Run, simulator: Simulator) -> float:
     simulated = simulator.fps or run.fps
     if not math.isclose(simulated, run.fps):
         sentence = f"{simulator.name} runs at {simulated:g} frames per second; the result is resampled to {run.fps:g}."
-        warnings.warn(sentence, InputWarning, stacklevel=2)
+        warn(sentence)
     return simulated
 
 

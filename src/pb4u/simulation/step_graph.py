@@ -94,7 +94,6 @@ class StepGraph:
     def _replayed(self, known: _Graph, last: Tensor | None) -> Outputs | None:
         """Outputs of a replay; None where the graph is captured only now, or cannot be."""
         step = self._step
-        assert step.collider is not None
         assert step.pin_positions is not None
         assert step.skinned_motion is not None
         poses = (step.collider.previous, step.collider.now, step.collider.following)

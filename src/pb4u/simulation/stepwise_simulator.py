@@ -7,7 +7,7 @@ import time
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
 from typing import Any
 
@@ -39,20 +39,22 @@ from pb4u.simulation.timeline import Timeline
 from pb4u.threads import prefetch
 
 
+@dataclass(eq=False, kw_only=True)
 class StepwiseSimulator(Simulator):
     """Simulates a scene step by step.
 
-    Attributes:
-        first_frame: makes frame 0.
-        refine: solver iterations after each step at most, which is retried where they fail; 0 for none.
-        contact: answers what is left inside the body after each step.
-        potential: the energies, and whether cloth feels cloth.
+    Args:
+        refine: solver iterations after each step at most, which is retried where edges go through a limb after them, or
+            the cloth is stretched beyond measure and still falling; 0 for none.
+        contact: pushes out vertices left inside the body; none by default.
+        first_frame: makes frame 0; by default one long step of the method's own.
+        potential: the energies, and whether cloth feels cloth; the six terms by default.
     """
 
-    first_frame: FirstFrame
     refine: int = 0
-    contact: ContactResponse | None
-    potential: IncrementalPotential
+    contact: ContactResponse | None = None
+    first_frame: FirstFrame = field(default_factory=OneLongStep)
+    potential: IncrementalPotential = field(default_factory=IncrementalPotential)
 
     def settings(self) -> dict[str, Any]:
         return {
@@ -133,6 +135,7 @@ class StepwiseSimulator(Simulator):
             yield state
 
 
+@dataclass(eq=False)
 class SolverSimulator(StepwiseSimulator):
     """Solver of every frame (`--model solver`): minimises the incremental potential, then answers contact.
 
@@ -140,25 +143,14 @@ class SolverSimulator(StepwiseSimulator):
 
     Args:
         iterations: a fixed number of solver iterations an implicit step; None goes to the tolerance.
-        contact: pushes out vertices left inside the body; none by default.
         first_frame: makes frame 0; settled by default.
-        potential: the energies, and whether cloth feels cloth; the six terms by default.
         start: gives the positions (vertices, 3) [m] that a step starts from.
     """
 
     name = "solver"
-
-    def __init__(
-        self,
-        iterations: int | None = None,
-        contact: ContactResponse | None = None,
-        first_frame: FirstFrame | None = None,
-        potential: IncrementalPotential | None = None,
-        start: Callable[[TimeStep], Tensor] = free_flight,
-    ) -> None:
-        self.iterations, self.contact = iterations, contact
-        self.potential, self.start = potential or IncrementalPotential(), start
-        self.first_frame = first_frame or Settled()
+    iterations: int | None = None
+    first_frame: FirstFrame = field(default_factory=Settled, kw_only=True)
+    start: Callable[[TimeStep], Tensor] = free_flight
 
     def settings(self) -> dict[str, Any]:
         return {**super().settings(), "solver_iterations": self.iterations, "device": "cpu"}
@@ -172,14 +164,9 @@ class SolverSimulator(StepwiseSimulator):
         return StepMethod(refinement=refinement, contact=self.contact, self_contact=self.potential.self_contact)
 
 
+@dataclass(eq=False)
 class QuickSolver(StepwiseSimulator):
-    """A few solver iterations from where the body carries the garment (`--model quick-solver`).
-
-    Args:
-        refine: iterations after each step at most, which is retried where they fail.
-        contact: pushes out vertices left inside the body; none by default.
-        first_frame: makes frame 0; by default one long step of its own.
-        potential: the energies, and whether cloth feels cloth; the six terms by default.
+    """A few solver iterations from where the body carries the garment (`--model quick-solver`): `refine` of them.
 
     Raises:
         InputError: no iteration.
@@ -187,17 +174,11 @@ class QuickSolver(StepwiseSimulator):
 
     name = "quick-solver"
 
-    def __init__(
-        self,
-        refine: int,
-        contact: ContactResponse | None = None,
-        first_frame: FirstFrame | None = None,
-        potential: IncrementalPotential | None = None,
-    ) -> None:
-        if refine < 1:
-            raise InputError(f"The quick solver is nothing but iterations: it takes 1 or more a step, not {refine}.")
-        self.refine, self.contact = refine, contact
-        self.first_frame, self.potential = first_frame or OneLongStep(), potential or IncrementalPotential()
+    def __post_init__(self) -> None:
+        if self.refine < 1:
+            raise InputError(
+                f"The quick solver is nothing but iterations: it takes 1 or more a step, not {self.refine}."
+            )
 
     def settings(self) -> dict[str, Any]:
         return {**super().settings(), "refine": self.refine, "device": "cpu"}
@@ -216,14 +197,10 @@ class NetworkSimulator(StepwiseSimulator):
     Args:
         checkpoint: the trained model; it is never changed or moved, but copied to another device.
         propagation_steps: override of K; None follows the paper's rule.
-        refine: solver iterations after each step, which is retried where edges go through a limb after them, or the
-            cloth is stretched beyond measure and still falling; 0 for none.
-        contact: pushes out vertices left inside the body; none by default.
         device: device that the network computes on.
         passes: evaluations of the network in a step; None is its own number.
-        first_frame: makes frame 0; by default one long step of the method's own.
-        potential: the energies that the solver lowers, and whether cloth feels cloth; the six terms by default.
         precision: data type of the network's products.
+        common: arguments of every `StepwiseSimulator`.
 
     Raises:
         InputError: less than 1 pass, or more than 1 of a network that does not distinguish passes, and for a
@@ -234,19 +211,13 @@ class NetworkSimulator(StepwiseSimulator):
         self,
         checkpoint: Checkpoint,
         propagation_steps: int | None = None,
-        refine: int = 0,
-        contact: ContactResponse | None = None,
         device: torch.device | str = "cpu",
         passes: int | None = None,
-        first_frame: FirstFrame | None = None,
-        potential: IncrementalPotential | None = None,
         precision: torch.dtype = torch.float32,
+        **common: Any,
     ) -> None:
-        self.name = checkpoint.name
-        self.potential = potential or IncrementalPotential()
-        self.fps = 1.0 / checkpoint.record.dt
-        self.override, self.refine = propagation_steps, refine
-        self.contact, self.first_frame = contact, first_frame or OneLongStep()
+        super().__init__(**common)
+        self.name, self.fps, self.override = checkpoint.name, 1.0 / checkpoint.record.dt, propagation_steps
         self.device = torch.device(device)
         network = checkpoint.model.network
         if propagation_steps is not None and network.propagates:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.library import body_names, load_body
-from pb4u.errors import InputError, InputWarning
+from pb4u.errors import InputError, warn
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import build_garment
 from pb4u.garment.weight_cache import garment_weights
@@ -17,7 +16,7 @@ from pb4u.motion.library import load_motion, motion_names
 from pb4u.motion.motion import Motion
 from pb4u.progress import Progress, no_progress
 from pb4u.run import WornGarment
-from pb4u.scene.assembly import load_garment
+from pb4u.scene.loaded_garments import load_garment
 from pb4u.training.catalogue import RECORDINGS, SEEDS
 from pb4u.training.configuration import DataSelection
 from pb4u.training.packed_data import Outfit, PosedClip, TrainingData, rounded_poses
@@ -149,7 +148,7 @@ def _recorded(folder: Path) -> dict[str, list[Motion]]:
             f"catalogue, such as {first.split('_')[0]}/{first}.amc."
         )
     if missing and not others:
-        warnings.warn(f"{len(missing)} recordings of the catalogue are not in {folder}.", InputWarning, stacklevel=3)
+        warn(f"{len(missing)} recordings of the catalogue are not in {folder}.")
     return found
 
 

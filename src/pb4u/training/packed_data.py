@@ -14,7 +14,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence, Skeleton
 from pb4u.body.skinning import SkinningWeights
-from pb4u.errors import InputError
+from pb4u.errors import InputError, on_disk
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.io.array_archive import read_arrays
@@ -181,10 +181,8 @@ def _weight_arrays(prefix: str, weights: SkinningWeights) -> dict[str, np.ndarra
 def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
     content = io.BytesIO()
     np.savez_compressed(content, **arrays)  # type: ignore[arg-type]
-    try:
+    with on_disk(f"Cannot write {path}"):
         replace_file(path, content.getvalue())
-    except OSError as error:
-        raise InputError(f"Cannot write {path}: {error.strerror or error}.") from error
 
 
 def load_training_data(path: Path | str) -> TrainingData:

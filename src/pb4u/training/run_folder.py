@@ -13,23 +13,21 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from pb4u.errors import InputError
-from pb4u.io.atomic_file import replace_file
+from pb4u.errors import InputError, on_disk
+from pb4u.io.atomic_file import locked, replace_file
 from pb4u.io.reading_limits import parse_json, read_json, told_error
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
-LOCK = ".lock"
 LAST, BEST, FINAL, CURVE = "last.safetensors", "best.safetensors", "final.safetensors", "curve.png"
 
 
@@ -73,10 +71,8 @@ class RunFolder:
         """
         RunFolder.require_free(path)
         folder = RunFolder(Path(path))
-        try:
+        with on_disk(f"Cannot make the folder {path}"):
             folder.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"Cannot make the folder {path}: {error.strerror or error}.") from error
         folder.configure(configuration)
         return folder
 
@@ -86,26 +82,17 @@ class RunFolder:
             (self.path / CONFIGURATION).unlink()
             self.path.rmdir()
 
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
+    def held(self) -> AbstractContextManager:
         """Keep other processes from training in the folder.
 
         Raises:
             InputError: another process trains in it.
         """
-        lock = FileLock(self.path / LOCK)
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            raise InputError(
-                f"Another process is training in {self.path}; wait for it, or end it, before going on with --resume."
-            ) from None
-        except OSError as error:
-            raise InputError(f"Cannot use the folder {self.path}: {error.strerror or error}.") from error
-        try:
-            yield
-        finally:
-            lock.release()
+        with on_disk(f"Cannot use the folder {self.path}"):
+            return locked(
+                self.path,
+                f"Another process is training in {self.path}; wait for it, or end it, before going on with --resume.",
+            )
 
     @staticmethod
     def open(path: Path | str) -> RunFolder:
@@ -201,11 +188,9 @@ class RunFolder:
         Raises:
             NotSavedError: it cannot be written.
         """
-        try:
-            with open(self.path / METRICS, "a", encoding="utf-8") as out:
-                out.write(json.dumps(record) + "\n")
-        except OSError as error:
-            raise NotSavedError(f"Cannot write {self.path / METRICS}: {error.strerror or error}.") from error
+        file = self.path / METRICS
+        with on_disk(f"Cannot write {file}", NotSavedError), open(file, "a", encoding="utf-8") as out:
+            out.write(json.dumps(record) + "\n")
 
     def metrics(self) -> list[dict[str, Any]]:
         """Lines of the metrics, those cut short left out."""
@@ -237,7 +222,5 @@ class RunFolder:
     def _replace(self, name: str, content: bytes) -> None:
         """Write a file beside and move it into place: it is always the old one or the new one."""
         path = self.path / name
-        try:
+        with on_disk(f"Cannot write {path}", NotSavedError):
             replace_file(path, content)
-        except OSError as error:
-            raise NotSavedError(f"Cannot write {path}: {error.strerror or error}.") from error

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
 
-from pb4u.errors import InputError, unknown_name
+from pb4u.errors import InputError, refuse_unknown
 from pb4u.export.registry import WRITERS, export
 from pb4u.io.atomic_file import replace_file
 from pb4u.run import Run
@@ -145,8 +145,7 @@ def deliver(
         InputError: there is no such format or no frame yet, or the exporter refuses.
         MissingExtraError: the format needs an extra.
     """
-    if suffix not in WRITERS:
-        raise unknown_name("format", suffix, WRITERS)
+    refuse_unknown("format", [suffix], WRITERS)
     if not clip.frame_count:
         raise InputError("There is no frame to export yet.")
     stem = re.sub(r"[^A-Za-z0-9]+", "_", clip.label).strip("_") or "garment"

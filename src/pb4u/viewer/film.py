@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pb4u.errors import InputError, MissingExtraError, Pb4uError, unknown_name
+from pb4u.errors import InputError, MissingExtraError, Pb4uError, refuse_unknown
 from pb4u.export.picture import save_gif, save_mp4
 from pb4u.viewer.clip import Clip
 
@@ -48,8 +48,7 @@ class Film:
     """
 
     def __init__(self, suffix: str, frames: list[int], clip: Clip) -> None:
-        if suffix not in SUFFIXES:
-            raise unknown_name("format", suffix, SUFFIXES)
+        refuse_unknown("format", [suffix], SUFFIXES)
         if suffix == ".mp4" and find_spec("cv2") is None:
             raise MissingExtraError("render", "Writing MP4")
         if len(frames) > _MOST_FRAMES:

@@ -9,7 +9,7 @@ from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pb4u.errors import InputError, MissingExtraError
+from pb4u.errors import InputError, extra
 from pb4u.viewer.browser_window import BrowserWindow
 from pb4u.viewer.clip import Clip
 from pb4u.viewer.display import light
@@ -39,10 +39,8 @@ class Studio:
     def __init__(
         self, clips: tuple[Clip, ...] = (), host: str = "127.0.0.1", port: int = DEFAULT_PORT, out: Path | None = None
     ) -> None:
-        try:
+        with extra("view", "The studio"):
             import viser
-        except ImportError as error:
-            raise MissingExtraError("view", "The studio") from error
         if out is not None and not out.is_dir():
             raise InputError(f"The folder {out} does not exist; make it first.")
         check_port(host, port)

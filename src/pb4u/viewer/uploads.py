@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pb4u.body.library import file_suffixes as body_suffixes
-from pb4u.errors import InputError
+from pb4u.errors import InputError, on_disk
 from pb4u.geometry.mesh_file import READERS as MESH_READERS
 from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES
 
@@ -74,11 +74,9 @@ class Uploads:
         there = sum(path.stat().st_size for path in self._files.values() if path.is_file())
         refuse_large(name, len(content), there)
         path = self.folder / kind / plain
-        try:
+        with on_disk(f"{name} cannot be kept"):
             path.parent.mkdir(exist_ok=True)
             path.write_bytes(content)
-        except OSError as error:
-            raise InputError(f"{name} cannot be kept: {error.strerror or error}.") from error
         self._files[kind, plain] = path
         return plain
 

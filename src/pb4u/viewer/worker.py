@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-from pb4u.errors import InputWarning, Pb4uError
+from pb4u.errors import InputWarning, sentence_on
 
 
 class Worker(ABC):
@@ -97,12 +97,7 @@ def plain_sentence(error: BaseException) -> str:
     Args:
         error: the error.
     """
-    if isinstance(error, Pb4uError):
-        return " ".join(str(error).split())
-    if isinstance(error, MemoryError):
-        return "There is not enough memory for this; ask for fewer triangles or frames."
-    if isinstance(error, OSError):
-        where = f" ({error.filename})" if error.filename else ""
-        return f"{error.strerror or error}{where}."
+    if (sentence := sentence_on(error)) is not None:
+        return sentence
     traceback.print_exception(error, file=sys.stderr)
     return f"Something unforeseen went wrong ({type(error).__name__}); the terminal shows where. The page goes on."

@@ -94,7 +94,7 @@ class GraphBuilder:
     def build(
         self,
         state: State,
-        collider: ColliderFrame | None,
+        collider: ColliderFrame,
         dt: float,
         origins: Tensor | None = None,
         extra: Mapping[str, Tensor] | None = None,
@@ -104,7 +104,7 @@ class GraphBuilder:
 
         Args:
             state: packed garments at time t.
-            collider: bodies around t; None where there are none.
+            collider: bodies around t, if any.
             dt: time step [s].
             origins: (worlds, 3) subtracted from the positions of each world before they are rounded to the graph's
                 precision [m].
@@ -130,8 +130,7 @@ class GraphBuilder:
         }
         for name, found in ({} if self.finder is None else self.finder.found(seen)).items():
             edges[name] = self._found_edges(name, found, positions, velocities, duration)
-        if collider is not None:
-            self._add_body(nodes, edges, collider, positions, velocities, origins, duration)
+        self._add_body(nodes, edges, collider, positions, velocities, origins, duration)
         return Graph(nodes, edges, self.static.vertex_offsets, self.rest)
 
     def _localise(self, positions: Tensor, origin: Tensor | None) -> Tensor:

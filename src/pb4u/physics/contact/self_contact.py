@@ -7,7 +7,6 @@ Two promises: no step of any kind carries one element of cloth through another, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -218,25 +217,6 @@ class CollisionFree:
             obstacle: the moving bodies; None without.
         """
         return ClothPairs.along(garments, x, moves, before, self.reach, known, obstacle)
-
-    def free_start(self, garments: PackedGarments, x: Tensor) -> Tensor:
-        """Positions (vertices, 3) [m] near `x` from which a simulation may begin, pinned vertices in their places.
-
-        Args:
-            garments: static quantities.
-            x: (vertices, 3) [m].
-
-        Raises:
-            InputError: what crosses cannot be untangled.
-        """
-        # Garments stand above contact.
-        from pb4u.garment.tangles import untangled_start
-
-        positions, untangled = as_float64(x), []
-        for world, (first, stop) in enumerate(pairwise(garments.world_offsets)):
-            worn = [g for g, its in zip(garments.garments, garments.worlds, strict=True) if its == world]
-            untangled.append(untangled_start(worn, positions[first:stop]))
-        return torch.from_numpy(np.concatenate(untangled)).to(x)
 
     def collision_free_move(
         self,

@@ -1,0 +1,237 @@
+"""Files of bodies that are given as the vertices of each frame: .npz, .pkl, folders of meshes, point caches."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pb4u.body.vertex_sequence import DEFAULT_FPS, VertexSequence, refuse_large, require_usable, warn_of_oddities
+from pb4u.errors import InputError, on_disk
+from pb4u.geometry.mesh_file import read_mesh, read_with_trimesh
+from pb4u.geometry.obj_file import read_obj_vertices
+from pb4u.geometry.triangulation import triangulate
+from pb4u.io.array_archive import member_names, read_arrays
+from pb4u.io.atomic_file import replace_file
+from pb4u.io.restricted_pickle import load_pickle
+from pb4u.io.stored_numbers import Layout, read_members
+
+_MESH_SUFFIXES = (".obj", ".ply")
+_PC2_MAGIC = b"POINTCACHE2\0"
+_PC2_HEADER = struct.Struct("<12siiffi")
+_MDD_HEADER = struct.Struct(">ii")
+
+
+def write_vertex_sequence(
+    path: str | Path, vertices: np.ndarray, faces: np.ndarray, fps: float, contact: np.ndarray | None = None
+) -> None:
+    """Write an .npz that `load_vertex_sequence` reads.
+
+    Args:
+        path: the file.
+        vertices: (frames, vertices, 3) [m].
+        faces: (faces, 3).
+        fps: frames per second.
+        contact: (vertices,) bool, false where the body neither answers contact nor counts as penetrated; default none.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        positions=vertices.astype(np.float32),
+        faces=faces.astype(np.int64),
+        fps=np.float64(fps),
+        contact=np.ones(vertices.shape[1], dtype=bool) if contact is None else contact.astype(bool),
+    )
+    with on_disk(f"{path} cannot be written"):
+        replace_file(Path(path), buffer.getvalue())
+
+
+def load_vertex_sequence(path: str | Path, fps: float | None = None) -> VertexSequence:
+    """Read an .npz, a folder of OBJ or PLY files, or an OBJ with a .pc2 or .mdd point cache of the same name.
+
+    Warns where the body is not closed, leaps, or seems to be Z up.
+
+    Args:
+        path: the file or folder; of an OBJ and its cache, either.
+        fps: frames per second of the file, over what the file says; 30 where neither gives any.
+
+    Raises:
+        InputError: the file cannot be used.
+    """
+    path = Path(path)
+    contact: np.ndarray | None = None
+    file_fps: float | None = None
+    if path.is_dir():
+        vertices, faces = _read_folder(path)
+    elif path.suffix.lower() == ".pkl":
+        vertices, faces = _read_pickle(path)
+    elif path.suffix.lower() == ".npz":
+        vertices, faces, file_fps, contact = _read_npz(path)
+    elif path.suffix.lower() in SUFFIXES:
+        vertices, faces, file_fps = _read_mesh_and_cache(path)
+    else:
+        raise InputError(
+            f"{path}: a moving body is an .npz, a folder of OBJ or PLY files, or an OBJ with a {' or '.join(_CACHES)} "
+            "beside it."
+        )
+    vertices, faces = require_usable(path, vertices, faces)
+    stored_fps = next((rate for rate in (fps, file_fps) if rate is not None), DEFAULT_FPS)
+    sequence = VertexSequence(path.stem, vertices, faces, stored_fps, contact)
+    warn_of_oddities(path, sequence)
+    return sequence
+
+
+def surface_of(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (vertices, 3) float64, in the file's unit, and triangles (faces, 3) int64 of a mesh file.
+
+    Args:
+        path: the file.
+
+    Raises:
+        InputError: it cannot be read, or has too many triangles.
+    """
+    mesh = read_mesh(path, partial(refuse_large, path))
+    return mesh.vertices, np.concatenate(mesh.polygons)[triangulate(mesh.vertices, mesh.polygons)[0]]
+
+
+def _read_pickle(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (frames, vertices, 3) float32 and triangles (faces, 3) of a mesh sequence of the released code."""
+
+    def refuse(what: str) -> InputError:
+        return InputError(f"{path} is no moving body: {what}.")
+
+    layout: Layout = {"verts": ("f", ("frames", "vertices", 3)), "faces": ("iu", ("faces", 3))}
+    members, _ = read_members(load_pickle(path), layout, refuse)
+    refuse_large(path, len(members["faces"]))
+    return members["verts"].astype(np.float32), members["faces"].astype(np.int64)
+
+
+def _read_folder(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (frames, vertices, 3) float32 of the files of one topology in a folder, and its triangles (faces, 3)."""
+    files = [p for p in folder.iterdir() if p.suffix.lower() in _MESH_SUFFIXES and not p.name.startswith(".")]
+    if not files:
+        raise InputError(f"{folder} holds no .obj or .ply files; give a folder with one file per frame.")
+    if len({p.suffix.lower() for p in files}) > 1:
+        raise InputError(f"{folder} holds both .obj and .ply files; keep one kind per folder.")
+    files.sort(key=by_number)
+    first, faces = surface_of(files[0])
+    _, first_faces = _read_frame(files[0])
+    frames = np.empty((len(files), *first.shape), dtype=np.float32)
+    frames[0] = first
+    for index, path in enumerate(files[1:], 1):
+        vertices, own_faces = _read_frame(path)
+        if len(vertices) != len(first) or own_faces != first_faces:
+            same = len(vertices) == len(first)
+            difference = "other faces than" if same else f"{len(vertices)} vertices, not the number of"
+            raise InputError(
+                f"{path} has {difference} {files[0].name}: all frames need one topology, export them from one mesh."
+            )
+        frames[index] = vertices
+    return frames, faces
+
+
+def by_number(file: Path) -> list[object]:
+    """Order of numbered files: frame2 before frame10.
+
+    Args:
+        file: one of them.
+    """
+    return [int(word) if word.isdigit() else word for word in re.split(r"(\d+)", file.stem)]
+
+
+def _read_frame(path: Path) -> tuple[np.ndarray, bytes]:
+    """Vertices (vertices, 3), and what is equal between files with the same faces."""
+    if path.suffix.lower() == ".obj":
+        return read_obj_vertices(path)
+    mesh = read_with_trimesh(path)
+    return mesh.vertices, np.stack(mesh.polygons).tobytes()
+
+
+def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray, float | None, np.ndarray | None]:
+    keys = set(member_names(path))
+    prefix = "body_" if {"body_positions", "body_faces"} <= keys else ""
+    positions = next((key for key in (f"{prefix}positions", "vertices") if key in keys), "vertices")
+    faces, contact = f"{prefix}faces", f"{prefix}contact"
+
+    def refuse(what: str) -> InputError:
+        return InputError(f'{path} is no moving body: {what}; it needs "vertices" (frames, vertices, 3) and "faces".')
+
+    layout: Layout = {
+        positions: ("f", ("frames", "vertices", 3)),
+        faces: ("iu", ("faces", 3)),
+        "fps": ("fiu", ()),
+        contact: ("fiub", ("vertices",)),
+    }
+    members, _ = read_members(read_arrays(path, layout), layout, refuse, ("fps", contact))
+    surface = members[positions].astype(np.float32, copy=False), members[faces].astype(np.int64, copy=False)
+    fps = float(members["fps"]) if "fps" in members else None
+    return *surface, fps, members[contact].astype(bool) if contact in members else None
+
+
+def _read_mesh_and_cache(path: Path) -> tuple[np.ndarray, np.ndarray, float | None]:
+    beside = {p.suffix.lower(): p for p in sorted(path.parent.glob("*")) if p.stem == path.stem and p.is_file()}
+    if path.suffix.lower() in _CACHES:
+        surface, cache = beside.get(".obj"), path
+        if surface is None:
+            raise InputError(f"{path}: a point cache has no faces; put the mesh beside it as {path.stem}.obj.")
+    else:
+        surface, cache = path, next((beside[suffix] for suffix in _CACHES if suffix in beside), path)
+    vertices, faces = surface_of(surface)
+    if cache == surface:
+        return vertices[None].astype(np.float32), faces, None
+    positions, fps = _CACHES[cache.suffix.lower()](cache)
+    if positions.shape[1] != len(vertices):
+        raise InputError(
+            f"{cache} moves {positions.shape[1]} points and {surface.name} has {len(vertices)} vertices; "
+            "export both from one mesh."
+        )
+    return positions, faces, fps
+
+
+def _read_pc2(path: Path) -> tuple[np.ndarray, float | None]:
+    """Positions (frames, points, 3) float32, mapped from the file, and frames per second where it states them."""
+    with path.open("rb") as file:
+        header = file.read(_PC2_HEADER.size)
+    if len(header) < _PC2_HEADER.size or not header.startswith(_PC2_MAGIC):
+        raise InputError(f'{path}: not a PC2 point cache, it does not begin with "POINTCACHE2"; export it again.')
+    _, _, points, _, _, frames = _PC2_HEADER.unpack(header)
+    # Its sample rate counts samples per frame of a scene whose frame rate the file does not hold.
+    return _map_points(path, _PC2_HEADER.size, frames, points, "<f4"), None
+
+
+def _read_mdd(path: Path) -> tuple[np.ndarray, float | None]:
+    with path.open("rb") as file:
+        header = file.read(_MDD_HEADER.size)
+        if len(header) < _MDD_HEADER.size:
+            raise InputError(f"{path}: not an MDD point cache, it ends in its header; export it again.")
+        frames, points = _MDD_HEADER.unpack(header)
+    positions = _map_points(path, _MDD_HEADER.size + 4 * max(frames, 0), frames, points, ">f4")
+    times = np.memmap(path, dtype=">f4", mode="r", offset=_MDD_HEADER.size, shape=(frames,))
+    duration = float(times[-1] - times[0])
+    return positions, (frames - 1) / duration if duration > 0 else None
+
+
+def _map_points(path: Path, offset: int, frames: int, points: int, dtype: str) -> np.ndarray:
+    if frames < 1 or points < 1:
+        raise InputError(f"{path} holds {frames} frames of {points} points; export it again.")
+    needed, size = offset + 12 * frames * points, path.stat().st_size
+    if size < needed:
+        raise InputError(
+            f"{path} is cut short: {frames} frames of {points} points need {needed} bytes and it has {size}; "
+            "export or copy it again."
+        )
+    return np.memmap(path, dtype=dtype, mode="r", offset=offset, shape=(frames, points, 3))
+
+
+_CACHES = {".pc2": _read_pc2, ".mdd": _read_mdd}
+"""Readers of positions (frames, points, 3) [m] and frames per second, None where the file has none; an OBJ has the
+faces."""
+
+SUFFIXES = (*_MESH_SUFFIXES, *_CACHES)

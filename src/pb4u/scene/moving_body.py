@@ -1,0 +1,186 @@
+"""The body of a run in motion: loaded, led into what it performs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING
+
+from pb4u.body.animated_body import AnimatedBody
+from pb4u.body.body_model import ShapedBody
+from pb4u.body.character import Character, PosedCharacter
+from pb4u.body.library import load_body
+from pb4u.body.smpl import read_contact
+from pb4u.body.vertex_sequence import VertexSequence
+from pb4u.errors import InputError, warn
+from pb4u.motion.character_lead_in import character_lead_in
+from pb4u.motion.lead_in import lead_in as prepend_lead_in
+from pb4u.motion.library import load_motion
+from pb4u.motion.motion import Motion
+from pb4u.motion.steadying import CUTOFF
+from pb4u.run import Run
+
+if TYPE_CHECKING:
+    from pb4u.compat.recording_as_released import RecordingAsItIs
+
+DEFAULT_FRAMES = 60
+"""Frames written of a motion without end by default: two seconds at 30 frames per second."""
+
+DEFAULT_MOTION = "walk"
+
+
+@dataclass(frozen=True, eq=False)
+class Performance:
+    """A body in motion.
+
+    Args:
+        body: the moving body, lead-in included.
+        frames: frames that are there to write.
+        motion: name of what it performs.
+        notes: plain sentences on what was changed or ignored.
+    """
+
+    body: AnimatedBody
+    frames: int
+    motion: str
+    notes: tuple[str, ...] = ()
+
+
+def perform(run: Run) -> tuple[ShapedBody | VertexSequence, Performance]:
+    """The body of a run as garments are fitted to it, and in motion; warns of what does not fit.
+
+    Args:
+        run: says which body, in what shape, and what it performs.
+
+    Raises:
+        InputError: body or motion cannot be used, or not together.
+    """
+    recording = _recording(run) if run.as_recorded else None
+    body = _load_body(run, recording)
+    if not isinstance(body, ShapedBody):
+        return body, _play(body, run)
+    return body, _perform(body, run) if recording is None else _replay(body, recording, run)
+
+
+def _recording(run: Run) -> RecordingAsItIs:
+    motion = run.motion
+    if not isinstance(motion, str | Path) or not Path(motion).suffix:
+        raise InputError("To play a recording as recorded, give its file as the motion: a .pkl or .npz of SMPL.")
+    kind: type[RecordingAsItIs] = resolve_name("pb4u.compat.recording_as_released:RecordingAsItIs")
+    return kind(Path(motion), run.crop, run.arms_away)
+
+
+def _load_body(run: Run, recording: RecordingAsItIs | None) -> ShapedBody | VertexSequence:
+    body = _shaped_body(run, {} if recording is None else recording.shape)
+    if run.omitted is None:
+        return body
+    return body.with_contact(read_contact(Path(run.omitted), len(body.contact)))
+
+
+def _shaped_body(run: Run, shape: Mapping[str, float]) -> ShapedBody | VertexSequence:
+    """The body with the `shape` that its recording says, and over it that of the run."""
+    body = run.body
+    if shape and not (isinstance(body, str | Path) and Path(body).suffix):
+        raise InputError(
+            f"A recording is played as recorded on an SMPL body, given as a model file; {body} has another skeleton."
+        )
+    if isinstance(body, str | Path):
+        parts = None if run.body_parts is None else [part.strip() for part in run.body_parts.split(",")]
+        return load_body(body, {**shape, **run.body_shape}, clip=run.clip, parts=parts)
+    if not isinstance(body, ShapedBody | VertexSequence):
+        raise InputError("A moving body must be a shaped body or a vertex sequence.")
+    if run.body_shape:
+        raise InputError(f"{body.name} is a body already loaded, with its shape; give body_shape to load_body instead.")
+    return body
+
+
+def _perform(body: ShapedBody, run: Run) -> Performance:
+    """A body with bones performs a motion; a character its own clip, where no motion is given."""
+    if isinstance(body, Character):
+        for note in body.notes:
+            warn(note)
+        if run.motion is None and (body.clip is not None or not body.is_human):
+            return _perform_clip(body, run)
+        if not body.is_human:
+            raise InputError(
+                f"{body.name} performs its own clips alone: its bones are not a human's; leave out --motion."
+            )
+    if isinstance(body, Character) and run.clip is not None:
+        raise InputError(f"{body.name} performs either its clip {run.clip} or --motion; leave one out.")
+    clip, name = _load_motion(run)
+    frames = _frames(run, name, clip.available_frames(run.fps))
+    poses, more = clip.perform(body, run.fps, frames)
+    notes = (*clip.notes, *more)
+    for note in notes:
+        warn(note)
+    return Performance(body.posed(prepend_lead_in(poses, body, run.lead_in)), frames, name, notes)
+
+
+def _perform_clip(body: Character, run: Run) -> Performance:
+    """A character performs its own clip; one that has none stands."""
+    _refuse_changes(run, f"{body.name} performs its own clip", "change the clip in its file")
+    name = "stand" if body.clip is None else body.clip.name
+    if run.clip is None and len(body.clip_names) > 1:
+        warn(f"{body.name} performs {name}, the first of its clips {', '.join(body.clip_names[:10])}; --clip chooses.")
+    available = run.frames or DEFAULT_FRAMES if body.clip is None else body.available_frames(run.fps)
+    poses = character_lead_in(body, body.clip_poses(run.fps, available), run.fps, run.lead_in)
+    return Performance(PosedCharacter(body, poses, run.fps), _frames(run, name, available), name, body.notes)
+
+
+def _replay(body: ShapedBody, recording: RecordingAsItIs, run: Run) -> Performance:
+    """A body with bones plays its recording, nothing changed."""
+    poses = recording.led_in(body, run.fps, run.lead_in)
+    frames = _frames(run, recording.name, recording.available_frames(run.fps))
+    return Performance(body.posed(poses), frames, str(run.motion))
+
+
+def _load_motion(run: Run) -> tuple[Motion, str]:
+    motion = DEFAULT_MOTION if run.motion is None else run.motion
+    if isinstance(motion, str | Path):
+        away, seed = run.arms_away, run.seed
+        clip = load_motion(
+            motion, run.crop, seed=seed, arms_away_degrees=away, raw=run.raw_motion, recorded_fps=run.recorded_fps
+        )
+        return clip, str(motion)
+    if not isinstance(motion, Motion):
+        raise InputError(f"The motion must be a name, a path or a Motion, not {motion!r}.")
+    _refuse_changes(run, f"{motion.name} is a motion already loaded", "give it to load_motion")
+    return motion, motion.name
+
+
+def _play(body: VertexSequence, run: Run) -> Performance:
+    """A sequence moves by itself; it starts in the pose that garments are fitted to: neither cut nor posed."""
+    motion, by_itself = run.motion, f"{body.name} is a sequence of vertices that moves by itself"
+    _refuse_changes(run, by_itself, "change the sequence where it comes from")
+    if motion is not None:
+        ignored = motion if isinstance(motion, str | Path) else motion.name
+        warn(f"{by_itself}; the motion {ignored} is not used.")
+    if body.from_video and not run.raw_motion:
+        warn(
+            f"{body.name}: from a video, so what is faster than {CUTOFF:g} Hz is smoothed out; --raw-motion leaves it."
+        )
+        body = body.smoothed(CUTOFF)
+    # A body that never moves has no end: it stands for as long as wanted.
+    standing = (run.frames or DEFAULT_FRAMES) - 1 if body.frame_count == 1 else 0
+    held = body.resampled(run.fps).with_held_start(run.lead_in + standing)
+    return Performance(held, _frames(run, body.name, held.frame_count - run.lead_in), body.name)
+
+
+def _refuse_changes(run: Run, why: str, mend: str) -> None:
+    """Refuse options that change a motion where none is loaded from a file."""
+    for option in ("crop", "arms_away"):
+        if getattr(run, option) is not None:
+            raise InputError(f"{why}, so --{option.replace('_', '-')} cannot be applied; {mend}.")
+
+
+def _frames(run: Run, name: str, available: int | None) -> int:
+    """Frames to write; warns where there are fewer than wanted."""
+    if run.frames is None:
+        return available or DEFAULT_FRAMES
+    if available is not None and run.frames > available:
+        there = f"{run.frames} are wanted, {available} are there"
+        warn(f"{name} ends after {available} frames at {run.fps:g} fps; {there}.")
+        return available
+    return run.frames
