@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +18,7 @@ from pb4u.cli.console import (
     keep_inputs,
     write_json,
 )
-from pb4u.errors import InputError, Pb4uError, unknown_name, warn
+from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name, warn
 from pb4u.io.atomic_file import check_writable
 
 
