@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -177,7 +178,7 @@ class PackedGarments:
             dtype: of floating arrays; None keeps theirs.
         """
         own = {each.name: getattr(self, each.name) for each in fields(self)}
-        moved = {
+        moved: dict[str, Any] = {
             name: value.to(device, dtype if value.is_floating_point() else None)
             for name, value in own.items()
             if isinstance(value, Tensor)
