@@ -31,7 +31,7 @@ from tests.readable_network import readable_accelerations
 
 from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.paper.network_presets import network_preset
-from pb4u.scene.packed import ColliderFrame, pack_colliders
+from pb4u.scene.colliders import ColliderFrame, pack_colliders
 
 Shapes = Counter[tuple[int, int, int]]
 

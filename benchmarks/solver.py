@@ -32,7 +32,8 @@ from pb4u.motion.library import load_motion
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.solver.newton_solver import Iteration, Solver
 from pb4u.scene.assembly import make_scene
-from pb4u.scene.packed import PackedGarments, pack, pack_colliders
+from pb4u.scene.colliders import pack_colliders
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory

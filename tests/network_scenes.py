@@ -12,7 +12,8 @@ from torch import Tensor
 from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
-from pb4u.scene.packed import ColliderFrame, PackedColliders, PackedGarments, pack, pack_colliders
+from pb4u.scene.colliders import ColliderFrame, PackedColliders, pack_colliders
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.state import State
 
 COTTON = Material(density=0.20022, lame_mu=23600.0, lame_lambda=44400.0, bending=3.962e-5)

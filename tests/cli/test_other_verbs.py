@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from tests.body.characters import write_doll
 from tests.garment.cloth_shapes import saved, triangle_tube
 
@@ -237,6 +238,15 @@ def test_check_says_that_it_leaves_the_triangles_of_a_file(pb4u: Callable, tmp_p
     file = saved(tmp_path, triangle_tube(low=0.6, high=1.0, radius=0.22))
     assert "warning: --triangles is for a built-in garment" in pb4u("check", file, "--triangles", 500).err
     assert "--triangles" not in pb4u("check", "tshirt", "--triangles", 500).err
+
+
+def test_check_says_once_that_a_body_is_open(pb4u: Callable, tmp_path: Path) -> None:
+    cap = trimesh.creation.capsule(1.0, 0.2)
+    vertices = cap.vertices[:, [0, 2, 1]] * [1.0, 1.0, -1.0] + [0.0, 0.2, 0.0]
+    write_vertex_sequence(tmp_path / "open.npz", vertices[None], cap.faces[:-9], 30.0)
+    file = saved(tmp_path, triangle_tube(low=0.6, high=1.0, radius=0.22))
+    ended = pb4u("check", file, "--body", tmp_path / "open.npz")
+    assert (ended.out + ended.err).count("penetration is not reported") == 1
 
 
 def test_a_built_in_garment_is_not_mended(pb4u: Callable, tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ from tests.physics.shapes import capsule, colliders, packed, sheet
 
 from pb4u.collision.rooms import Rooms
 from pb4u.physics.contact.contact_set import ContactPlanes, nearest_planes
-from pb4u.scene.packed import PackedColliders, PackedGarments
+from pb4u.scene.colliders import PackedColliders
+from pb4u.scene.packed import PackedGarments
 
 CPU = torch.device("cpu")
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pb4u.compat.first_frames import CLEARANCE, MovingStart, SkinnedStart, StandingStart, pushed_out
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import pack_colliders
+from pb4u.scene.colliders import pack_colliders
 from pb4u.simulation.step import StepMethod
 from pb4u.simulation.timeline import SETTLING_DT, Timeline
 

@@ -25,7 +25,8 @@ from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation import RELEASED_PROPAGATION
 from pb4u.network.update_scaling import MeanScaling
 from pb4u.paper.network_presets import pb4u_paper
-from pb4u.scene.packed import ColliderFrame, pack, pack_colliders
+from pb4u.scene.colliders import ColliderFrame, pack_colliders
+from pb4u.scene.packed import pack
 from pb4u.scene.state import State
 
 GOLDEN = Path(__file__).with_name("golden_network.json")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from tests.laws.test_self_contact import OneMethod, methods
 from tests.simulation.ball_scene import sheet
 
@@ -155,11 +155,12 @@ def test_a_move_goes_past_a_body_that_moves_the_other_way() -> None:
     near=st.sampled_from([1.2e-4, 3e-3]),
     seed=st.integers(0, 10**6),
 )
+@example(wish=1e-3, motion="swells", near=1.2e-4, seed=23)
 @settings(max_examples=12, deadline=None)
 def test_no_move_crosses_a_moving_body_but_where_it_is_let_through(
     wish: float, motion: str, near: float, seed: int
 ) -> None:
-    """From beside a ball to anywhere, while the ball moves; from a few millimetres nothing is let through."""
+    """From beside a ball to anywhere, while the ball moves; where there is room nothing is let through."""
     timeline = Timeline.of(scene_of("ball slides beneath", height=0.6 + near))
     garments, x, rng = timeline.garments, timeline.skinned(0), np.random.default_rng(seed)
     obstacle = Obstacle.at(garments, timeline.pose(0), x)
@@ -182,7 +183,7 @@ def test_no_move_crosses_a_moving_body_but_where_it_is_let_through(
     through = crossings(reached.numpy(), faces, after, skin)
     assert ended.passed[faces[through[:, 0]]].any(axis=1).all()
     assert not len(self_crossings(reached.numpy(), faces))
-    if motion != "leaps" and wish <= 1e-3 and near > 1e-3:
+    if motion != "leaps" and wish <= 1e-3:
         assert not ended.passed.any()
 
 
@@ -226,11 +227,11 @@ def test_where_one_move_finds_no_room_smaller_ones_are_made(monkeypatch: pytest.
     assert obstacle is not None
     in_one, starts = collision_free._in_one_move, []
 
-    def found(tree, before, wanted, masses, known, passed, began):
+    def found(tree, before, wanted, masses, known, passed, began, impulses):
         starts.append(began)
         if np.abs(wanted - before).max() > 0.03:
             return wanted, np.ones(len(before), dtype=bool)
-        return in_one(tree, before, wanted, masses, known, passed, began)
+        return in_one(tree, before, wanted, masses, known, passed, began, impulses)
 
     monkeypatch.setattr(collision_free, "_in_one_move", found)
     reached, after = FELT.self_contact.collision_free_move(timeline.garments, x, x.clone(), obstacle=obstacle)

@@ -11,7 +11,7 @@ from tests.physics.shapes import capsule, collider, colliders, packed, sheet
 from pb4u.collision.nearest_points import Found
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.physics.contact.contact_set import CONTACT_REACH, nearest_planes
-from pb4u.scene.packed import ColliderPose
+from pb4u.scene.colliders import ColliderPose
 
 FRAMES, LOOKS = 6, 8
 

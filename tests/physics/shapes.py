@@ -12,7 +12,8 @@ from pb4u.garment.garment import Garment
 from pb4u.garment.material import Material
 from pb4u.physics.incremental_potential import IncrementalPotential, StepPotential
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import ColliderFrame, PackedGarments, pack, pack_colliders
+from pb4u.scene.colliders import ColliderFrame, pack_colliders
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 

@@ -16,7 +16,8 @@ from pb4u.network.graph.graph import BODY, GARMENT, Graph
 from pb4u.network.graph.incidence import incidence
 from pb4u.network.graph.pins import SeenGarments
 from pb4u.physics.time_step import TimeStep, integrate
-from pb4u.scene.packed import ColliderFrame, PackedColliders, pack, pack_colliders
+from pb4u.scene.colliders import ColliderFrame, PackedColliders, pack_colliders
+from pb4u.scene.packed import pack
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint
 from pb4u.simulation.network_pass import NetworkPass

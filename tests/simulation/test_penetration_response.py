@@ -11,7 +11,8 @@ import torch
 from tests.physics.shapes import DT, at_rest, capsule, collider, colliders, packed, sheet, time_step
 
 from pb4u.physics.contact.contact_set import nearest_planes
-from pb4u.scene.packed import ColliderFrame, PackedGarments
+from pb4u.scene.colliders import ColliderFrame
+from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 from pb4u.simulation.penetration_response import ContactResponse
 

@@ -15,7 +15,8 @@ from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.paper.network_presets import network_preset
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
-from pb4u.scene.packed import ColliderFrame, pack, pack_colliders
+from pb4u.scene.colliders import ColliderFrame, pack_colliders
+from pb4u.scene.packed import pack
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.step import StepMethod, take

@@ -92,6 +92,22 @@ def load_body(
     return body
 
 
+def load_boned_body(name_or_path: str | Path, shape: Mapping[str, float] | None = None) -> ShapedBody:
+    """A body with bones; arguments as of `load_body`.
+
+    Args:
+        name_or_path: name, or path of a file.
+        shape: shape parameters by name.
+
+    Raises:
+        InputError: it has none, or as `load_body` does.
+    """
+    body = load_body(name_or_path, shape)
+    if not isinstance(body, ShapedBody):
+        raise InputError(f"{name_or_path} is a sequence of vertices; this needs a body with bones.")
+    return body
+
+
 def read_pickled_body(path: Path) -> BodyModel | VertexSequence:
     """A body in a pickle, of which nothing is run: a sequence of vertices where it has them, else an SMPL model.
 

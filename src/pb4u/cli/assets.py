@@ -126,8 +126,7 @@ def write(
     Raises:
         InputError: there is no such asset, or the file cannot be written or has the wrong suffix for its kind.
     """
-    from pb4u.body.body_model import ShapedBody
-    from pb4u.body.library import body_names, load_body
+    from pb4u.body.library import body_names, load_boned_body
     from pb4u.garment.library import build_garment, garment_names
     from pb4u.garment.material import MATERIALS
     from pb4u.motion.library import load_motion, motion_names
@@ -150,10 +149,7 @@ def write(
         return
     if frames < 1 or not 1.0 <= fps <= 1000.0:
         raise InputError(f"A motion has 1 frame or more at 1 to 1000 per second, not {frames} at {fps:g}.")
-    figure = load_body(name if is_file or name in body_names() else body, BodyShape.of(body_shape))
-    if not isinstance(figure, ShapedBody):
-        given = name if is_file else body
-        raise InputError(f"{given} is a sequence of vertices; this needs a body with bones.")
+    figure = load_boned_body(name if is_file or name in body_names() else body, BodyShape.of(body_shape))
     if name in motion_names():
         from pb4u.body.sequence_files import write_vertex_sequence
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +18,7 @@ from pb4u.cli.console import (
     keep_inputs,
     write_json,
 )
-from pb4u.errors import InputError, Pb4uError, unknown_name, warn
+from pb4u.errors import InputError, InputWarning, Pb4uError, unknown_name, warn
 from pb4u.io.atomic_file import check_writable
 
 
@@ -86,7 +87,10 @@ def check(
             "--triangles is for a built-in garment and is not used here; what a file holds is checked as it is, and "
             "`pb4u simulate --triangles` remeshes it.",
         )
-    figure = load_body(body, BodyShape.of(body_shape))
+    with warnings.catch_warnings():
+        if names:  # a finding of each garment says so
+            warnings.filterwarnings("ignore", ".*the body is not closed", InputWarning)
+        figure = load_body(body, BodyShape.of(body_shape))
     report: dict[str, Any] = {}
     refused = False
     if len(names) > 1:

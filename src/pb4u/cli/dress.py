@@ -59,15 +59,12 @@ def dress(
             raise InputError(f"--out writes {', '.join(_KINDS)}; {file} ends otherwise.")
         check_writable(file, "--out")
 
-    from pb4u.body.body_model import ShapedBody
-    from pb4u.body.library import load_body
+    from pb4u.body.library import load_boned_body
     from pb4u.garment.material import load_material
     from pb4u.pattern.dressing import dress as dressed_on
     from pb4u.pattern.files import read_pattern, write_worn
 
-    figure, sewn = load_body(body, BodyShape.of(body_shape)), read_pattern(pattern)
-    if not isinstance(figure, ShapedBody):
-        raise InputError(f"A pattern is dressed on a body with bones; {body} is a sequence of vertices.")
+    figure, sewn = load_boned_body(body, BodyShape.of(body_shape)), read_pattern(pattern)
     began = time.perf_counter()
     dressed = dressed_on(sewn, figure, triangles, load_material(material))
     seconds = time.perf_counter() - began

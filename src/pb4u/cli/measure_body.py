@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from pb4u.cli.console import BodyShape, ShapeFlag, keep_inputs, say
-from pb4u.errors import InputError
 from pb4u.io.atomic_file import check_writable
 
 
@@ -27,13 +26,10 @@ def measure_body(
     keep_inputs([body], [("--out", out)])
     check_writable(out, "--out")
 
-    from pb4u.body.body_model import ShapedBody
-    from pb4u.body.library import load_body
+    from pb4u.body.library import load_boned_body
     from pb4u.io.atomic_file import replace_file
     from pb4u.pattern.body_measurements import measurements_yaml
 
-    figure = load_body(body, BodyShape.of(body_shape))
-    if not isinstance(figure, ShapedBody):
-        raise InputError(f"A body is measured by its bones, and {body} is a sequence of vertices.")
+    figure = load_boned_body(body, BodyShape.of(body_shape))
     replace_file(out, measurements_yaml(figure).encode())
     say(f"Wrote {out}, 26 measures of {figure.name}.")

@@ -29,8 +29,15 @@ lies at the smallest gap on skin that bends could not move, so that skin was let
 _OFF_OBSTACLES = 2.0 * SMALLEST_GAP
 """Distance [m] from obstacles to which impulses lead what met them: the next move begins with room."""
 
+_PAST_OBSTACLES = 1.5
+"""Most speed, over that of the fastest of its world, to which an obstacle brings what it meets: cloth that also goes
+aside, or that is met at one end of an edge, cannot keep clear of what pushes it at that speed alone."""
+
 _IMPULSES = 12
 """Rounds of impulses: a stack of layers passes one on from layer to layer."""
+
+_MORE_IMPULSES = 100
+"""The same where obstacles found no room in those: cloth that an arm closes on the trunk settles slowly."""
 
 _LEAST_RESPONSE = 0.1
 """Share of the response of a pair of free elements below which an impulse is not made larger for it: where nearly all
@@ -80,8 +87,9 @@ def past_obstacles(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions near `wanted` that `before` reaches without an element passing through another; obstacles go first.
 
-    Where obstacles leave no room in one move they go in several, each on from where the last turned the surface aside.
-    If that leaves no room either, they are let through the elements that they meet last.
+    Where obstacles leave no room in one move, though more impulses are given, they go in several, each on from where
+    the last turned the surface aside. If that leaves no room either, they are let through the elements that they meet
+    last.
 
     Args:
         tree: of the surface, its obstacles last.
@@ -96,16 +104,18 @@ def past_obstacles(
         passed through by then.
     """
     passed = np.zeros(len(before), dtype=bool) if passed is None else passed
-    reached, through = _in_one_move(tree, before, wanted, masses, known, passed, before)
-    if through.sum() == passed.sum():
-        return reached, through
+    found = []
+    for impulses in (_IMPULSES, _MORE_IMPULSES):
+        found.append(_in_one_move(tree, before, wanted, masses, known, passed, before, impulses))
+        if found[-1][1].sum() == passed.sum():
+            return found[-1]
     x, still, aside = before, passed, np.zeros_like(before)
     for part in range(1, _PARTS + 1):
         way = wanted + (part / _PARTS - 1.0) * (wanted - before)
         # Gaps are those of the whole move: what is nearer than a gap has no finite energy.
-        x, still = _in_one_move(tree, x, way + aside, masses, None, still, before)
+        x, still = _in_one_move(tree, x, way + aside, masses, None, still, before, _IMPULSES)
         aside = x - way
-    return (x, still) if still.sum() < through.sum() else (reached, through)
+    return min(*found, (x, still), key=lambda each: each[1].sum())
 
 
 def _in_one_move(
@@ -116,8 +126,12 @@ def _in_one_move(
     known: tuple[ElementPairs, np.ndarray] | None,
     passed: np.ndarray,
     began: np.ndarray,
+    impulses: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same in one linear move; pairs keep the gaps (pairs,) [m] that they have where they `began` (vertices, 3)."""
+    """The same in one linear move; pairs keep the gaps (pairs,) [m] that they have where they `began` (vertices, 3).
+
+    What touches still after so many rounds of `impulses` moves together.
+    """
     moves = wanted - before
     if not moves.any():
         return wanted, passed
@@ -131,7 +145,7 @@ def _in_one_move(
     np.maximum.at(fastest, tree.vertex_world, (moves**2).sum(axis=1))
     firm = slice(tree.first_obstacle, None)
     closing, looked_up = moves[firm].any(), moves.copy()
-    for attempt in range(_IMPULSES + _ZONES):
+    for attempt in range(impulses + _ZONES):
         if (shares >= 1.0).all():
             # Changed moves may meet others than the first ones did.
             pairs, gaps = _met(tree, before, moves, passed, began, pairs, _differ(moves, looked_up))
@@ -140,14 +154,14 @@ def _in_one_move(
             if (shares >= 1.0).all():
                 return before + moves, passed
         touching, previous = shares < 1.0, moves.copy()
-        if attempt >= _IMPULSES + _ZONES_WITH_OBSTACLES and closing:
+        if attempt >= impulses + _ZONES_WITH_OBSTACLES and closing:
             # Nor does it help to go with them: there is no room. Beside what stands still there always is.
             passed = passed | _met_by_obstacles(pairs.corners[touching], tree.first_obstacle, len(moves))
             kept = ~through_obstacle(pairs.corners, tree.first_obstacle, passed)
             pairs, gaps, shares = pairs.chosen(kept), gaps[kept], shares[kept]
             touching = shares < 1.0
         hit = pairs.chosen(touching)
-        if attempt < _IMPULSES:
+        if attempt < impulses:
             stopped = (gaps[touching], shares[touching])
             limits = (tree.first_obstacle, fastest)
             _impulses(before, moves, hit.corners, hit.vertex_faces, *stopped, inverse, tree.vertex_world, *limits)
@@ -274,7 +288,7 @@ def _impulses(
     What meets an obstacle is led to twice the smallest gap from it.
 
     The impulse acts along the line between the nearest points where the pair was stopped, and makes no vertex faster
-    than the `fastest` (worlds,) [m^2] of its world was.
+    than it was and the `fastest` (worlds,) [m^2] of its world, or `_PAST_OBSTACLES` times that.
     """
     points, weights, between = np.empty((4, 3)), np.empty(4), np.empty(3)
     for pair in np.argsort(shares):
@@ -295,8 +309,9 @@ def _impulses(
                 approach += weights[corner] * between[axis] * moves[ids[corner], axis] / distance
         approach *= 1.0 - shares[pair]
         room = 0.5 * (distance - gaps[pair])
+        faster = 1.0
         if ids.max() >= first_obstacle:
-            room = min(room, distance - _OFF_OBSTACLES)
+            room, faster = min(room, distance - _OFF_OBSTACLES), _PAST_OBSTACLES**2
         excess = -approach - room
         if excess <= 0.0 or response <= 0.0:
             continue
@@ -305,10 +320,11 @@ def _impulses(
             factor, move = inverse[ids[corner]] * weights[corner] * excess / (response * distance), moves[ids[corner]]
             if factor == 0.0:
                 continue
+            speed = move[0] ** 2 + move[1] ** 2 + move[2] ** 2
+            limit = max(faster * fastest[world[ids[corner]]], speed)
             for axis in range(3):
                 move[axis] += factor * between[axis]
             speed = move[0] ** 2 + move[1] ** 2 + move[2] ** 2
-            limit = fastest[world[ids[corner]]]
             if speed > limit:
                 for axis in range(3):
                     move[axis] *= np.sqrt(limit / speed)

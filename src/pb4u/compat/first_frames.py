@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from pb4u.scene.packed import ColliderFrame, ColliderPose
+from pb4u.scene.colliders import ColliderFrame, ColliderPose
 from pb4u.scene.state import State
 from pb4u.simulation.first_frame import FirstFrame, untangled
 from pb4u.simulation.step import StepMethod, take

@@ -182,7 +182,8 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     findings = []
     if misfit > 0.6 * _WORST_MISFIT:  # well under it there is nothing to look for
         findings = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
-    findings += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
+    if rest.is_closed:  # of one that is not, who loaded it was warned
+        findings += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
     if support is not None:
         source = garment.source
         names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]

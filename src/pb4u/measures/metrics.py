@@ -25,7 +25,8 @@ from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep
 from pb4u.progress import Progress, no_progress
-from pb4u.scene.packed import ColliderFrame, PackedGarments, pack, pack_colliders
+from pb4u.scene.colliders import ColliderFrame, pack_colliders
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader

@@ -12,7 +12,8 @@ from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.terms.energy_term import EnergyTerm, dot, sum_by_garment
 from pb4u.physics.terms.friction import SLIDING_DOWN, slip_across
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import ColliderPose, PackedGarments
+from pb4u.scene.colliders import ColliderPose
+from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY
 
 

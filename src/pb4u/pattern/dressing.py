@@ -39,7 +39,8 @@ from pb4u.physics.solver.implicit_steps import implicit_steps
 from pb4u.physics.solver.newton_solver import Solver
 from pb4u.physics.terms.collision import Collision
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments, pack, pack_colliders
+from pb4u.scene.colliders import ColliderFrame, ColliderPose, pack_colliders
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 from pb4u.scene.state import State
 from pb4u.threads import one_torch_thread

@@ -11,7 +11,8 @@ from torch import Tensor
 from pb4u.errors import InputError, Pb4uError
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactSet, PlaneSearch, nearest_planes
 from pb4u.physics.contact.obstacle import Obstacle, sags
-from pb4u.scene.packed import ColliderFrame, PackedGarments
+from pb4u.scene.colliders import ColliderFrame
+from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 
 

@@ -16,7 +16,8 @@ from pb4u.network.graph.graph import Graph
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.descent import JacobiDescent
 from pb4u.physics.time_step import TimeStep, integrate
-from pb4u.scene.packed import ColliderFrame, PackedColliders, PackedGarments
+from pb4u.scene.colliders import ColliderFrame, PackedColliders
+from pb4u.scene.packed import PackedGarments
 
 _ORIGIN_GRID = 1.0 / 16.0
 """Grid of the origins of a step [m], coarse in binary, so that float32 differences of positions stay exact."""

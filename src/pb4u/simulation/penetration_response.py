@@ -13,7 +13,8 @@ from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.penetration_cleanup import FaceClearance
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
+from pb4u.scene.colliders import ColliderFrame, ColliderPose
+from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import UP
 from pb4u.scene.state import State
 

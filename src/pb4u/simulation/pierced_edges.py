@@ -11,7 +11,8 @@ from torch import Tensor
 
 from pb4u.physics.contact.contact_set import ContactPlanes, nearest_planes
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import ColliderPose, PackedGarments
+from pb4u.scene.colliders import ColliderPose
+from pb4u.scene.packed import PackedGarments
 
 _DEPTH = 0.5
 """Depth of the middle of an edge from which on it goes through a limb, as a share of the garment's mean edge length.

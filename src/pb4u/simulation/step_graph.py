@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import ColliderFrame
+from pb4u.scene.colliders import ColliderFrame
 from pb4u.scene.state import State
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.timeline import Timeline

@@ -22,7 +22,8 @@ from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import free_flight
 from pb4u.physics.solver.newton_solver import Solution
 from pb4u.physics.time_step import DivergedError, TimeStep, require_finite
-from pb4u.scene.packed import ColliderPose, PackedGarments, pack
+from pb4u.scene.colliders import ColliderPose
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from pb4u.collision.rooms import Rooms
 from pb4u.physics.time_step import TimeStep
-from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments, pack, pack_colliders
+from pb4u.scene.colliders import ColliderFrame, ColliderPose, PackedColliders, pack_colliders
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
 from pb4u.threads import sent

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pb4u.body.body_model import ShapedBody
-from pb4u.body.library import body_names, load_body
+from pb4u.body.library import body_names, load_boned_body
 from pb4u.errors import InputError, warn
 from pb4u.garment.garment import Garment
 from pb4u.garment.library import build_garment
@@ -75,14 +75,10 @@ def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBo
     for i in range(selection.shapes):
         name = selection.bodies[i % len(selection.bodies)]
         drawn: dict[str, float] = {}
-        default = load_body(name)
-        if not isinstance(default, ShapedBody):
-            raise InputError(f"{name} is a sequence of vertices; training needs bodies with bones.")
         if i >= len(selection.bodies):
             low, high = selection.drawn_shapes
-            drawn = {key: float(np.round(rng.uniform(low, high), 3)) for key in default.shape}
-        shaped = load_body(name, drawn)
-        assert isinstance(shaped, ShapedBody)
+            drawn = {key: float(np.round(rng.uniform(low, high), 3)) for key in load_boned_body(name).shape}
+        shaped = load_boned_body(name, drawn)
         bodies.append(shaped)
     return bodies
 

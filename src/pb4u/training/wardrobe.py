@@ -15,7 +15,8 @@ from pb4u.body.skinning import SkinningWeights, bone_transforms, skin
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.collision.rooms import Rooms
 from pb4u.garment.material import Material
-from pb4u.scene.packed import PackedColliders, PackedGarments, pack, pack_colliders
+from pb4u.scene.colliders import PackedColliders, pack_colliders
+from pb4u.scene.packed import PackedGarments, pack
 from pb4u.training.packed_data import TrainingData
 
 _INDICES = ("faces", "edges", "hinges")

@@ -20,7 +20,7 @@ from pb4u.network.graph.graph import BODY, GARMENT, EdgeSet, Graph, NodeSet, Nod
 from pb4u.network.graph.incidence import Incidence, both_directions, incidence
 from pb4u.network.graph.pins import PinRule, PinsAtPresent, SeenGarments
 from pb4u.network.graph.world_edges import NearestFaceRule, WorldEdgeRule
-from pb4u.scene.packed import ColliderFrame, PackedColliders
+from pb4u.scene.colliders import ColliderFrame, PackedColliders
 from pb4u.scene.state import State
 
 REFERENCE_DT = 1.0 / 30.0

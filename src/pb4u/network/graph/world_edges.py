@@ -10,7 +10,7 @@ from torch import Tensor
 from pb4u.collision.batched_surface import GROUP, Balls, Groups
 from pb4u.collision.rooms import Rooms, found_rows
 from pb4u.errors import InputError
-from pb4u.scene.packed import PackedColliders
+from pb4u.scene.colliders import PackedColliders
 
 
 @dataclass(frozen=True)

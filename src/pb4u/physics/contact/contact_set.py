@@ -13,7 +13,8 @@ from torch import Tensor
 from pb4u.collision.jit import as_float64
 from pb4u.collision.nearest_points import Found
 from pb4u.physics.contact.self_contact import ClothPairs, TouchingCloth
-from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedGarments
+from pb4u.scene.colliders import ColliderFrame, ColliderPose
+from pb4u.scene.packed import PackedGarments
 
 if TYPE_CHECKING:
     from pb4u.physics.contact.obstacle import Obstacle

@@ -16,7 +16,8 @@ from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import vertex_areas
 from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, nearest_planes
-from pb4u.scene.packed import ColliderFrame, ColliderPose, PackedColliders, PackedGarments
+from pb4u.scene.colliders import ColliderFrame, ColliderPose, PackedColliders
+from pb4u.scene.packed import PackedGarments
 
 _SPARE = 1e-3
 """Dip [m] of the cloth between vertices that leaves it clear of the body: they come to rest at nearly twice as much."""

@@ -24,7 +24,8 @@ from pb4u.physics.contact.contact_set import MOTION_REACH, ContactPlanes, neares
 from pb4u.physics.contact.obstacle import Obstacle
 from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.contact.skin_cover import SKIN_OVER_CLOTH, SkinCover
-from pb4u.scene.packed import ColliderPose, PackedGarments
+from pb4u.scene.colliders import ColliderPose
+from pb4u.scene.packed import PackedGarments
 from pb4u.scene.state import State
 
 _DEEPER = 1e-3

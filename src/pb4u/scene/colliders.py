@@ -1,0 +1,334 @@
+"""The bodies of worlds in one set of arrays, and where they are around a step.
+
+`PackedColliders` never change; a `ColliderPose` holds the positions of the bodies at one instant, with what is queried
+there.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.collision.batched_surface import BatchedSurface, Groups, PosedBatch
+from pb4u.collision.nearest_points import Found
+from pb4u.collision.nearest_surface import PosedSurface, TriangleSurface
+from pb4u.collision.rooms import Rooms
+from pb4u.collision.wide_tree import WideTree
+
+if TYPE_CHECKING:
+    from pb4u.scene.packed import PackedGarments
+
+Formed = TypeVar("Formed")
+
+
+@dataclass(frozen=True, eq=False)
+class PackedColliders:
+    """Static quantities of the bodies of a pack, concatenated.
+
+    Args:
+        faces: (faces, 3) int64 into the packed vertices.
+        contact: (vertices,) bool, False where contact is not answered.
+        vertex_world: (vertices,) int64 world of each vertex, ascending.
+        ground_height: height of the ground plane [m], or None.
+        surfaces: the searchable surface of each world's bodies, regions left out of contact cut away and the holes
+            closed: cloth that a hand went through would come into the forearm by its open end. None for a world without
+            a body that may be touched.
+        rooms: fixed numbers of what searches find, for devices on which shapes may not wait for data; None for none.
+    """
+
+    faces: Tensor
+    contact: Tensor
+    vertex_world: Tensor
+    ground_height: float | None
+    surfaces: tuple[TriangleSurface | None, ...]
+    rooms: Rooms | None = None
+
+    def surface_groups(self, worlds: int, positions: Tensor) -> BatchedSurface | None:
+        """The surfaces of all worlds for searches in tensors; None where there is none.
+
+        Args:
+            worlds: number of worlds, those after the last with a body included.
+            positions: (vertices, 3) [m] of the pose that forms groups, where they are not formed yet.
+        """
+        return self._formed(
+            "surface_groups",
+            lambda: BatchedSurface.of(
+                (*self.surfaces, *[None] * (worlds - len(self.surfaces))),
+                [rows.start for rows in self.world_vertices],
+                self.searched_faces,
+                positions,
+            ),
+        )
+
+    def vertex_groups(self, positions: Tensor) -> Groups | None:
+        """Vertices of each world that may be touched, in groups; None where a world has none.
+
+        Args:
+            positions: (vertices, 3) [m] of the pose that forms groups, where they are not formed yet.
+        """
+        if not all(len(rows) for rows in self.touchable):
+            return None
+
+        def of() -> Groups:
+            places = positions.detach().cpu().numpy()
+            rows = [own.cpu().numpy() for own in self.touchable]
+            return Groups.of([own[WideTree.over(places[own]).order] for own in rows], positions.device)
+
+        return self._formed("vertex_groups", of)
+
+    def _formed(self, name: str, form: Callable[[], Formed]) -> Formed:
+        kept: dict[str, Formed] = self._kept
+        if name not in kept:
+            kept[name] = form()
+        return kept[name]
+
+    @cached_property
+    def _kept(self) -> dict[str, Any]:
+        return {}
+
+    @cached_property
+    def whole_surfaces(self) -> tuple[TriangleSurface | None, ...]:
+        """Searchable surface of each world's bodies, regions left out of contact included."""
+        return _surfaces(self.faces, None, self.vertex_world, len(self.surfaces))
+
+    @cached_property
+    def world_vertices(self) -> tuple[slice, ...]:
+        """Rows of the packed vertices of each world."""
+        counts = torch.bincount(self.vertex_world, minlength=len(self.surfaces)).tolist()
+        stops = np.cumsum(counts).tolist()
+        return tuple(slice(stop - count, stop) for count, stop in zip(counts, stops, strict=True))
+
+    @cached_property
+    def world_faces(self) -> tuple[Tensor, ...]:
+        """Indices (faces,) int64 of the packed faces of each world."""
+        face_world = self.vertex_world[self.faces[:, 0]] if len(self.faces) else self.vertex_world[:0]
+        return tuple(torch.nonzero(face_world == world)[:, 0] for world in range(len(self.surfaces)))
+
+    @cached_property
+    def contact_faces(self) -> Tensor:
+        """Faces (faces, 3) int64 that contact is answered on: all packed faces, then the caps of each world."""
+        caps = [self._caps(world) + rows.start for world, rows in enumerate(self.world_vertices)]
+        return torch.cat([self.faces, *caps])
+
+    @cached_property
+    def world_contact_faces(self) -> tuple[Tensor, ...]:
+        """Indices (faces,) int64 into `contact_faces` of what the surface of each world calls its faces."""
+        made, stop = [], len(self.faces)
+        for world, own in enumerate(self.world_faces):
+            start, stop = stop, stop + len(self._caps(world))
+            made.append(torch.cat([own, torch.arange(start, stop, device=own.device)]))
+        return tuple(made)
+
+    @cached_property
+    def searched_faces(self) -> tuple[np.ndarray, ...]:
+        """The same of the faces that the surface of each world searches, in its order; none without a surface."""
+        return tuple(
+            names.cpu().numpy()[:0] if surface is None else names.cpu().numpy()[surface.names]
+            for names, surface in zip(self.world_contact_faces, self.surfaces, strict=True)
+        )
+
+    def _caps(self, world: int) -> Tensor:
+        surface = self.surfaces[world]
+        return self.faces[:0] if surface is None else torch.from_numpy(surface.caps).to(self.faces.device)
+
+    @cached_property
+    def touchable(self) -> tuple[Tensor, ...]:
+        """Indices (vertices,) int64 of the packed vertices of each world that may be touched."""
+        return tuple(
+            torch.nonzero((self.vertex_world == world) & self.contact)[:, 0] for world in range(len(self.surfaces))
+        )
+
+    def pose(self, positions: Tensor) -> ColliderPose:
+        """Pose of the bodies with their vertices at `positions` (vertices, 3) [m].
+
+        Args:
+            positions: (vertices, 3) [m] of all bodies.
+        """
+        return ColliderPose(self, positions)
+
+    def to(self, device: torch.device, rooms: Rooms | None = None) -> PackedColliders:
+        """Copy with its arrays on `device`, and what is known of them.
+
+        Args:
+            device: of the copy.
+            rooms: of the copy.
+        """
+        moved = replace(
+            self,
+            faces=self.faces.to(device),
+            contact=self.contact.to(device),
+            vertex_world=self.vertex_world.to(device),
+            rooms=rooms,
+        )
+        vars(moved)["world_vertices"] = self.world_vertices
+        vars(moved)["searched_faces"] = self.searched_faces
+        for name in ("world_faces", "contact_faces", "touchable"):
+            vars(moved)[name] = _moved(getattr(self, name), device)
+        vars(moved)["_kept"] = {name: _moved(value, device) for name, value in self._kept.items()}
+        return moved
+
+
+class ColliderPose:
+    """The bodies of a pack at one instant; their search trees are built on first use, and kept with it.
+
+    Args:
+        colliders: static quantities of the bodies.
+        positions: (vertices, 3) [m].
+
+    Attributes:
+        found: what was last queried here for the vertices of a pack of garments, which may serve again.
+        passed: through what of a pack of garments the bodies were found to be, and at which positions of these.
+    """
+
+    def __init__(self, colliders: PackedColliders, positions: Tensor) -> None:
+        self.colliders, self.positions = colliders, positions
+        self.found: dict[PackedGarments, Found] = {}
+        self.passed: dict[PackedGarments, tuple[Tensor, np.ndarray]] = {}
+        self._batch: PosedBatch | None = None
+
+    @cached_property
+    def surfaces(self) -> tuple[PosedSurface | None, ...]:
+        """Surface of each world's bodies, regions left out of contact cut away; None for a world without any."""
+        return self._posed(self.colliders.surfaces)
+
+    def batch(self, worlds: int) -> PosedBatch | None:
+        """The surfaces of so many worlds for searches in tensors; None where there is none.
+
+        Args:
+            worlds: number of worlds.
+        """
+        if self._batch is None:
+            groups = self.colliders.surface_groups(worlds, self.positions)
+            self._batch = None if groups is None else PosedBatch(groups, self.positions.to(torch.float64))
+        return self._batch
+
+    def middles(self, worlds: int, dtype: torch.dtype) -> Tensor:
+        """Mean vertex (worlds, 3) [m] of the bodies of each of so many worlds; 0 for a world without."""
+        positions, owner = self.positions.to(dtype), self.colliders.vertex_world
+        counts = positions.new_zeros(worlds).index_add(0, owner, torch.ones_like(positions[:, 0])).clamp_min(1.0)
+        return positions.new_zeros((worlds, 3)).index_add(0, owner, positions) / counts[:, None]
+
+    @cached_property
+    def whole_surfaces(self) -> tuple[PosedSurface | None, ...]:
+        """Surface of each world's bodies, regions left out of contact included; None for a world without any."""
+        return self._posed(self.colliders.whole_surfaces)
+
+    def apart(self) -> ColliderPose:
+        """This pose for another thread: it shares what is built, and keeps to itself what is queried there."""
+        other = copy.copy(self)
+        other.found, other.passed = dict(self.found), dict(self.passed)
+        return other
+
+    def _posed(self, surfaces: tuple[TriangleSurface | None, ...]) -> tuple[PosedSurface | None, ...]:
+        rows = self.colliders.world_vertices
+        return tuple(
+            None if surface is None else surface.at(self.positions[own])
+            for surface, own in zip(surfaces, rows, strict=True)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ColliderFrame:
+    """Poses of the bodies of a pack around one step.
+
+    Args:
+        previous: pose at frame t-1.
+        now: pose at frame t.
+        following: pose at frame t+1.
+    """
+
+    previous: ColliderPose
+    now: ColliderPose
+    following: ColliderPose
+
+    @property
+    def colliders(self) -> PackedColliders:
+        """Static quantities of the bodies."""
+        return self.now.colliders
+
+    @property
+    def ground_height(self) -> float | None:
+        """Height of the ground plane [m], or None."""
+        return self.colliders.ground_height
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is no body at all."""
+        return not len(self.colliders.faces)
+
+    @cached_property
+    def motion(self) -> Tensor:
+        """Displacements (vertices, 3) [m] of the bodies over the step."""
+        return self.following.positions - self.now.positions
+
+    def between(self, start: float, end: float) -> ColliderFrame:
+        """Poses around a part of the step, the bodies moving along straight lines.
+
+        Args:
+            start: fraction of the step at which the part begins.
+            end: fraction at which it ends.
+        """
+        now = torch.lerp(self.now.positions, self.following.positions, start)
+        following = torch.lerp(self.now.positions, self.following.positions, end)
+        return ColliderFrame(*(self.colliders.pose(p) for p in (2.0 * now - following, now, following)))
+
+
+def _moved(value: Any, device: torch.device) -> Any:
+    """`value` on `device`: a tensor, a tuple or a record of them."""
+    if isinstance(value, tuple):
+        return tuple(_moved(part, device) for part in value)
+    if isinstance(value, (BatchedSurface, Groups)):
+        return replace(value, **{entry.name: _moved(getattr(value, entry.name), device) for entry in fields(value)})
+    return value.to(device) if isinstance(value, Tensor) else value
+
+
+def pack_colliders(
+    faces: Sequence[Tensor],
+    contact: Sequence[Tensor],
+    worlds: Sequence[int],
+    ground_height: float | None = 0.0,
+    surfaces: Sequence[TriangleSurface | None] | None = None,
+    rooms: Rooms | None = None,
+) -> PackedColliders:
+    """Concatenate bodies.
+
+    Args:
+        faces: (faces, 3) int64 vertex indices of each body, on one device.
+        contact: (vertices,) bool flags of each body, False where contact is not answered.
+        worlds: world of each body, ascending.
+        ground_height: height of the ground plane [m], or None.
+        surfaces: the searchable surface of each world's bodies, where they are already made.
+        rooms: fixed numbers of what searches find, or None.
+    """
+    offsets = np.concatenate([[0], np.cumsum([len(part) for part in contact])]).tolist()
+    all_faces = torch.cat([part + offset for part, offset in zip(faces, offsets, strict=False)])
+    all_contact = torch.cat(list(contact))
+    counts = torch.tensor([len(part) for part in contact], device=all_contact.device)
+    owner = torch.tensor(list(worlds), device=all_contact.device).repeat_interleave(counts)
+    if surfaces is None:
+        surfaces = _surfaces(all_faces, all_contact, owner, max(worlds) + 1)
+    return PackedColliders(all_faces, all_contact, owner, ground_height, tuple(surfaces), rooms)
+
+
+def _surfaces(
+    faces: Tensor, contact: Tensor | None, vertex_world: Tensor, worlds: int
+) -> tuple[TriangleSurface | None, ...]:
+    """Each world's searchable surface, cut to `contact` (vertices,) where given."""
+    all_faces, owner = faces.cpu().numpy(), vertex_world.cpu().numpy()
+    made: list[TriangleSurface | None] = []
+    for world in range(worlds):
+        vertices = np.flatnonzero(owner == world)
+        region = np.ones(len(vertices), dtype=bool) if contact is None else contact.cpu().numpy()[vertices]
+        if not region.any():
+            made.append(None)
+            continue
+        own = all_faces[owner[all_faces[:, 0]] == world] - vertices[0]
+        made.append(TriangleSurface(own, len(vertices), region, capped=True))
+    return tuple(made)
