@@ -41,6 +41,9 @@ _FIELD_OF_VIEW = 24.0
 _NEAREST = 0.5
 """Distance of the camera [m] from a figure of no size."""
 
+_GIF_FPS = 15.0
+"""Frames per second of a GIF at most; those beyond are left out, since more make files large."""
+
 _SLOWEST = 0.002
 """Frames per second of a film at least: a GIF shows one for 655 s at most, and VP9 for 1000."""
 
@@ -354,7 +357,6 @@ def write_gif(
     path: Path,
     progress: Progress = no_progress,
     view: View | None = None,
-    highest_fps: float = 15.0,
 ) -> None:
     """Write an endlessly looping GIF.
 
@@ -363,13 +365,12 @@ def write_gif(
         path: file to write.
         progress: called with the frames drawn.
         view: camera, size and colours.
-        highest_fps: frames are dropped so that it plays in real time at no more than this; more make files large.
     """
     _require_playable(trajectory.fps)
-    stride = max(1, round(trajectory.fps / highest_fps))
+    stride = max(1, round(trajectory.fps / _GIF_FPS))
     moments = range(0, trajectory.frame_count, stride)
     pictures = _counted(render(trajectory, moments, view), len(moments), progress)
-    save_gif(pictures, path, trajectory.fps / stride, highest_fps)
+    save_gif(pictures, path, trajectory.fps / stride)
 
 
 def _require_playable(fps: float) -> None:
@@ -378,18 +379,17 @@ def _require_playable(fps: float) -> None:
         raise InputError(f"A film has {_SLOWEST:g} frames per second or more, not {fps:g}; write an .npz.")
 
 
-def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float, highest_fps: float = 15.0) -> None:
+def save_gif(pictures: Iterable[np.ndarray], path: Path, fps: float) -> None:
     """Write pictures as an endlessly looping GIF.
 
     Args:
         pictures: (height, width, 3) uint8 sRGB each, one or more.
         path: file to write.
         fps: of the pictures [1/s].
-        highest_fps: pictures are dropped so that it plays in real time at no more than this; more make files large.
     """
     from PIL import Image
 
-    stride = max(1, round(fps / highest_fps))
+    stride = max(1, round(fps / _GIF_FPS))
     kept = [
         Image.fromarray(picture).quantize(128, dither=Image.Dither.NONE)
         for picture in islice(pictures, 0, None, stride)

@@ -35,17 +35,16 @@ INNERMOST_MOBILITY = 0.2
 """Mobility of the innermost garment where cloth is parted; outwards it rises to 1."""
 
 
-def layered(garments: Sequence[Garment], body: RestBody, gap: float = LAYER_GAP) -> tuple[np.ndarray, ...]:
+def layered(garments: Sequence[Garment], body: RestBody) -> tuple[np.ndarray, ...]:
     """Positions of garments with each one over those before it; their rest shapes stay.
 
     Where an inner garment reaches beyond an outer one it is laid towards the body, as far as there is room; what outer
-    cloth lies beneath it still, or nearer over it than `gap`, is brought to its outward side. The cloth around goes
-    along smoothly, and what crosses then is untangled. What cannot be untangled is left as it was laid.
+    cloth lies beneath it still, or nearer over it than `LAYER_GAP`, is brought to its outward side. The cloth around
+    goes along smoothly, and what crosses then is untangled. What cannot be untangled is left as it was laid.
 
     Args:
         garments: inner first, each where it sits on the resting body; faces counter-clockwise from outside.
         body: who wears them.
-        gap: distance [m] between layers.
 
     Returns:
         (vertices, 3) float64 [m] of each garment; of a single one its own.
@@ -55,9 +54,9 @@ def layered(garments: Sequence[Garment], body: RestBody, gap: float = LAYER_GAP)
         return tuple(places)
     for outer in range(1, len(garments)):
         for inner in range(outer):
-            places[inner] = _laid_under(garments[inner], places[inner], garments[outer], places[outer], body, gap)
+            places[inner] = _laid_under(garments[inner], places[inner], garments[outer], places[outer], body)
     for outer in range(1, len(garments)):
-        places[outer] = _laid_over(garments[outer], places[outer], garments[:outer], places[:outer], gap)
+        places[outer] = _laid_over(garments[outer], places[outer], garments[:outer], places[:outer])
     stops = np.cumsum([len(vertices) for vertices in places])
     faces = np.concatenate(
         [garment.faces + first for garment, first in zip(garments, [0, *stops[:-1].tolist()], strict=True)]
@@ -110,14 +109,14 @@ def mobility_of(vertex_garment: np.ndarray, count: int) -> np.ndarray:
 
 
 def _laid_under(
-    inner: Garment, places: np.ndarray, outer: Garment, outer_places: np.ndarray, body: RestBody, gap: float
+    inner: Garment, places: np.ndarray, outer: Garment, outer_places: np.ndarray, body: RestBody
 ) -> np.ndarray:
     """Positions (vertices, 3) [m] of a garment, what reaches beyond another laid towards the body."""
     surface = TriangleSurface(outer.faces, len(outer_places)).at(outer_places)
 
     def push_at(moved: np.ndarray) -> np.ndarray:
         near = surface.nearest(moved)
-        distance, normals = near.signed_distance.numpy() + gap, near.normals.numpy()
+        distance, normals = near.signed_distance.numpy() + LAYER_GAP, near.normals.numpy()
         alike = np.einsum("ij,ij->i", normals, area_weighted_normals(moved, inner.faces)) > 0.0
         out = (distance > 1e-6) & (distance < _REACH_UNDER) & alike & ~near.beyond_border.numpy()
         push = np.zeros_like(moved)
@@ -131,7 +130,7 @@ def _laid_under(
 
 
 def _laid_over(
-    outer: Garment, places: np.ndarray, inner: Sequence[Garment], inner_places: Sequence[np.ndarray], gap: float
+    outer: Garment, places: np.ndarray, inner: Sequence[Garment], inner_places: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Positions (vertices, 3) [m] of a garment, what lies beneath others brought over them."""
     layers = [_Layer(garment, vertices) for garment, vertices in zip(inner, inner_places, strict=True)]
@@ -139,7 +138,7 @@ def _laid_over(
     def push_at(moved: np.ndarray) -> np.ndarray:
         push = np.zeros_like(moved)
         for layer in layers:
-            for more in (layer.over(moved, gap), layer.let_under(moved, outer, gap)):
+            for more in (layer.over(moved), layer.let_under(moved, outer)):
                 larger = np.einsum("ij,ij->i", more, more) > np.einsum("ij,ij->i", push, push)
                 push[larger] = more[larger]
         return push
@@ -175,24 +174,24 @@ class _Layer:
         self.normals = area_weighted_normals(vertices, garment.faces)
         self.surface = TriangleSurface(garment.faces, len(vertices)).at(vertices)
 
-    def over(self, outer: np.ndarray, gap: float) -> np.ndarray:
-        """Displacements (outer vertices, 3) [m] of cloth at `outer` to at least `gap` over this layer."""
+    def over(self, outer: np.ndarray) -> np.ndarray:
+        """Displacements (outer vertices, 3) [m] of cloth at `outer` to at least `LAYER_GAP` over this layer."""
         near = self.surface.nearest(outer)
         distance = near.signed_distance.numpy()
-        near_enough = (distance < gap - 1e-6) & (distance > -_REACH_OVER) & ~near.beyond_border.numpy()
-        return np.where(near_enough, gap - distance, 0.0)[:, None] * near.normals.numpy()
+        near_enough = (distance < LAYER_GAP - 1e-6) & (distance > -_REACH_OVER) & ~near.beyond_border.numpy()
+        return np.where(near_enough, LAYER_GAP - distance, 0.0)[:, None] * near.normals.numpy()
 
-    def let_under(self, outer: np.ndarray, garment: Garment, gap: float) -> np.ndarray:
+    def let_under(self, outer: np.ndarray, garment: Garment) -> np.ndarray:
         """Displacements (outer vertices, 3) [m] of faces of `garment`, at `outer`, that vertices here stick out of."""
         surface: PosedSurface = TriangleSurface(garment.faces, len(outer)).at(outer)
         near = surface.nearest(self.vertices)
         distance, normals = near.signed_distance.numpy(), near.normals.numpy()
         # The sleeve of the outer garment faces the side of the inner one, and is not to be moved through it.
-        alike = np.einsum("ij,ij->i", normals, self.normals) > 0.0
-        rows = np.flatnonzero((distance > 1e-6 - gap) & (distance < _FACETING) & alike & ~near.beyond_border.numpy())
+        alike = (np.einsum("ij,ij->i", normals, self.normals) > 0.0) & ~near.beyond_border.numpy()
+        rows = np.flatnonzero((distance > 1e-6 - LAYER_GAP) & (distance < _FACETING) & alike)
         shares = near.barycentric.numpy()[rows]
         corners = garment.faces[near.triangle.numpy()[rows]].reshape(-1)
-        push = ((distance[rows] + gap) / (shares**2).sum(axis=1))[:, None, None] * shares[:, :, None]
+        push = ((distance[rows] + LAYER_GAP) / (shares**2).sum(axis=1))[:, None, None] * shares[:, :, None]
         push = (push * normals[rows][:, None, :]).reshape(-1, 3)
         largest = np.zeros_like(outer)
         order = np.argsort(np.einsum("ij,ij->i", push, push))  # of several, the largest is written last

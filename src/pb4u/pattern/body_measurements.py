@@ -57,14 +57,16 @@ def shoulder_height(body: ShapedBody, x: float) -> float:
     return float(_Tape(body).top(x)[1])
 
 
-def trunk_girths(body: ShapedBody) -> dict[str, tuple[float, float]]:
-    """Heights and girths [m] of a resting body's trunk, by name.
+def trunk_girths(body: ShapedBody, **levels: float) -> dict[str, tuple[float, float]]:
+    """Heights and girths [m] of a resting body's trunk, by name: bust, waist, hips and others.
 
     Args:
         body: the resting body.
+        **levels: heights of those others [m].
     """
     tape = _Tape(body)
-    return {name: (level := getattr(tape, name), tape.girth(level)) for name in ("bust", "waist", "hips")}
+    named = {name: getattr(tape, name) for name in ("bust", "waist", "hips")} | levels
+    return {name: (level, tape.girth(level)) for name, level in named.items()}
 
 
 class _Tape:

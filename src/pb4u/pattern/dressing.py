@@ -113,10 +113,16 @@ _NARROW = 0.8
 """Share of the waist from which on cloth goes around a body: narrower cloth is not strained, but ends around the neck.
 """
 
+_SLIPPED = 0.05
+"""Drop [m] of a shoulder seam from which on a garment has slipped off: those that stay drop by less than 0.01."""
+
 _REMEDY = "check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` writes."
 
 _CROTCH_ROOM = 0.01
 """Least distance [m] of the crotch of trousers below that of the body."""
+
+_WAISTBAND = 0.05
+"""Most height [m] above the waist of the top of a skirt: that of a waistband."""
 
 _MIDDLE = 0.02
 """Distance [m] from the middle of the body within which four corners of panels that meet are a crotch."""
@@ -300,14 +306,16 @@ class _Sewing:
     def placed(self) -> np.ndarray:
         """Places (points, 3) [m] of the panels, at the height of this body's shoulders where the garment has those.
 
-        Trousers whose crotch would be within the body are lowered to its own.
+        Trousers whose crotch would be within the body, and skirts that would begin above the waist, are lowered.
         """
         places = joined(self.mesh)
         top, rise = shoulder_point(self.mesh, places), 0.0
         if top is not None:
-            rise = shoulder_height(self.body, abs(top[0])) - float(top[1])
+            rise = shoulder_height(self.body, abs(places[top, 0])) - float(places[top, 1])
         elif (crotch := crotch_height(self.mesh, places)) is not None:
             rise = min(0.0, self.body.kept("form", BodyForm).crotch - _CROTCH_ROOM - crotch)
+        else:
+            rise = min(0.0, trunk_girths(self.body)["waist"][0] + _WAISTBAND - float(places[:, 1].max()))
         return places + rise * np.array(UP)
 
     def pose(self, share: float, done: float) -> ColliderPose:
@@ -457,6 +465,7 @@ class _Sewing:
         garment = self.garment(places)
         if is_inside_out(places, garment.faces, self.rest_body):
             raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
+        self._refuse_slipped(places)
         packed = pack([garment])
         x = torch.from_numpy(places)
         strains = face_strains(x, packed.faces, packed.inverse_rest_shape).numpy()
@@ -476,6 +485,16 @@ class _Sewing:
             strain=strain,
         )
 
+    def _refuse_slipped(self, places: np.ndarray) -> None:
+        """Refuse cloth that was placed on the shoulders and hangs below them."""
+        top = shoulder_point(self.mesh, self.placed)
+        drop = 0.0 if top is None else float(self.placed[top, 1] - places[self.mesh.vertex[top], 1])
+        if drop > _SLIPPED:
+            raise InputError(
+                f"{self.mesh.pattern.name} is too large for {self.body.name}: it slips off the shoulders, by "
+                f"{100 * drop:.0f} cm; make it from the body's measures, which `pb4u measure-body` writes."
+            )
+
     def _refuse_tight(self, places: np.ndarray, mean: float, strains: np.ndarray) -> None:
         """Refuse cloth that is strained too much, all or a panel; names the girths of the body that are too large."""
         panels = self.mesh.pattern.panels
@@ -485,8 +504,10 @@ class _Sewing:
             return
         levels = places[self.mesh.sewn_faces, 1].mean(axis=1)
         sleeve = np.array([panel.label == "arm" for panel in panels])[self.mesh.face_panel]
-        differ = ""
-        for name, (height, girth) in trunk_girths(self.body).items():
+        differ, own = "", {}
+        if panels[worst].label != "arm":
+            own = {panels[worst].name: float(levels[self.mesh.face_panel == worst].mean())}
+        for name, (height, girth) in trunk_girths(self.body, **own).items():
             around = strains[(np.abs(levels - height) < _SLICE) & ~sleeve]
             if len(around) and around.mean() > 0.5 * _TIGHT:
                 differ += f"; {name}: {100 * girth:.0f} cm, cut for about {100 * girth / (1.0 + around.mean()):.0f}"
@@ -523,21 +544,20 @@ def joined(mesh: PatternMesh) -> np.ndarray:
     return places
 
 
-def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> np.ndarray | None:
-    """Highest point (3,) [m] of the seams that run across from front to back panels; None where there are none.
+def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> int | None:
+    """Number of the highest point of the seams that run across from front to back panels; None where there are none.
 
     Args:
         mesh: the panels.
         places: (points, 3) of the panels [m].
     """
     facing = np.array([panel.rotation[2, 2] * panel.area for panel in mesh.pattern.panels])
-    found = []
+    found: list[int] = []
     for one, other in mesh.sides:
         run = np.abs(places[one[-1]] - places[one[0]])
         if facing[mesh.panel[one[0]]] * facing[mesh.panel[other[0]]] < 0.0 and run[0] > run[1]:
-            found.append(places[np.concatenate([one, other])])
-    points = np.concatenate(found) if found else places[:0]
-    return points[points[:, 1].argmax()] if len(points) else None
+            found += [*one.tolist(), *other.tolist()]
+    return max(found, key=lambda point: places[point, 1], default=None)
 
 
 def crotch_height(mesh: PatternMesh, places: np.ndarray) -> float | None:

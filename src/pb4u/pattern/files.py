@@ -32,7 +32,7 @@ from pb4u.pattern.svg import read_drawn
 FORMAT_VERSION = 1
 """Format of a dressed garment's file."""
 
-ALGORITHM = 7
+ALGORITHM = 8
 """To be raised whenever `dress` gives different garments: those that are kept are then dressed again."""
 
 _LAYOUT: Layout = {

@@ -68,13 +68,9 @@ class Energies:
         """Sum over terms and garments, a scalar [J]."""
         return self.per_garment.sum()
 
-    def floats(self, garment: int | None = None) -> dict[str, float]:
-        """Energies [J] by name of the term, with their `total`, of one garment or of all together.
-
-        Args:
-            garment: index of the garment; None for the sums over all.
-        """
-        values = {name: float(value.sum() if garment is None else value[garment]) for name, value in self.terms.items()}
+    def floats(self) -> dict[str, float]:
+        """Energies [J] of all garments together by name of the term, with their `total`."""
+        values = {name: float(value.sum()) for name, value in self.terms.items()}
         return {**values, "total": sum(values.values())}
 
 

@@ -295,7 +295,6 @@ def pack_colliders(
     worlds: Sequence[int],
     ground_height: float | None = 0.0,
     surfaces: Sequence[TriangleSurface | None] | None = None,
-    rooms: Rooms | None = None,
 ) -> PackedColliders:
     """Concatenate bodies.
 
@@ -305,7 +304,6 @@ def pack_colliders(
         worlds: world of each body, ascending.
         ground_height: height of the ground plane [m], or None.
         surfaces: the searchable surface of each world's bodies, where they are already made.
-        rooms: fixed numbers of what searches find, or None.
     """
     offsets = np.concatenate([[0], np.cumsum([len(part) for part in contact])]).tolist()
     all_faces = torch.cat([part + offset for part, offset in zip(faces, offsets, strict=False)])
@@ -314,7 +312,7 @@ def pack_colliders(
     owner = torch.tensor(list(worlds), device=all_contact.device).repeat_interleave(counts)
     if surfaces is None:
         surfaces = _surfaces(all_faces, all_contact, owner, max(worlds) + 1)
-    return PackedColliders(all_faces, all_contact, owner, ground_height, tuple(surfaces), rooms)
+    return PackedColliders(all_faces, all_contact, owner, ground_height, tuple(surfaces))
 
 
 def _surfaces(
