@@ -83,11 +83,15 @@ def markdown(name: str, row: dict[str, Any]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for flag, default in {"data": None, "out": None, "patterns": "", "bodies": "woman", "triangles": "5000",
-                          "motions": "", "frames": "30"}.items():  # fmt: skip
-        parser.add_argument(f"--{flag}", default=default, required=default is None)
+    parser.add_argument("--data", type=Path, required=True, help="folder of specifications")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--patterns", default="", help="names, by comma; all by default")
+    parser.add_argument("--bodies", default="woman", help="names or seeds of drawn women, by comma")
+    parser.add_argument("--triangles", default="5000", help="numbers, by comma")
+    parser.add_argument("--motions", default="", help="names, by comma")
+    parser.add_argument("--frames", type=int, default=30, help="of each motion")
     options = parser.parse_args()
-    out, frames = Path(options.out), int(options.frames)
+    out, frames = options.out, options.frames
     out.mkdir(parents=True, exist_ok=True)
     rows = out / "rows.jsonl"
     done = {json.loads(line)["name"] for line in rows.open()} if rows.exists() else set()
@@ -97,7 +101,7 @@ def main() -> None:
             lines.write(json.dumps({"name": name, **row}, default=float) + "\n")
         print(markdown(name, row), flush=True)
 
-    paths = [path for path in sorted(Path(options.data).glob("*.json")) if path.stem in (options.patterns or path.stem)]
+    paths = [path for path in sorted(options.data.glob("*.json")) if path.stem in (options.patterns or path.stem)]
     motions = ["", *filter(None, options.motions.split(","))]
     for triangles, body, motion, path in product(
         options.triangles.split(","), options.bodies.split(","), motions, paths
