@@ -67,7 +67,7 @@ def main() -> None:
         axes.set_xticks(levels, [f"{level:,}" for level in levels])
         axes.minorticks_off()
     panels[0].set_yticks([0.7, 0.8, 0.9, 1.0, 1.1], ["0.7", "0.8", "0.9", "1", "1.1"])
-    panels[1].set_yticks([1, 2, 5, 10, 20, 50], ["1", "2", "5", "10", "20", "50"])
+    panels[1].set_yticks(marks := [1, 2, 5, 10, 20, 50, 100, 200], map(str, marks))
     panels[0].axhline(1.0, color="grey", linewidth=0.8, linestyle=":")
     panels[1].legend()
     figure.savefig(options.out, dpi=110)
