@@ -148,7 +148,7 @@ def refuse_unknown(kind: str, names: Iterable[str], known: Collection[str], wher
         where: section that holds things of the kind.
 
     Raises:
-        InputError: one of them is none; the first is told of.
+        InputError: one of them is unknown; the sentence names the first.
     """
     for name in names:
         if name not in known:

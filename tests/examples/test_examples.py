@@ -142,7 +142,7 @@ def require_uncrossed(said: str, file: Path) -> Trajectory:
         assert not len(self_crossings(frame, trajectory.faces, sharing=True))
     unsolved = int(said.split(" steps unsolved")[0].rsplit(maxsplit=1)[-1])
     # The two or three steps of a hard impact may end at the most iterations: rounding decides which.
-    assert unsolved <= max(3, 0.1 * trajectory.frame_count)
+    assert unsolved <= 0.1 * trajectory.frame_count
     return trajectory
 
 
@@ -171,7 +171,7 @@ def test_stack_of_sheets(example: Run, tmp_path: Path) -> None:
     assert len(np.unique(trajectory.header.vertex_garment)) == 5
     speeds = np.linalg.norm(trajectory.velocities, axis=2).mean(axis=1)
     assert speeds.max() > 0.3, "they fell"
-    assert speeds[-8:].min() < 0.04 * speeds.max(), "and come to rest, but for a fold that slips"
+    assert speeds[-8:].min() < 0.02 * speeds.max(), "and come to rest, but for a fold that slips"
     # In the order in which they were stacked.
     tops = [trajectory.positions[-1, trajectory.header.vertex_garment == k, 1].max() for k in range(5)]
     assert (np.diff(tops) > 0).all()

@@ -18,49 +18,25 @@ if TYPE_CHECKING:
 
 _PANEL = "Pictures and videos"
 
+
+def _flag(kind: Any, help: str, metavar: str | None = None) -> Any:
+    return Annotated[kind, typer.Option(metavar=metavar, help=help, rich_help_panel=_PANEL)]
+
+
 PICTURE_FLAGS: Mapping[str, Any] = {
-    "view": Annotated[
+    "view": _flag(
         str | None,
-        typer.Option(
-            metavar="SIDE|DEGREES",
-            help="Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.",
-            rich_help_panel=_PANEL,
-        ),
-    ],
-    "elevation": Annotated[
-        float | None,
-        typer.Option(
-            metavar="DEGREES", help="Angle of the camera above the ground, 0 to 90. Default: 8.", rich_help_panel=_PANEL
-        ),
-    ],
-    "turntable": Annotated[
-        float | None,
-        typer.Option(
-            metavar="DEGREES",
-            help="Turn of the camera over the whole clip, as 360. Default: 0.",
-            rich_help_panel=_PANEL,
-        ),
-    ],
-    "size": Annotated[
-        str | None,
-        typer.Option(
-            metavar="WIDTHxHEIGHT", help="Size of a picture in pixels. Default: 560x800.", rich_help_panel=_PANEL
-        ),
-    ],
-    "colour": Annotated[
+        "Where pictures are seen from: front, back, left, right, or an angle about the vertical. Default: 25.",
+        "SIDE|DEGREES",
+    ),
+    "elevation": _flag(float | None, "Angle of the camera above the ground, 0 to 90. Default: 8.", "DEGREES"),
+    "turntable": _flag(float | None, "Turn of the camera over the whole clip, as 360. Default: 0.", "DEGREES"),
+    "size": _flag(str | None, "Size of a picture in pixels. Default: 560x800.", "WIDTHxHEIGHT"),
+    "colour": _flag(
         list[str] | None,
-        typer.Option(
-            help="Colour of the first garment in pictures, as a name or #RRGGBB; given again, of the next. Default: "
-            "blue.",
-            rich_help_panel=_PANEL,
-        ),
-    ],
-    "background": Annotated[
-        str | None,
-        typer.Option(
-            help="Colour behind and below them, as a name or #RRGGBB. Default: light grey.", rich_help_panel=_PANEL
-        ),
-    ],
+        "Colour of the first garment in pictures, as a name or #RRGGBB; given again, of the next. Default: blue.",
+    ),
+    "background": _flag(str | None, "Colour behind and below them, as a name or #RRGGBB. Default: light grey."),
 }
 
 
