@@ -166,7 +166,7 @@ def test_twisted_sheet(example: Run, tmp_path: Path) -> None:
 
 
 def test_stack_of_sheets(example: Run, tmp_path: Path) -> None:
-    small = ("--triangles", 72, "--frames", 34)
+    small = ("--triangles", 72, "--frames", 44)
     trajectory = require_uncrossed(example("10_stack_of_sheets.py", *small), tmp_path / "stack.npz")
     assert len(np.unique(trajectory.header.vertex_garment)) == 5
     speeds = np.linalg.norm(trajectory.velocities, axis=2).mean(axis=1)
