@@ -54,7 +54,8 @@ def on_host(model: AccelerationModel, steps: int) -> list[torch.Tensor]:
     method, state = method_of(model, timeline), timeline.skinned_state(1)
     made = []
     for _ in range(steps):
-        *_, state = predictions(timeline.step_from(state), method)
+        *_, made_last = predictions(timeline.step_from(state), method)
+        state = made_last.state
         made.append(state.positions.detach())
     return made
 
@@ -191,7 +192,7 @@ def test_a_scene_of_a_pack_is_the_scene_alone(
         for _ in range(2, frames):
             made = list(predictions(timeline.step_from(state), method))
             passes.append(len(made))
-            state = made[-1]
+            state = made[-1].state
             states.append(state.positions.detach())
         return states
 

@@ -21,7 +21,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import load_checkpoint
 from pb4u.simulation.network_pass import NetworkPass
-from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step import Prediction, StepMethod, predictions
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.curriculum import Curriculum
@@ -108,7 +108,7 @@ def test_predictions_that_are_not_finite_are_not_learnt_from() -> None:
     before = [p.detach().clone() for p in trainer.model.parameters()]
     lost = State(state.positions * torch.nan, state.velocities, state.frame + 1)
     lost.positions.requires_grad_(True)
-    assert not trainer.learn(course.prepared, course.window.timeline.step_from(state), lost)
+    assert not trainer.learn(course.prepared, course.window.timeline.step_from(state), Prediction(lost))
     assert all(torch.equal(a, b) for a, b in zip(before, trainer.model.parameters(), strict=True))
 
 
@@ -125,7 +125,7 @@ def test_garments_of_two_sizes_and_propagation_counts_share_a_batch() -> None:
         step = window.timeline.step_from(window.start(0.003, 0.002))
         method = StepMethod(network=NetworkPass(trainer.model, prepared, mode=nullcontext))
         *_, after = predictions(step, method)
-        energies = trainer_module.step_energies(step, after.positions, 5e3)
+        energies = trainer_module.step_energies(step, after.state.positions, 5e3)
         losses.append(energies.total.item() / len(chosen))
     assert losses[2] == pytest.approx((losses[0] + losses[1]) / 2, rel=1e-4)
 

@@ -158,7 +158,7 @@ def _simulate(
     bones: int | None,
 ) -> None:
     from pb4u.export.live_caches import check_live_folder
-    from pb4u.scene.trajectory import interrupted_path
+    from pb4u.scene.trajectory_file import interrupted_path
     from pb4u.simulation.models import simulator_of
     from pb4u.simulation.run_simulation import scene_for
     from pb4u.simulation.simulator import RunRecord
@@ -314,7 +314,7 @@ def _export(
     trajectory: Trajectory, targets: list[Path], saved: Path | None, view: View | None, bones: int | None
 ) -> None:
     """Write the files asked for; `saved` is the trajectory's; `view` is for pictures, `bones` for GLB."""
-    from pb4u.scene.trajectory import interrupted_path
+    from pb4u.scene.trajectory_file import interrupted_path
 
     try:
         for target in targets:

@@ -49,7 +49,7 @@ class StandingStart(StartProtocol):
         pushed = pushed_out(begun.positions, timeline.pose(2), self.push)
         begun = untangled(timeline, method, replace(begun, positions=pushed))
         settled = take(timeline.settling_from(begun), method)
-        state = State(settled.positions, settled.velocities * (SETTLING_DT / timeline.dt), 2)
+        state = replace(settled, velocities=settled.velocities * (SETTLING_DT / timeline.dt), frame=2)
         yield state
         step = timeline.step_from(state)
         standing = ColliderFrame(step.collider.now, step.collider.now, step.collider.following)

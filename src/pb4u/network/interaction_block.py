@@ -7,9 +7,9 @@ from typing import cast
 
 from torch import Tensor, nn
 
+from pb4u.network.compiled_layers import Ends, are_compiled, passed_edges
 from pb4u.network.graph.graph import EdgeSet, Graph
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP, SplitMLP
-from pb4u.network.recorded_passes import Ends, passed_edges, records
 from pb4u.network.segment import gather, segment_sum
 
 
@@ -80,7 +80,7 @@ def _recorded_edges(
     """New latents (edges, width) [1] of a set of edges, and sums (receivers, width) [1] of their changes."""
     at_sender = mlp.project(SENDER, nodes[edge_set.sender_set])
     at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set])
-    if mask is None and records(latents, mlp.first.weight, edge_set.receivers):
+    if mask is None and are_compiled(latents, mlp.first.weight, edge_set.receivers):
         ends, norm = Ends(edge_set.senders, edge_set.receivers), cast(nn.LayerNorm, mlp.norm)
         layers, own = (mlp.second, mlp.last, norm), mlp.weight_of(EDGE)
         return passed_edges(latents, at_sender, at_receiver, own, mlp.first.bias, layers, ends)

@@ -144,7 +144,7 @@ class TimeStep:
             positions: (vertices, 3) [m] at the end of the step.
         """
         before = self.state
-        return State(positions, (positions - before.positions) / self.dt, before.frame + 1)
+        return State(positions, (positions - before.positions) / self.dt, before.frame + 1, before.last_move)
 
 
 def integrate(step: TimeStep, acceleration: Tensor) -> State:
@@ -162,7 +162,7 @@ def integrate(step: TimeStep, acceleration: Tensor) -> State:
     positions = step.with_pins(state.positions + displacement)
     if pins is not None:
         displacement = torch.where(step.garments.pinned[:, None], pins - state.positions, displacement)
-    return State(positions=positions, velocities=displacement / step.dt, frame=state.frame + 1)
+    return State(positions, displacement / step.dt, state.frame + 1, state.last_move)
 
 
 def require_finite(state: State) -> State:

@@ -83,7 +83,8 @@ class OneLongStep(FirstFrame):
                 method.self_contact, step, step.state, method.contact.respond(step, step.state)
             )
             step = timeline.settling_from(pushed)
-        return replace(begun, positions=take(step, method).positions)
+        taken = take(step, method)
+        return replace(begun, positions=taken.positions, last_move=taken.last_move)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import free_flight, implicit_steps
 from pb4u.physics.solver.newton_solver import Solution, Solver
-from pb4u.physics.terms.collision import Collision
+from pb4u.physics.terms.collision import STIFF_CONTACT_WEIGHT, Collision
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.penetration_response import ContactResponse
@@ -55,14 +55,10 @@ _MOST_RETRY_ITERATIONS = 60
 """Iterations at which a retry ends; a running dress needed 8 to 31."""
 
 _LEFT_INSIDE = 1e-3
-"""Depth [m] from which on a vertex that the response leaves inside the body is pushed out."""
-
-STIFF_CONTACT_WEIGHT = 5e5
-"""Weight of the collision term for that: the highest the family trains with. With the usual 5e3 a tight waistband of
-denim presses the cloth under it 24 mm into the body, and no push of single vertices moves both."""
+"""Depth [m] from which on a vertex that the response leaves inside the body is pushed out by stiff contact."""
 
 _MOST_PRESSING = 5
-"""Iterations at which that ends."""
+"""Iterations at which that push ends."""
 
 _TURNED_ASIDE = 1e-2
 """How far [m] bodies may turn cloth aside before the energies count their faces and edges, where it is strained: in a

@@ -13,7 +13,8 @@ from pb4u.run import Run
 from pb4u.scene.assembly import build_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
-from pb4u.scene.trajectory import Frame, Trajectory, kept_sentence
+from pb4u.scene.trajectory import Frame, Trajectory
+from pb4u.scene.trajectory_file import kept_sentence
 from pb4u.simulation.models import simulator_of
 from pb4u.simulation.simulator import RunRecord, Simulator
 

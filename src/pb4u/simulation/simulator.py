@@ -20,7 +20,8 @@ from pb4u.errors import Pb4uError, interrupt_behind
 from pb4u.progress import Progress, no_progress, shown
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
-from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
+from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
+from pb4u.scene.trajectory_file import TrajectoryWriter
 
 _CHUNK = 32
 """Frames skinned at a time."""

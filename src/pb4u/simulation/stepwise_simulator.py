@@ -335,7 +335,6 @@ class NetworkSimulator(StepwiseSimulator):
         first = self.first_frame.start(timeline, method)
         while rooms.grow(*rooms.taken()):
             # Searches were short of room.
-            method.search.last = None
             first = self.first_frame.start(timeline, method)
         yield first
         yield from self.steps(timeline, method, first, frames)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict, astuple, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, fields, replace
 from enum import Enum, auto
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,8 @@ from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint
 from pb4u.simulation.device_steps import bytes_a_vertex, require_memory
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
-from pb4u.simulation.pass_search import PassSearch, search_of
-from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.pass_search import search_of
+from pb4u.simulation.step import Prediction, StepMethod, predictions
 from pb4u.simulation.step_start import begun, start_of
 from pb4u.simulation.timeline import SETTLING_DT
 from pb4u.training.budget import Budget, Counters
@@ -275,8 +275,7 @@ class Trainer:
         settles = self.sampler.settles(number, length) if settle is None else settle
         state = window.start(self.configuration.noise, self.configuration.clearance)
         prepared = self.model.prepare(window.timeline.garments)
-        features, search = StepFeatures(prepared), search_of(self.model.network)
-        return Rollout(number, window, state, prepared, features, search, GarmentWatch(), settles, length)
+        return Rollout(number, window, state, prepared, StepFeatures(prepared), GarmentWatch(), settles, length)
 
     def _indices(self, number: int) -> range:
         """This process's samples of window `number`."""
@@ -322,14 +321,14 @@ class Trainer:
         step, prepared = course.next_step(), course.prepared.with_steps(steps)
         passes, further = self.model.network.passes, self.model.network.further_passes
         network = NetworkPass(self.network, prepared, passes, course.features, nullcontext, further)
-        method = StepMethod(self.start, network, search=course.search)
-        states = predictions(step, method, self.rooms)
+        made = predictions(step, StepMethod(self.start, network, search=search_of(self.model.network)), self.rooms)
         # The network has no part in the first, which the start alone leads to.
-        after = next(states)
-        for after in states:
-            if not self.learn(prepared, step, after, course.search, course.watch):
+        latest = next(made)
+        for latest in made:
+            if not self.learn(prepared, step, latest, course.watch):
                 return False
-        state = State(after.positions.detach(), after.velocities.detach(), after.frame)
+        after = latest.state
+        state = replace(after, positions=after.positions.detach(), velocities=after.velocities.detach())
         course.state = self.with_initial_velocity(course, state) if course.settles else state
         course.settles, course.left = False, course.left - 1
         timeline, positions = course.window.timeline, course.state.positions
@@ -357,14 +356,13 @@ class Trainer:
             # The released code counts the settling displacement as one of an ordinary step (reference 1.8).
             "carried": settled.velocities * (SETTLING_DT / timeline.dt),
         }
-        return State(settled.positions, velocities[self.configuration.after_settling], frame)
+        return replace(settled, velocities=velocities[self.configuration.after_settling], frame=frame)
 
     def learn(
         self,
         prepared: PreparedGarments,
         step: TimeStep,
-        after: State,
-        search: PassSearch | None = None,
+        prediction: Prediction,
         watch: GarmentWatch | None = None,
     ) -> bool:
         """One optimiser step on the energies of `step`; False where they or their gradient are not finite.
@@ -375,24 +373,23 @@ class Trainer:
         Args:
             prepared: what the network derived once from the garments.
             step: that was taken.
-            after: where it led, differentiable.
-            search: that the pass went along, where its energy decrease weighs the loss.
+            prediction: where it led, differentiable, and what its last pass was worth.
             watch: sees whether the garments are lost.
         """
         weight = self.configuration.curriculum.collision(self.progress)
         rate = self.configuration.curriculum.rate(self.progress) * self.counters.rate_factor
-        finite = torch.isfinite(after.positions)
-        positions = torch.where(finite, after.positions, step.state.positions)
+        finite = torch.isfinite(prediction.state.positions)
+        positions = torch.where(finite, prediction.state.positions, step.state.positions)
         energies = step_energies(step, positions, weight, self.configuration.inside_weight)
         further = further_losses(prepared, step, positions, self.progress)
         each = torch.stack([energies.per_garment, *further.values()]).sum(0)
         if self.configuration.loss_weight == PROGRESS:
-            each = progress_weights(step.garments, None if search is None else search.decrease).to(each) * each
+            each = progress_weights(step.garments, prediction.decrease).to(each) * each
         gradient = self.learner.gradient(each.mean())
         terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
         self.latest_collision = terms["collision"].detach().double() / weight
         none = finite.new_zeros(())
-        idle = none if search is None or search.worth is None else ~search.worth.any()
+        idle = none if prediction.worth is None else ~prediction.worth.any()
         lost = none if self.rooms is None else self.rooms.too_little()
         if self.rooms is not None and watch is not None:
             # What a search short of room gave is not worth going on from.

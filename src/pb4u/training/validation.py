@@ -160,11 +160,12 @@ class Validation:
         method = _method(model, garments)
         for frame in range(self.frames):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
-            *_, after = predictions(step, method, rooms)
+            *_, prediction = predictions(step, method, rooms)
+            after = prediction.state
             finite = torch.isfinite(after.positions)
             positions = torch.where(finite, after.positions, state.positions)
             velocities = after.velocities if frame else timeline.skinned_velocity(state.frame)
-            state = State(positions, velocities, after.frame if frame else state.frame)
+            state = State(positions, velocities, after.frame if frame else state.frame, after.last_move)
             terms = step_energies(step, positions, REFERENCE_WEIGHT).terms
             energy = sum(term.sum().double() for name, term in terms.items() if name != "gravity")
             strain = strain_percentile(garments, positions)

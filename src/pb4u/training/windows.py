@@ -17,7 +17,6 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import StepFeatures
-from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.timeline import Timeline
 from pb4u.threads import sent
 from pb4u.training.configuration import MaterialSampling, TrainingConfiguration
@@ -185,7 +184,6 @@ class Rollout:
         state: of the garments.
         prepared: what the network derived once from the garments.
         features: node features of them.
-        search: how far a step goes along a pass.
         watch: sees whether they are lost.
         settles: whether the next step is the settling one.
         left: steps to go.
@@ -196,7 +194,6 @@ class Rollout:
     state: State
     prepared: PreparedGarments
     features: StepFeatures
-    search: PassSearch
     watch: GarmentWatch
     settles: bool
     left: int
