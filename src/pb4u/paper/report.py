@@ -12,11 +12,12 @@ from typing import Any
 from pb4u import __version__
 from pb4u.io.atomic_file import json_text
 from pb4u.jobs.job_folder import FOLDER_VERSION, JobFolder
+from pb4u.paper.evaluation_request import EvaluationRequest
 from pb4u.paper.page import Block, Plot, Remark, as_html, as_markdown
 from pb4u.paper.paper_figures import PAPER
 from pb4u.paper.pictures import picture_grid
 from pb4u.paper.plots import across_levels, against_steps, over_time
-from pb4u.paper.protocol_plan import EvaluationRequest, Plan
+from pb4u.paper.protocol_plan import Plan
 from pb4u.paper.robustness import failure_pictures, failure_table, parts_tables, robustness_table
 from pb4u.paper.summary import Summary, summarise
 from pb4u.paper.tables import controls_tables, level_table, terms_tables

@@ -12,7 +12,8 @@ from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import material_names
 from pb4u.garment.pins import NAMES as PIN_NAMES
 from pb4u.motion.library import motion_names
-from pb4u.run import MOST_GARMENTS, Run, WornGarment, described
+from pb4u.options import described
+from pb4u.run import MOST_GARMENTS, Run, WornGarment
 from pb4u.scene.loaded_garments import DEFAULT_MATERIAL
 from pb4u.scene.moving_body import DEFAULT_FRAMES, DEFAULT_MOTION
 from pb4u.simulation.models import default_model, model_descriptions
