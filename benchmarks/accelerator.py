@@ -186,7 +186,8 @@ def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
     """The network alone."""
     network = model.network
     prepared = model.prepare(timeline.garments.to(timeline.garments.device, torch.float32))
-    passes = NetworkPass(model, prepared, network.passes, further=network.further_passes)
+    c = network.configuration
+    passes = NetworkPass(model, prepared, c.passes, further=c.further_passes)
     return StepMethod(start_of(network), passes, search=search_of(network))
 
 

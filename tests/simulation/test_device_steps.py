@@ -45,7 +45,8 @@ def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
     network = model.network
     dtype = next(model.parameters()).dtype
     prepared = model.prepare(timeline.garments, dtype=dtype)
-    passes = NetworkPass(model, prepared, network.passes, further=min(network.further_passes, 2))
+    c = network.configuration
+    passes = NetworkPass(model, prepared, c.passes, further=min(c.further_passes, 2))
     return StepMethod(start_of(network), passes, search=search_of(network))
 
 

@@ -137,7 +137,7 @@ def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
     assert BodyMotionWarmStart(SHARES).accelerations(at).any()
     prepared = model.prepare(pack(at.garments.garments, torch.float32))
     expected = integrate(at, BodyMotionWarmStart(SHARES).accelerations(at))
-    method = StepMethod(start_of(model.network), NetworkPass(model, prepared, model.network.passes))
+    method = StepMethod(start_of(model.network), NetworkPass(model, prepared, model.network.configuration.passes))
     assert torch.allclose(take(at, method).positions, expected.positions)
 
 

@@ -45,7 +45,8 @@ class ControlSimulator(StepwiseSimulator):
         """Gradients in a step, and the most beyond those."""
         if self.name != GRADIENT_DESCENT:
             return 0, 0
-        return (self.like.passes, self.like.further_passes) if self.passes is None else (self.passes, 0)
+        like = self.like.configuration
+        return (like.passes, like.further_passes) if self.passes is None else (self.passes, 0)
 
     def settings(self) -> dict[str, Any]:
         return {**super().settings(), "refine": self.refine, "device": "cpu", "passes": self._repeats[0]}

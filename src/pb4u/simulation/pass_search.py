@@ -57,7 +57,7 @@ def search_of(network: GraphNetwork) -> PassSearch | None:
     Args:
         network: the network.
     """
-    return conjugate_move if network.conjugate else None
+    return conjugate_move if network.configuration.conjugate else None
 
 
 @torch.no_grad()

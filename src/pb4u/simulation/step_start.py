@@ -65,7 +65,8 @@ def start_of(network: GraphNetwork) -> BodyMotionWarmStart | None:
     Args:
         network: the network.
     """
-    return BodyMotionWarmStart(network.warm_start_shares) if network.warm_start_shares else None
+    shares = network.configuration.warm_start_shares
+    return BodyMotionWarmStart(shares) if shares else None
 
 
 def begun(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:

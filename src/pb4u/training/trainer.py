@@ -288,7 +288,7 @@ class Trainer:
         A window whose garment is lost leaves the round: nothing that follows would be worth learning.
         """
         length = self.configuration.curriculum.window_length(self.progress)
-        together, network = self.configuration.interleaved, self.model.network
+        together, network = self.configuration.interleaved, self.configuration.network
         if self.budget.steps is not None:
             left = math.ceil((self.budget.steps - self.counters.step) / (network.passes + network.further_passes))
             together = min(together, left)
@@ -319,7 +319,7 @@ class Trainer:
             for index, ruled in zip(self._indices(course.number), course.prepared.steps, strict=True)
         ]
         step, prepared = course.next_step(), course.prepared.with_steps(steps)
-        passes, further = self.model.network.passes, self.model.network.further_passes
+        passes, further = self.configuration.network.passes, self.configuration.network.further_passes
         network = NetworkPass(self.network, prepared, passes, course.features, nullcontext, further)
         made = predictions(step, StepMethod(self.start, network, search=search_of(self.model.network)), self.rooms)
         # The network has no part in the first, which the start alone leads to.

@@ -179,8 +179,9 @@ class Validation:
 
 def _method(model: AccelerationModel, garments: PackedGarments) -> StepMethod:
     """A step by `model` alone; K follows the resolution."""
-    network = NetworkPass(model, model.prepare(garments), model.network.passes, further=model.network.further_passes)
-    return StepMethod(start_of(model.network), network, search=search_of(model.network))
+    network, c = model.network, model.network.configuration
+    passes = NetworkPass(model, model.prepare(garments), c.passes, further=c.further_passes)
+    return StepMethod(start_of(network), passes, search=search_of(network))
 
 
 def _spread(data: TrainingData, count: int) -> list[int]:
