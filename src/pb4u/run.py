@@ -120,8 +120,8 @@ class Run:
         motion: Built-in motion (`pb4u assets`), or .amc, .bvh, AMASS .npz, VTO .pkl, or from a video GVHMR .pt, WHAM
             .pkl or TRAM .npy (FILE:PERSON of several people). Default: walk, or the body's own.
         crop: Frames A to B-1 of a recording, at its own rate.
-        arms_away: Degrees by which hanging arms are held away from the torso. Default: arms of a recording by as much
-            as they would go into the body; 0 leaves them as recorded.
+        arms_away: Degrees by which hanging arms are held away from the torso. Default: as far as
+            keeps the arms of a recording out of the body; 0 leaves them as recorded.
         raw_motion: Leave motion from a video as it is, neither smoothed nor its feet held.
         recorded_fps: Frames per second of a recording. Default: what its file says, or 30.
         lead_in: Frames from the rest pose into the motion, simulated but not written.

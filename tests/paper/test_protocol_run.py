@@ -24,7 +24,7 @@ from pb4u.paper import report
 from pb4u.paper.evaluation import evaluate
 from pb4u.paper.evaluation_request import EvaluationRequest
 from pb4u.paper.protocols import PROTOCOLS
-from pb4u.paper.report import told_once
+from pb4u.paper.report import merge_similar
 from pb4u.paper.summary import share_text
 from pb4u.paper.tables import terms_tables
 from pb4u.run import Run
@@ -242,6 +242,6 @@ def test_unexpected_errors_come_back_as_a_sentence(tmp_path: Path, monkeypatch: 
 
 def test_notes_that_differ_in_numbers_alone_are_told_once() -> None:
     notes = ["dress: edges of 18.5 mm", "dress: edges of 27.4 mm", "tshirt: edges of 13.1 mm", "dress: edges of 9 mm"]
-    first, second = told_once(notes)
+    first, second = merge_similar(notes)
     assert first == "dress: edges of 18.5 mm (2 more with other numbers, in results.json.)"
     assert second == "tshirt: edges of 13.1 mm"

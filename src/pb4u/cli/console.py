@@ -1,4 +1,4 @@
-"""What every verb shares: what is said, JSON output and the flag values that are more than a word."""
+"""Shared by all verbs: messages, JSON output, and parsers of flag values."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def say(sentence: str) -> None:
 
 
 def tell(payload: Mapping[str, Any], target: str | None, sentence: str) -> None:
-    """Print the result of a verb in a sentence, and as JSON where that is asked for; alone on standard output.
+    """Print the result of a verb as a sentence, and write it as JSON if `--json` is given.
 
     Args:
         payload: the result.
@@ -181,7 +181,7 @@ def _read_file(name: str) -> Path:
 
 
 def pool_of(workers: int, ray: str | None) -> Callable[[], WorkerPool]:
-    """Who does the jobs of a run; called once there is work.
+    """Function that makes the workers of a run; called once there is work.
 
     Args:
         workers: processes on this machine.

@@ -14,7 +14,7 @@ from pb4u.motion.humanoid import humanoid_of
 
 
 class Performed(NamedTuple):
-    """What a body does of a motion.
+    """Poses of a body that performs a motion.
 
     Args:
         poses: its poses.

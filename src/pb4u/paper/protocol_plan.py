@@ -1,4 +1,4 @@
-"""From what was asked for to the rollouts to make. Everything that can be refused is refused here, before any work."""
+"""Plans the rollouts of an evaluation; validates all of them before any work."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def plan(request: EvaluationRequest) -> Plan:
 
 
 class _Planning:
-    """What all rollouts of a request share while it is planned."""
+    """Planning of one request: the models, levels and motions that its rollouts share."""
 
     def __init__(self, request: EvaluationRequest) -> None:
         _check_numbers(request)
@@ -218,7 +218,7 @@ class _Planning:
         return self._solver_on(scene, self.protocol.excess) if self.request.floors == "run" else None
 
     def _options(self, model: str) -> dict[str, Any]:
-        """What is requested, where a model uses it."""
+        """The requested options that a model uses."""
         asked = {"refine": self.request.refine, "contact": self.request.contact}
         if model == QuickSolver.name:
             asked["refine"] = self.request.refine or REFINE
@@ -271,7 +271,7 @@ def _check_numbers(request: EvaluationRequest) -> None:
 
 
 def _level(name: str) -> tuple[str, int]:
-    """What a level is called, and its number of triangles."""
+    """Name and number of triangles of a level."""
     named = {key.lower(): (key, count) for key, count in LEVELS.items()}
     if name.lower() in named:
         return named[name.lower()]

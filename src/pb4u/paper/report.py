@@ -107,7 +107,7 @@ def _remarks(summary: Summary) -> list[Block]:
         lines = [f"{job}: {sentence}" for job, sentence in summary.failures]
         blocks.append(Remark("Rollouts that could not be made", lines))
     results = [row.result for row in summary.rows if row.result]
-    if notes := told_once(dict.fromkeys(note for result in results for note in result["notes"])):
+    if notes := merge_similar(dict.fromkeys(note for result in results for note in result["notes"])):
         blocks.append(Remark("Notes", notes))
     machines = dict.fromkeys(
         ", ".join(f"{key} {value}" for key, value in result["machine"].items()) for result in results
@@ -122,7 +122,7 @@ def _remarks(summary: Summary) -> list[Block]:
     return blocks
 
 
-def told_once(notes: Iterable[str]) -> list[str]:
+def merge_similar(notes: Iterable[str]) -> list[str]:
     """Notes shortened: those that differ in their numbers alone become the first one, and how many more there are.
 
     Args:

@@ -76,12 +76,12 @@ class TimeStep:
 
     @cached_property
     def contacts(self) -> ContactSet:
-        """Contacts at the start of the step with the exact surface of the bodies, queried when first asked for."""
+        """Contacts at the start of the step with the exact surface of the bodies; queried on first use."""
         return self.contacts_by(partial(nearest_planes, within=MOTION_REACH))
 
     @cached_property
     def obstacle(self) -> Obstacle | None:
-        """The bodies as cloth may not pass through them over the step, queried when first asked for."""
+        """The moving bodies that cloth may not pass through over the step; made on first use."""
         return Obstacle.over(self.garments, self.bodies, self.state.positions)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""How far a step goes along a pass of the network: all of it, or the lengths of least potential."""
+"""Line search along the passes of a network: each is joined with the move of the pass before it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def conjugate_move(
 
 
 def search_of(network: GraphNetwork) -> PassSearch | None:
-    """How far a step goes along the passes of `network`; None takes them whole, as the paper does.
+    """Line search along the passes of `network`; None takes the passes whole, as the paper does.
 
     Args:
         network: the network.

@@ -112,7 +112,7 @@ class SolverRefinement:
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
     def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
-        """`state` as far as it is reached past the moving bodies, at rest with them where they turned it aside.
+        """`state` moved past the bodies; where they turned strained cloth aside, solved again with the faces of bodies.
 
         Args:
             step: the time step.
@@ -211,8 +211,7 @@ def _has_failed(step: TimeStep, x: Tensor) -> bool:
 
 
 def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
-    """As far from `before` towards `wanted` as cloth can move without passing through cloth; velocities follow the
-    positions.
+    """State as far from `before` towards `wanted` as cloth can move without passing through cloth; its velocities fit.
 
     Args:
         self_contact: keeps cloth from passing through cloth; None where it may.
@@ -227,8 +226,7 @@ def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, befo
 
 
 def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State) -> State:
-    """As far from the step's start towards `wanted` as cloth can move past the moving bodies; velocities follow the
-    positions.
+    """State as far from the step's start towards `wanted` as cloth can move past the moving bodies; its velocities fit.
 
     Args:
         self_contact: keeps cloth from passing through bodies; None where it may.

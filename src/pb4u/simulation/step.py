@@ -19,7 +19,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import SolverRefinement, collision_free_move, past_bodies
-from pb4u.simulation.step_start import BodyMotionWarmStart, begun
+from pb4u.simulation.step_start import BodyMotionWarmStart, start_accelerations
 from pb4u.threads import one_torch_thread
 
 LARGE_DECREASE = 1.5e-3
@@ -30,7 +30,7 @@ Less than the 2 mm above the skin at which contact begins.
 
 
 class Pass(Protocol):
-    """What corrects the accelerations of a step: a network, or what stands in its place.
+    """Corrects the accelerations of a step: a network, or a control in its place.
 
     Attributes:
         passes: how often it does in a step.
@@ -51,7 +51,7 @@ class Pass(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StepMethod:
-    """What takes a step.
+    """How a step is taken.
 
     Args:
         start: where the step starts from; None for free flight.
@@ -75,7 +75,7 @@ def take(step: TimeStep, method: StepMethod) -> State:
 
     Args:
         step: that is taken.
-        method: what takes it.
+        method: how it is taken.
 
     Raises:
         DivergedError: it is not finite.
@@ -136,7 +136,7 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
         rooms: of a step that waits for no decision: passes that are not worth taking are computed, and left out.
     """
     # From free flight, or part of the way that the body moves: (vertices, 3) [m per step^2].
-    accelerations = begun(method.start, step)
+    accelerations = start_accelerations(method.start, step)
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
     yield Prediction(integrate(step, accelerations))
     network, search, last, decrease = method.network, method.search, step.state.last_move, None

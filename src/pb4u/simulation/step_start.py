@@ -69,7 +69,7 @@ def start_of(network: GraphNetwork) -> BodyMotionWarmStart | None:
     return BodyMotionWarmStart(shares) if shares else None
 
 
-def begun(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:
+def start_accelerations(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:
     """Accelerations (vertices, 3) [m per step^2] from free flight to where `step` starts.
 
     Args:

@@ -73,7 +73,7 @@ class StepwiseSimulator(Simulator):
         """
 
     def refinement(self, record: RunRecord) -> SafeguardedRefinement | None:
-        """What refines a prediction; None where nothing does.
+        """Refinement of predictions by the solver; None for none.
 
         Args:
             record: counts the steps that are retried.

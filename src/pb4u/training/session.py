@@ -129,7 +129,7 @@ def _created(
 
 
 def _origin(name: str | None) -> dict[str, Any] | None:
-    """What a training begins with: built-in name, or file so that it is found from any folder; licence and record."""
+    """Weights that a training begins with: built-in name or absolute path, licence and record."""
     if name is None:
         return None
     where = name if name in built_in_models() else str(Path(name).resolve())
@@ -211,7 +211,7 @@ def _summary(trainer: Trainer, folder: RunFolder, ending: str) -> dict[str, Any]
 
 
 class _Silent(Reporter):
-    """Of a process that does not lead."""
+    """Reporter of a process that does not lead."""
 
     def said(self, sentence: str) -> None:
         pass

@@ -26,7 +26,7 @@ from pb4u.simulation.device_steps import bytes_a_vertex, require_memory
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
 from pb4u.simulation.pass_search import search_of
 from pb4u.simulation.step import Prediction, StepMethod, predictions
-from pb4u.simulation.step_start import begun, start_of
+from pb4u.simulation.step_start import start_accelerations, start_of
 from pb4u.simulation.timeline import SETTLING_DT
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
@@ -252,12 +252,12 @@ class Trainer:
     def gather_statistics(self) -> None:
         """Normalise by what skinned garments look like; nothing is learnt yet."""
         for number in range(self.configuration.statistics_windows):
-            course = self.begin(number, length=1, settle=bool(number % 2))
-            step, network = course.next_step(), NetworkPass(self.network, course.prepared, features=course.features)
-            graph = network.graph(step, begun(self.start, step))
+            rollout = self.begin(number, length=1, settle=bool(number % 2))
+            step, network = rollout.next_step(), NetworkPass(self.network, rollout.prepared, features=rollout.features)
+            graph = network.graph(step, start_accelerations(self.start, step))
             while self.rooms is not None and self.rooms.grow(*self.rooms.taken()):
-                graph = network.graph(step, begun(self.start, step))
-            self.model.gather_statistics(graph, course.window.timeline.skinned_acceleration(1))
+                graph = network.graph(step, start_accelerations(self.start, step))
+            self.model.gather_statistics(graph, rollout.window.timeline.skinned_acceleration(1))
             self.counters.window += 1
         self.workers.reduce_statistics(self.model)
         self.model.freeze_statistics()
@@ -294,64 +294,64 @@ class Trainer:
             together = min(together, left)
             length = min(length, math.ceil(left / together))
         first = self.counters.window
-        courses = [self.begin(number, length) for number in range(first, first + together)]
-        while courses:
-            for course in courses:
-                if not self.advance(course):
+        rollouts = [self.begin(number, length) for number in range(first, first + together)]
+        while rollouts:
+            for rollout in rollouts:
+                if not self.advance(rollout):
                     return RoundEnd.CAME_APART
-            courses = [course for course in courses if course.left and not course.watch.seen_lost]
-            ending = self._ending() if courses else None
+            rollouts = [rollout for rollout in rollouts if rollout.left and not rollout.watch.seen_lost]
+            ending = self._ending() if rollouts else None
             if ending == "stopped":
                 return RoundEnd.STOPPED
             if ending == "finished":
                 break
         return RoundEnd.LEARNT if self.look_at_outcomes() else RoundEnd.CAME_APART
 
-    def advance(self, course: Rollout) -> bool:
+    def advance(self, rollout: Rollout) -> bool:
         """Learn from the next step of a window, and take it; whether all went well.
 
         Args:
-            course: the window, and how far it has come; changed.
+            rollout: the window, and how far it has come; changed.
         """
-        taken = course.window.length - course.left
+        taken = rollout.window.length - rollout.left
         steps = [
             self.sampler.propagation_steps(index, taken, ruled)
-            for index, ruled in zip(self._indices(course.number), course.prepared.steps, strict=True)
+            for index, ruled in zip(self._indices(rollout.number), rollout.prepared.steps, strict=True)
         ]
-        step, prepared = course.next_step(), course.prepared.with_steps(steps)
+        step, prepared = rollout.next_step(), rollout.prepared.with_steps(steps)
         passes, further = self.configuration.network.passes, self.configuration.network.further_passes
-        network = NetworkPass(self.network, prepared, passes, course.features, nullcontext, further)
+        network = NetworkPass(self.network, prepared, passes, rollout.features, nullcontext, further)
         made = predictions(step, StepMethod(self.start, network, search=search_of(self.model.network)), self.rooms)
         # The network has no part in the first, which the start alone leads to.
         latest = next(made)
         for latest in made:
-            if not self.learn(prepared, step, latest, course.watch):
+            if not self.learn(prepared, step, latest, rollout.watch):
                 return False
         after = latest.state
         state = replace(after, positions=after.positions.detach(), velocities=after.velocities.detach())
-        course.state = self.with_initial_velocity(course, state) if course.settles else state
-        course.settles, course.left = False, course.left - 1
-        timeline, positions = course.window.timeline, course.state.positions
+        rollout.state = self.with_initial_velocity(rollout, state) if rollout.settles else state
+        rollout.settles, rollout.left = False, rollout.left - 1
+        timeline, positions = rollout.window.timeline, rollout.state.positions
         strain = strain_percentile(timeline.garments, positions)
-        drift = drift_from(timeline.skinned(course.state.frame), timeline.garments, positions)
-        lost = course.watch.is_lost(strain, drift, self.latest_collision)
+        drift = drift_from(timeline.skinned(rollout.state.frame), timeline.garments, positions)
+        lost = rollout.watch.is_lost(strain, drift, self.latest_collision)
         # On an accelerator nothing more is learnt from them; the processor hears of it with the next line of the log.
         if self.rooms is None and self.workers.agreed(bool(lost)):
-            course.left = 0
+            rollout.left = 0
         return True
 
-    def with_initial_velocity(self, course: Rollout, settled: State) -> State:
+    def with_initial_velocity(self, rollout: Rollout, settled: State) -> State:
         """State of settled garments, still in the frame where they settled, with the velocity that they set off with.
 
         Args:
-            course: window that they are of.
+            rollout: window that they are of.
             settled: after the settling step.
         """
-        timeline, frame = course.window.timeline, settled.frame - 1
+        timeline, frame = rollout.window.timeline, settled.frame - 1
         skinned = timeline.skinned_velocity(frame)
         velocities = {
             "skinned": skinned,
-            "slowed": self.sampler.slowing(course.number) * skinned,
+            "slowed": self.sampler.slowing(rollout.number) * skinned,
             "zero": torch.zeros_like(settled.velocities),
             # The released code counts the settling displacement as one of an ordinary step (reference 1.8).
             "carried": settled.velocities * (SETTLING_DT / timeline.dt),

@@ -151,7 +151,7 @@ class Validation:
                 return len(kept), sum(row[1] for row in kept), sum(row[2] for row in kept)
 
     def _frames(self, model: AccelerationModel, window: Window) -> Iterator[Tensor]:
-        """Of each frame (3,) float64 whether its garment is not lost, its energy without gravity [J] and its strain.
+        """For each frame (3,) float64: 1 if its garment is not lost, its energy without gravity [J], and its strain.
 
         A processor ends where it is lost; an accelerator goes on, as it waits for no decision.
         """

@@ -1,4 +1,4 @@
-"""Whom the studio answers: the page that it served itself, and on a network only who has its token.
+"""Access to the studio: its own page only, and on a network only with its token.
 
 Any page that a browser shows may send requests to this machine and open a websocket to it. A browser tells where such a
 request comes from (`Origin`) and which name it was sent to (`Host`): a foreign page has another origin, and a name that

@@ -1,4 +1,4 @@
-"""What every panel of a window stands on, and the boxes in which it says something."""
+"""Base class of the panels of a window, and the boxes for their messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What to simulate, and how far it is."""
+"""Panel of the options, start, progress and end of a simulation."""
 
 from __future__ import annotations
 
