@@ -47,8 +47,8 @@ class Entry:
 
     Args:
         name: of the field.
-        kind: "switch", "whole", "number", "choice", "name", "file", "names" or "counts"; "other" where its record
-            checks it.
+        kind: "switch", "whole", "number", "choice", "name", "file", "names", "counts" or "files"; "other" where its
+            record checks it.
         optional: whether None may stand for its value.
         choices: values of a choice.
         default: its value where none is given.
@@ -89,7 +89,7 @@ def described(record: type) -> Mapping[str, Entry]:
 
 _KINDS: dict[Any, str] = {
     bool: "switch", int: "whole", float: "number", str: "name", Path: "file",
-    tuple[str, ...]: "names", tuple[int, ...]: "counts",
+    tuple[str, ...]: "names", tuple[int, ...]: "counts", tuple[Path, ...]: "files",
 }  # fmt: skip
 
 
@@ -125,7 +125,7 @@ def _fits(entry: Entry, value: object) -> bool:
         return isinstance(value, bool)
     if entry.kind == "name":
         return value != "" and not isinstance(value, Real | Mapping | list | set) and value is not None
-    if entry.kind in ("other", "file", "names", "counts"):
+    if entry.kind in ("other", "file", "names", "counts", "files"):
         return True
     kind = Integral if entry.kind == "whole" else Real
     if isinstance(value, bool) or not isinstance(value, kind):

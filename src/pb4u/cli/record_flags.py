@@ -12,7 +12,7 @@ from pb4u.cli.console import Switch
 from pb4u.errors import InputError
 from pb4u.options import Entry, described
 
-_TYPES: Mapping[str, Any] = {"whole": int, "number": float, "file": Path, "other": list[str]}
+_TYPES: Mapping[str, Any] = {"whole": int, "number": float, "file": Path, "files": list[Path], "other": list[str]}
 
 
 def record_flags(record: type) -> dict[str, Any]:

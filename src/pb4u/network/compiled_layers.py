@@ -239,7 +239,7 @@ class _Propagation(torch.autograd.Function):
 
 
 def _between(values: Tensor, width: int) -> tuple[Tensor, ...]:
-    """Room for what the derivative reads again: hidden layers, output of the norm (rows, width), its factors (rows,)."""
+    """Room for what the derivative reads: hidden layers and output of the norm (rows, width), its factors (rows,)."""
     rows = len(values)
     return (*(values.new_empty(rows, width) for _ in range(3)), values.new_empty(rows))
 
