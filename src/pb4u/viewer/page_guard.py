@@ -56,7 +56,7 @@ class PageGuard:
         return None
 
     def cookie(self, path: str) -> str | None:
-        """Cookie to set for who came by the address with the token; the page's own requests show it from then on.
+        """Cookie for a browser that opened the address with the token; its later requests carry it.
 
         Args:
             path: path and query of the request.
