@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict, astuple, dataclass, fields, replace
+from dataclasses import asdict, astuple, fields, replace
 from enum import Enum, auto
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pb4u import __version__
 from pb4u.errors import InputError
 from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import PreparedGarments
@@ -43,9 +42,11 @@ from pb4u.training.objective import (
     step_energies,
     strain_energy,
 )
+from pb4u.training.outcome import Outcome
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.recovery import Recovery
 from pb4u.training.run_folder import RunFolder
+from pb4u.training.training_record import training_record
 from pb4u.training.validation import Score, Validation
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Rollout, Sampler, WindowLoader
@@ -62,46 +63,6 @@ class RoundEnd(Enum):
     LEARNT = auto()
     CAME_APART = auto()
     STOPPED = auto()
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of an optimiser step, which on an accelerator the processor hears of later.
-
-    Args:
-        names: of the losses [J].
-        values: (names + 3,) the losses, then 1 or 0: the pass was not worth its time, its garments are lost or a search
-            was short of room, the positions are not finite.
-        settings: learning rate and weight of collisions.
-        watch: of the garments, or None.
-    """
-
-    names: tuple[str, ...]
-    values: Tensor
-    settings: dict[str, float]
-    watch: GarmentWatch | None
-
-    def changes_nothing(self) -> Tensor:
-        """1 () float32 where the weights are to stay as they are, else 0."""
-        return ((self.values[-3:] > 0.0).any() | ~torch.isfinite(self.values).all()).to(torch.float32)
-
-    def finite(self, row: list[float]) -> bool:
-        """Whether the step with the values `row` is finite.
-
-        Args:
-            row: values of the step, as they were collected.
-        """
-        return row[-1] == 0.0 and all(math.isfinite(value) for value in row)
-
-    def skipped(self, row: list[float]) -> bool:
-        """Whether the step with the values `row` was left out; notes for its window where garments are lost.
-
-        Args:
-            row: values of the step, as they were collected.
-        """
-        if self.watch is not None and row[-2] > 0.0:
-            self.watch.seen_lost = True
-        return row[-3] > 0.0 or row[-2] > 0.0
 
 
 class Trainer:
@@ -466,35 +427,14 @@ class Trainer:
         if self.folder is None or not self.workers.leads:
             return
         path: Path = getattr(self.folder, which)
+        network, device = self.model.network, self.workers.device
+        record = training_record(self.configuration, self.data, network, self.counters, score, device)
+        record = record if self.origin is None else record.after(self.origin)
         with self.learner.averaged():
             try:
-                save_checkpoint(path, self.model, self.configuration.network, self.record(score), self.licence)
+                save_checkpoint(path, self.model, self.configuration.network, record, self.licence)
             except InputError as error:
                 self.journal.say(f"{error} The training goes on.")
-
-    def record(self, score: dict[str, Any]) -> TrainingRecord:
-        """Record of how the present weights were trained; `score` is that of their validation.
-
-        Args:
-            score: plain JSON data of the validation.
-        """
-        c, clip = self.configuration, self.data.clips[0]
-        ruled = [self.model.network.propagation_steps(o.garment.mean_edge_length) for o in self.data.outfits]
-        steps = (1, c.most_propagation_steps) if c.most_propagation_steps else (min(ruled), max(ruled))
-        details = {
-            "garments": sorted({outfit.garment.name for outfit in self.data.outfits}),
-            "triangles": sorted({outfit.garment.triangle_count for outfit in self.data.outfits}),
-            "bodies": sorted({body.name for body in self.data.bodies}),
-            "clips": len(self.data.clips),
-            "batch": c.batch,
-            "seed": c.seed,
-            "hours": round(self.counters.seconds / 3600.0, 3),
-            "device": str(self.workers.device),
-            "validation": {name: value if math.isfinite(value) else None for name, value in score.items()},
-            "versions": {"pb4u": __version__, "torch": torch.__version__},
-        }
-        seen = TrainingRecord(1.0 / clip.poses.fps, self.data.edge_lengths, steps, self.counters.step, details)
-        return seen if self.origin is None else seen.after(self.origin)
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
         """Go on from a checkpoint.
