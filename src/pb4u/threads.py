@@ -48,18 +48,19 @@ def to_device(values: torch.Tensor, device: torch.device) -> torch.Tensor:
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Hold the operations of torch to the thread that makes them, for this thread alone.
+    """Hold the operations of torch to the thread that makes them, for this thread alone, and products of numpy for all.
 
     Torch's own setting would be that of every thread begun meanwhile, for good.
     """
-    with _controller().limit(limits=1, user_api="openmp"):
+    with _controller().limit(limits=1):
         yield
 
 
 @cache
 def _controller() -> ThreadpoolController:
     """Finds the libraries that have threads, which takes 3 ms."""
-    import torch  # noqa: F401  # loaded first, so that its library is found
+    import scipy.linalg  # noqa: F401  # has the library of compiled products
+    import torch  # noqa: F401  # both are loaded first, so that their libraries are found
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

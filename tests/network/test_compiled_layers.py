@@ -1,4 +1,4 @@
-"""Compiled passes of training against the same layers in torch's own operations."""
+"""Compiled layers against the same layers in torch's own operations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import torch
 from tests.network.test_pb4u_gnet import TINY, model_of, weights_gradients
 from tests.network_scenes import DT, moment, prepared_for, sheet
 
-from pb4u.network import interaction_block, layer_loops, mlp, propagation
+import pb4u.threads
+from pb4u.network import compiled_layers, interaction_block, layer_loops, mlp, propagation
 from pb4u.network.graph.world_edges import WorldEdgeRule
 
 USERS = (interaction_block, mlp, propagation)
@@ -43,6 +44,21 @@ def test_gradients_are_those_of_the_plain_layers(monkeypatch, dtype, tolerance):
     for name, gradient in found.items():
         bound = tolerance * float(expected[name].norm())
         assert float((gradient - expected[name]).norm()) < bound, name
+
+
+def test_threads_and_gradients_leave_the_result_as_it_is(monkeypatch):
+    model = model_of(replace(TINY, world_edges=WorldEdgeRule(radius=0.03, neighbours=12)))
+    at = moment([sheet(14, 16), sheet(7, 6, edge=0.02, seed=3)])
+    prepared = prepared_for(model, at, steps=(5, 2))
+    graph = prepared.graph(at.state, at.collider, DT)
+    # Several parts, the last of them shorter.
+    monkeypatch.setattr(compiled_layers, "_SHARED_ROWS", 300)
+    monkeypatch.setattr(compiled_layers, "_SHARED_NODES", 50)
+    recorded = model(graph, prepared).detach()
+    for threads in (1, 3):
+        monkeypatch.setattr(pb4u.threads, "thread_count", lambda number=threads: number)
+        with torch.inference_mode():
+            assert torch.equal(model(graph, prepared), recorded)
 
 
 def test_what_is_not_a_number_comes_through():

@@ -77,7 +77,7 @@ def on_device(model: AccelerationModel, steps: int, rooms: Rooms, replays: bool 
     return [state.positions for state in states]
 
 
-@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 20)])
+@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 7)])
 def test_both_ways_lead_to_the_same_states(dtype: torch.dtype, near: float, steps: int, in_tensors: None) -> None:
     model = from_pretrained("pb4u-wide").model.to(dtype)
     expected = on_host(model, steps)
@@ -127,6 +127,9 @@ def test_steps_are_replayed_where_their_shapes_stay(
     small = replace(NETWORKS["literal"] if spoilt else searched, width=8, blocks=1)
     model = AccelerationModel(small.network()).double()
     monkeypatch.setattr("pb4u.simulation.step_graph.captured", noted)
+    for user in ("interaction_block", "mlp", "propagation"):
+        # A card launches no compiled passes.
+        monkeypatch.setattr(f"pb4u.network.{user}.are_compiled", lambda *given: False)
     plain, replayed = (on_device(model, 7, Rooms(), replays) for replays in (False, True))
     for one, other in zip(plain, replayed, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-12)

@@ -1,15 +1,16 @@
-"""Layers of a network as a training on a processor computes them: autograd functions around compiled loops.
+"""Layers of a network as a processor computes them: autograd functions around compiled loops.
 
 Some hundred rows at a time go through all layers and stay in cache (`layer_loops`): with all rows at once, a product
-waited for memory two thirds of its time. The same layers in torch's operations, which accelerators take, are the slow
-form that tests compare with.
+waited for memory two thirds of its time. Threads share the rows out. The same layers in torch's operations, which
+accelerators take, are the slow form that tests compare with.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -18,9 +19,31 @@ from torch.autograd.function import once_differentiable
 
 from pb4u.network import layer_loops as loops
 from pb4u.network.graph.incidence import Incidence
+from pb4u.threads import parallel_map
 
 Gradients: TypeAlias = tuple[Tensor | None, ...]
 Layers: TypeAlias = tuple[nn.Linear, nn.Linear, nn.LayerNorm]
+
+
+_SHARED_ROWS, _SHARED_NODES = 4096, 640
+"""Rows, and nodes with some four thousand edges, that a thread takes at a time, so that results are the same for any
+number of threads."""
+
+
+class EdgeRun(NamedTuple):
+    """Some receivers in a row, and all edges that end at them.
+
+    Args:
+        nodes: rows of the receivers.
+        edges: rows of the edges.
+        senders: (edges,) int64 node at the start of each of these.
+        offsets: (receivers + 1,) int64 first of these edges of each receiver.
+    """
+
+    nodes: slice
+    edges: slice
+    senders: np.ndarray
+    offsets: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +58,14 @@ class Ends:
     senders: Incidence | None
     receivers: Incidence
 
+    def runs(self) -> list[EdgeRun]:
+        """All receivers in order, some at a time."""
+        senders, offsets = self.arrays()
+        spans = [slice(first, first + _SHARED_NODES) for first in range(0, len(offsets) - 1, _SHARED_NODES)]
+        begins = [offsets[nodes.start : nodes.stop + 1] for nodes in spans]
+        edges = [slice(int(of[0]), int(of[-1])) for of in begins]
+        return [EdgeRun(n, e, senders[e], of - of[0]) for n, e, of in zip(spans, edges, begins, strict=True)]
+
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """Sender (edges,) int64 of each edge, 0 where there is none, and first edge (nodes + 1,) of each receiver."""
         index = self.receivers.index
@@ -43,7 +74,7 @@ class Ends:
 
 
 def are_compiled(values: Tensor, weight: Tensor, *receivers: Incidence) -> bool:
-    """Whether these layers take `values`: gradients are recorded, and a processor computes in float32 or float64.
+    """Whether these layers take `values`: a processor computes in float32 or float64.
 
     Args:
         values: (rows, columns) that enter.
@@ -51,8 +82,7 @@ def are_compiled(values: Tensor, weight: Tensor, *receivers: Incidence) -> bool:
         receivers: of the edges that they pass over; the kernels have no row for edges that are only room.
     """
     return (
-        torch.is_grad_enabled()
-        and not any(end.spare for end in receivers)
+        not any(end.spare for end in receivers)
         and values.device.type == "cpu"
         and values.dtype == weight.dtype
         and values.dtype in (torch.float32, torch.float64)
@@ -69,7 +99,9 @@ def normed_perceptron(values: Tensor, weight: Tensor | None, bias: Tensor, layer
         bias: (width,) [1] of it.
         layers: the second layer, the last and the norm, all `width` wide.
     """
-    output: Tensor = _Perceptron.apply(layers[2].eps, values, weight, bias, *_weights(layers))  # type: ignore[no-untyped-call]
+    output: Tensor = _Perceptron.apply(  # type: ignore[no-untyped-call]
+        layers[2].eps, torch.is_grad_enabled(), values, weight, bias, *_weights(layers)
+    )
     return output
 
 
@@ -94,7 +126,7 @@ def passed_edges(
         ends: of the edges.
     """
     given = (latents, from_senders, from_receivers, weight, bias, *_weights(layers))
-    new, sums = _EdgePass.apply(layers[2].eps, ends, *given)  # type: ignore[no-untyped-call]
+    new, sums = _EdgePass.apply(layers[2].eps, torch.is_grad_enabled(), ends, *given)  # type: ignore[no-untyped-call]
     return new, sums
 
 
@@ -119,7 +151,9 @@ def propagated(
         inflows: ends of each set of edges.
     """
     given = (state, *weights, *_weights(layers), *constants)
-    after: Tensor = _Propagation.apply(steps, decay, layers[2].eps, inflows, *given)  # type: ignore[no-untyped-call]
+    after: Tensor = _Propagation.apply(  # type: ignore[no-untyped-call]
+        steps, decay, layers[2].eps, torch.is_grad_enabled(), inflows, *given
+    )
     return after
 
 
@@ -130,16 +164,22 @@ def _weights(layers: Layers) -> tuple[Tensor, ...]:
 
 class _Perceptron(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, eps: float, values: Tensor, weight: Tensor | None, *rest: Tensor) -> Tensor:
+    def forward(ctx: Any, eps: float, kept: bool, values: Tensor, weight: Tensor | None, *rest: Tensor) -> Tensor:
         values = values.contiguous()
-        ctx.weighted = weight is not None
-        weights = (values if weight is None else weight, *rest)
-        between, out = _between(values, len(rest[0])), values.new_empty(len(values), len(rest[0]))
-        ctx.save_for_backward(values, *weights, *between)
+        ctx.weighted = weighted = weight is not None
+        weights, width = (values if weight is None else weight, *rest), len(rest[0])
         given, *layers = _arrays(values, *weights)
-        eps = layers[0].dtype.type(eps)
-        loops.perceptron(given, ctx.weighted, tuple(layers), eps, tuple(_arrays(*between)), _array(out))
-        return out
+        out, eps = np.empty((len(given), width), given.dtype), given.dtype.type(eps)
+        between = _between(out if kept else out[:0])
+
+        def passed(rows: slice) -> None:
+            own = tuple(each[rows] for each in between) if kept else _between(out[rows])
+            loops.perceptron(given[rows], weighted, tuple(layers), eps, own, out[rows])
+
+        parallel_map(passed, [slice(first, first + _SHARED_ROWS) for first in range(0, len(given), _SHARED_ROWS)])
+        if kept:
+            ctx.save_for_backward(values, *weights, *map(torch.from_numpy, between))
+        return torch.from_numpy(out)
 
     @staticmethod
     @once_differentiable
@@ -147,26 +187,32 @@ class _Perceptron(torch.autograd.Function):
         values, *saved = ctx.saved_tensors
         further, on_values = [torch.zeros_like(weight) for weight in saved[:-4]], torch.empty_like(values)
         on, given, *arrays = _arrays(gradients[0].contiguous(), values, *saved)
-        layers, between, wanted = tuple(arrays[:-4]), tuple(arrays[-4:]), ctx.needs_input_grad[1]
+        layers, between, wanted = tuple(arrays[:-4]), tuple(arrays[-4:]), ctx.needs_input_grad[2]
         loops.perceptron_derivative(
             on, given, ctx.weighted, layers, between, tuple(_arrays(*further)), wanted, _array(on_values)
         )
-        return None, on_values if wanted else None, further[0] if ctx.weighted else None, *further[1:]
+        return None, None, on_values if wanted else None, further[0] if ctx.weighted else None, *further[1:]
 
 
 class _EdgePass(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, eps: float, ends: Ends, *given: Tensor) -> Any:
+    def forward(ctx: Any, eps: float, kept: bool, ends: Ends, *given: Tensor) -> Any:
         tensors = [each.contiguous() for each in given]
-        between = _between(tensors[0], tensors[0].shape[1])
-        ctx.save_for_backward(*tensors, *between)
+        latents, at_sender, at_receiver, *layers = _arrays(*tensors)
+        new, sums, eps = np.empty_like(latents), np.empty_like(at_receiver), latents.dtype.type(eps)
+        between = _between(new if kept else new[:0])
+
+        def passed(run: EdgeRun) -> None:
+            own = tuple(each[run.edges] for each in between) if kept else _between(new[run.edges])
+            shares = (at_sender, at_receiver[run.nodes], run.senders, run.offsets)
+            loops.edge_pass(latents[run.edges], shares, tuple(layers), eps, own, new[run.edges], sums[run.nodes])
+
+        parallel_map(passed, ends.runs())
+        if kept:
+            ctx.save_for_backward(*tensors, *map(torch.from_numpy, between))
         ctx.ends = ends
         ctx.set_materialize_grads(False)
-        latents, at_sender, at_receiver, *layers = _arrays(*tensors)
-        new, sums = torch.empty_like(tensors[0]), torch.empty_like(tensors[2])
-        shares, eps = (at_sender, at_receiver, *ends.arrays()), latents.dtype.type(eps)
-        loops.edge_pass(latents, shares, tuple(layers), eps, tuple(_arrays(*between)), *_arrays(new, sums))
-        return new, sums
+        return torch.from_numpy(new), torch.from_numpy(sums)
 
     @staticmethod
     @once_differentiable
@@ -182,34 +228,46 @@ class _EdgePass(torch.autograd.Function):
         changed = tuple(_arrays(*further)), _array(on_latents)
         given = (*on, latents, *ctx.ends.arrays(), tuple(layers), between, *changed)
         loops.edge_pass_derivative(*given)
-        return None, None, on_latents, *further
+        return None, None, None, on_latents, *further
 
 
 class _Propagation(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, steps: int, decay: float, eps: float, inflows: Sequence[Ends], *given: Tensor) -> Tensor:
-        state, *tensors = [each.contiguous() for each in given]
-        of_sender, of_receiver, second, second_bias, last, last_bias, scale, shift, *constants = tensors
-        degrees = torch.stack([ends.receivers.offsets.diff() for ends in inflows]).sum(0).to(state)[:, None]
-        nothing, small, taken = _array(torch.zeros_like(scale)), _array(state).dtype.type(eps), []
+    def forward(
+        ctx: Any, steps: int, decay: float, eps: float, kept: bool, inflows: Sequence[Ends], *given: Tensor
+    ) -> Tensor:
+        tensors = [each.contiguous() for each in given]
+        state, of_sender, of_receiver, second, second_bias, last, last_bias, *others = _arrays(*tensors)
+        constants, layers = others[2:], (last, *others[:2], of_sender, of_receiver)
+        degrees = np.stack([np.diff(ends.receivers.offsets.numpy()) for ends in inflows]).sum(axis=0)
+        biases = degrees.astype(state.dtype)[:, None] * last_bias
+        small, gamma = state.dtype.type(eps), state.dtype.type(decay)
+        runs, taken = list(zip(*(ends.runs() for ends in inflows), strict=True)), []
+
+        def moved(part: tuple[EdgeRun, ...], before: _Step, after: _Step) -> None:
+            nodes, (at_sender, at_receiver) = part[0].nodes, before.at_ends
+            for run, ends, constant, kept_rows in zip(part, inflows, constants, before.messages, strict=True):
+                own, given = constant[run.edges], (at_sender, at_receiver[nodes], run.senders, run.offsets)
+                between = [each[run.edges] if kept else np.empty_like(own) for each in kept_rows]
+                loops.message(own, given, second, second_bias, *between, before.sums[nodes], ends.senders is not None)
+            old = (before.state[nodes], before.sums[nodes], before.values[nodes], before.inverse[nodes])
+            loops.end_of_step(
+                *old, biases[nodes], layers, small, gamma, after.state[nodes], *(each[nodes] for each in after.at_ends)
+            )
+
+        now = _Step.of(state, constants, kept)
+        for weight, at_end in zip(layers[3:], now.at_ends, strict=True):
+            np.dot(state, weight.T, at_end)
         for _ in range(steps):
-            shares = _arrays(state.mm(of_sender.t()), state.mm(of_receiver.t()))
-            sums = torch.zeros_like(state)
-            messages = []
-            for ends, constant in zip(inflows, constants, strict=True):
-                between, sent = (torch.empty_like(constant), torch.empty_like(constant)), ends.senders is not None
-                kept = (*_arrays(second, second_bias, *between, sums), sent)
-                loops.message(_array(constant), (*shares, *ends.arrays()), *kept)  # type: ignore[arg-type]
-                messages.append(between)
-            values = torch.addmm(degrees * last_bias, sums, last.t())
-            inverse, after = values.new_empty(len(values)), torch.empty_like(values)
-            normed = (*_arrays(scale, shift), small, *_arrays(inverse, after))
-            loops.layer_norm(_array(values), nothing, *normed)
-            taken.append((state, messages, sums, values, inverse))
-            state = after.add_(state, alpha=decay)
-        ctx.save_for_backward(*tensors)
-        ctx.taken, ctx.inflows, ctx.decay, ctx.degrees = taken, inflows, decay, degrees
-        return state
+            after = _Step.of(np.empty_like(state), constants, kept)
+            parallel_map(partial(moved, before=now, after=after), runs)
+            if kept:
+                taken.append(now)
+            now = after
+        if kept:
+            ctx.save_for_backward(*tensors[1:])
+        ctx.taken, ctx.inflows, ctx.decay, ctx.degrees = taken, inflows, decay, torch.from_numpy(degrees)[:, None]
+        return torch.from_numpy(now.state)
 
     @staticmethod
     @once_differentiable
@@ -218,16 +276,17 @@ class _Propagation(torch.autograd.Function):
         further = [torch.zeros_like(each) for each in ctx.saved_tensors]
         d_sender, d_receiver, d_second, d_second_bias, d_last, d_last_bias, d_scale, d_shift, *d_constants = further
         on, unused = gradients[0].contiguous(), torch.zeros_like(scale)
-        for state, messages, sums, values, inverse in reversed(ctx.taken):
+        for step in reversed(ctx.taken):
+            state, sums, values, inverse = map(torch.from_numpy, (step.state, step.sums, step.values, step.inverse))
             of_total = torch.empty_like(values)
             loops.layer_norm_derivative(*_arrays(on, values, inverse, scale, d_scale, d_shift, unused, of_total))
             d_last.addmm_(of_total.t(), sums)
             d_last_bias += (ctx.degrees * of_total).sum(0)
             of_sums = of_total.mm(last)
             on_ends = torch.zeros_like(state), torch.zeros_like(state)
-            for ends, between, d_constant in zip(ctx.inflows, messages, d_constants, strict=True):
+            for ends, between, d_constant in zip(ctx.inflows, step.messages, d_constants, strict=True):
                 changed = _arrays(d_second, d_second_bias, d_constant, *on_ends)
-                given = (*_arrays(of_sums, *between, second), *ends.arrays(), *changed, ends.senders is not None)
+                given = (_array(of_sums), *between, _array(second), *ends.arrays(), *changed, ends.senders is not None)
                 loops.message_derivative(*given)
             on = on * ctx.decay
             for share, of_end, d_end in zip(on_ends, (of_sender, of_receiver), (d_sender, d_receiver), strict=True):
@@ -235,13 +294,44 @@ class _Propagation(torch.autograd.Function):
                 on.addmm_(share, of_end)
         # What the steps left is large, and a second derivative is not for these passes.
         ctx.taken = None
-        return None, None, None, None, on, *further
+        return None, None, None, None, None, on, *further
 
 
-def _between(values: Tensor, width: int) -> tuple[Tensor, ...]:
-    """Room for what the derivative reads: hidden layers and output of the norm (rows, width), its factors (rows,)."""
-    rows = len(values)
-    return (*(values.new_empty(rows, width) for _ in range(3)), values.new_empty(rows))
+class _Step(NamedTuple):
+    """What a step of propagation reads and makes, and its derivative reads again.
+
+    Args:
+        state: (nodes, width) before it.
+        at_ends: (nodes, width) each, shares of senders and of receivers.
+        messages: both hidden layers (edges, width) of each set of edges; without rows where they are not kept.
+        sums: (nodes, width) of the last of them.
+        values: (nodes, width) that the norm centres and scales.
+        inverse: (nodes,) factors by which it does.
+    """
+
+    state: np.ndarray
+    at_ends: tuple[np.ndarray, np.ndarray]
+    messages: list[tuple[np.ndarray, np.ndarray]]
+    sums: np.ndarray
+    values: np.ndarray
+    inverse: np.ndarray
+
+    @staticmethod
+    def of(state: np.ndarray, constants: Sequence[np.ndarray], kept: bool) -> _Step:
+        rows = [each if kept else each[:0] for each in constants]
+        return _Step(
+            state,
+            (np.empty_like(state), np.empty_like(state)),
+            [(np.empty_like(each), np.empty_like(each)) for each in rows],
+            np.zeros_like(state),
+            np.empty_like(state),
+            np.empty_like(state[:, 0]),
+        )
+
+
+def _between(out: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What the derivative of `out` (rows, width) reads again: hidden layers, the norm's output and (rows,) factors."""
+    return (*(np.empty_like(out) for _ in range(3)), np.empty(len(out), out.dtype))
 
 
 def _array(values: Tensor) -> np.ndarray:

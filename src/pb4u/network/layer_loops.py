@@ -208,6 +208,36 @@ def message(
 
 
 @compiled_with_free_sums
+def end_of_step(
+    state: np.ndarray,
+    sums: np.ndarray,
+    values: np.ndarray,
+    inverse: np.ndarray,
+    biases: np.ndarray,
+    layers: tuple,
+    eps: Any,
+    decay: Any,
+    after: np.ndarray,
+    at_senders: np.ndarray,
+    at_receivers: np.ndarray,
+) -> None:
+    """Fill the state `after` a step (nodes, width) and its shares at both ends, from the `sums` of messages.
+
+    `layers` are the last of a message, scale and shift of the norm, and the columns that meet senders and receivers;
+    `biases` (nodes, width) are those of all messages of a node.
+    """
+    last, scale, shift, of_sender, of_receiver = layers
+    np.dot(sums, last.T, values)
+    _add(biases, values)
+    layer_norm(values, np.zeros_like(scale), scale, shift, eps, inverse, after)
+    for row in range(after.shape[0]):
+        for c in range(after.shape[1]):
+            after[row, c] += decay * state[row, c]
+    np.dot(after, of_sender.T, at_senders)
+    np.dot(after, of_receiver.T, at_receivers)
+
+
+@compiled_with_free_sums
 def message_derivative(
     of_sums: np.ndarray,
     first: np.ndarray,
