@@ -248,8 +248,9 @@ class _Propagation(torch.autograd.Function):
             nodes, (at_sender, at_receiver) = part[0].nodes, before.at_ends
             for run, ends, constant, kept_rows in zip(part, inflows, constants, before.messages, strict=True):
                 own, given = constant[run.edges], (at_sender, at_receiver[nodes], run.senders, run.offsets)
-                between = [each[run.edges] if kept else np.empty_like(own) for each in kept_rows]
-                loops.message(own, given, second, second_bias, *between, before.sums[nodes], ends.senders is not None)
+                first, hidden = (each[run.edges] if kept else np.empty_like(own) for each in kept_rows)
+                sent = ends.senders is not None
+                loops.message(own, given, second, second_bias, first, hidden, before.sums[nodes], sent)
             old = (before.state[nodes], before.sums[nodes], before.values[nodes], before.inverse[nodes])
             loops.end_of_step(
                 *old, biases[nodes], layers, small, gamma, after.state[nodes], *(each[nodes] for each in after.at_ends)
