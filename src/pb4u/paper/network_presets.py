@@ -49,6 +49,9 @@ pb4u_small_two_passes = replace(pb4u_small_carried, passes=2)
 # Descents are shown three times as large as they are on the solver's own states: smaller or larger, weights that knew
 # nothing of it left more of a step.
 pb4u_small_conjugate = replace(pb4u_small_two_passes, conjugate=True, further_passes=8, descent_size=0.03)
+_small_without_gradient = replace(
+    pb4u_small_conjugate, layout=replace(pb4u_small_carried.layout, extra=(ADVANCE,)), descent_size=0.0
+)
 _small_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
 
 # What the paper names and nothing else; docs/network.md says where its release differs. On a training level of 1,200
@@ -157,6 +160,7 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
         pb4u_small_conjugate,
         "that one, its passes joined and asked for where a step needs them, the descent shown at one size",
     ),
+    "pb4u_small_without_gradient": (_small_without_gradient, "that one, blind to the gradient of the energies"),
     "without_propagation_control": (replace(pb4u_paper, control=FixedSteps(15)), "15 steps at every resolution"),
     "without_update_scaling": (replace(pb4u_paper, scaling=NoScaling()), "updates as predicted at every resolution"),
     "without_both": (replace(pb4u_paper, control=FixedSteps(15), scaling=NoScaling()), "neither of the two"),
