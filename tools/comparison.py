@@ -1,11 +1,11 @@
 """Trains every network of the comparison alike, one after the other: `pb4u train --preset comparison` with each.
 
 python tools/comparison.py --out FOLDER [--only pb4u,mgn] [--seed 0] [--steps 8000] [--ship]
-python tools/comparison.py --out FOLDER --only wide,wide-without-gradient --steps 4000    # the departures of `pb4u-wide`
+python tools/comparison.py --out FOLDER --only wide,wide-half-width --steps 4000    # `pb4u-wide` and its departures
 
 The weights of the end are compared, so that all have had the same budget. Those of the departures are also written
-beside their folders, with the further passes that the shipped network takes. Killed at any instant, the same command goes
-on where it was; several may share the folder, each with its own --only.
+beside their folders, with the further passes that the shipped network takes. Killed at any instant, the same command
+goes on where it was; several may share the folder, each with its own --only.
 --ship copies the finished weights to where the package looks for them, under the names that `pb4u evaluate` compares.
 """
 
