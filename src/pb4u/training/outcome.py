@@ -13,12 +13,12 @@ from pb4u.training.lost_garment import GarmentWatch
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of an optimiser step, which on an accelerator the processor hears of later.
+    """Outcome of an optimiser step; on an accelerator the processor reads it some steps later.
 
     Args:
         names: of the losses [J].
-        values: (names + 3,) the losses, then 1 or 0: the pass was not worth its time, its garments are lost or a search
-            was short of room, the positions are not finite.
+        values: (names + 3,) the losses, then three flags, 1 where set: the pass was not worth its time; its garments
+            are lost or a search was short of room; the positions are not finite.
         settings: learning rate and weight of collisions.
         watch: of the garments, or None.
     """
