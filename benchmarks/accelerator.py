@@ -33,7 +33,6 @@ from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.paper.network_presets import NETWORKS
 from pb4u.scene.assembly import make_scene
 from pb4u.scene.scene import Scene
-from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import built_in_models, from_pretrained
 from pb4u.simulation.device_steps import states_after
 from pb4u.simulation.network_pass import NetworkPass
@@ -187,7 +186,8 @@ def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
     """The network alone."""
     network = model.network
     prepared = model.prepare(timeline.garments.to(timeline.garments.device, torch.float32))
-    passes = NetworkPass(model, prepared, network.passes, further=network.further_passes)
+    c = network.configuration
+    passes = NetworkPass(model, prepared, c.passes, further=c.further_passes)
     return StepMethod(start_of(network), passes, search=search_of(network))
 
 
@@ -203,17 +203,17 @@ def count(name: str, *scenes: Scene, card: torch.device = CARD) -> tuple[Counted
     method, rooms = method_of(model, timeline), timeline.colliders.rooms
     assert rooms is not None
     with torch.no_grad():
-        *_, state = predictions(timeline.step_from(timeline.skinned_state(1)), method, rooms)
+        *_, after = predictions(timeline.step_from(timeline.skinned_state(1)), method, rooms)
     rooms.grow(*rooms.taken())
     passes = rooms.sizes.get("passes", method.network.passes)
-    step = timeline.step_from(State(state.positions, state.velocities, 2))
+    step = timeline.step_from(after.state)
     with fake_card() if card.type == "cuda" else nullcontext(), torch.no_grad():
         for _ in range(2):
             # What is made once is made by the first of the two.
             known, taken = faked((step, method), card)
             with Counted() as counted:
                 *_, after = predictions(known, taken, known.collider.colliders.rooms)
-            assert after.positions.device.type == card.type
+            assert after.state.positions.device.type == card.type
     return counted, f"{passes} passes" if method.network.further else f"{passes} pass"
 
 
@@ -255,7 +255,6 @@ def measured_page(models: list[str], triangles: list[int], steps: int) -> Iterat
             method = method_of(model.to(card), timeline)
             each = []
             for replays in (False, True):
-                method.search.last = None
                 states = states_after(timeline, method, timeline.skinned_state(1), steps, replays)
                 near = [next(states) for _ in range(3)]
                 # Graphs are captured meanwhile.
@@ -267,7 +266,8 @@ def measured_page(models: list[str], triangles: list[int], steps: int) -> Iterat
             state = host.skinned_state(1)
             for _ in range(3):
                 with torch.no_grad():
-                    *_, state = predictions(host.step_from(state), slow)
+                    *_, made = predictions(host.step_from(state), slow)
+                state = made.state
             apart = float((near[-1].positions - state.positions).abs().max())
             memory = torch.cuda.max_memory_allocated() / 1e9
             yield f"| {name} | {number:,} | {' | '.join(each)} | {memory:.1f} | {apart:.1e} | {PAPER[number]:.0f} |\n"

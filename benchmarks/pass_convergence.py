@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,9 +56,10 @@ def heights(models: dict[str, StepwiseSimulator], scene: str, options: argparse.
         weight = float(step.garments.world_weights.sum())
         for name, model in models.items():
             method = model.method(timeline, record)
-            for _ in predictions(timeline.step_from(states[frame - 1]), method):
-                pass
-            energies = [float(evaluated.energies(state.positions).total) for state in predictions(step, method)]
+            *_, earlier = predictions(timeline.step_from(states[frame - 1]), method)
+            begun = timeline.step_from(replace(states[frame], last_move=earlier.state.last_move))
+            made = [each.state.positions for each in predictions(begun, method)]
+            energies = [float(evaluated.energies(x).total) for x in made]
             stages = [*energies[: method.network.passes + 1], energies[-1]]
             left[name].append([1e3 * (energy - least) / weight for energy in stages])
     return {name: np.array(rows) for name, rows in left.items()}

@@ -21,7 +21,7 @@ import numpy as np
 from PIL import Image
 
 import pb4u
-from pb4u.export.picture import render
+from pb4u.export.still_renderer import render
 from pb4u.export.view import View
 from pb4u.measures.run_report import run_report
 from pb4u.pattern.files import write_worn

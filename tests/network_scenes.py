@@ -108,7 +108,7 @@ def accelerations(
     prepared = prepared_for(model, at, steps, dtype)
     extra = {
         feature.name: torch.zeros(at.garments.vertex_count, feature.width, dtype=dtype)
-        for feature in model.network.layout.extra
+        for feature in model.network.configuration.layout.extra
     }
     return model(prepared.graph(at.state, at.collider, DT, origins, extra), prepared)
 

@@ -18,8 +18,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from pb4u import Pb4uError, load_simulator, make_scene
-from pb4u.export.picture import render
 from pb4u.export.selection import select_frames
+from pb4u.export.still_renderer import render
 from pb4u.export.view import View
 from pb4u.garment.library import garment_names
 from pb4u.scene.trajectory import Trajectory

@@ -82,7 +82,7 @@ def progress_bar(label: str) -> Iterator[Progress]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def shown(progress: Progress | None, label: str) -> AbstractContextManager[Progress]:
+def progress_or_bar(progress: Progress | None, label: str) -> AbstractContextManager[Progress]:
     """The progress that a caller gave, or a bar where none was given.
 
     Args:

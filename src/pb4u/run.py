@@ -1,29 +1,25 @@
 """What a run is: garments on a moving body, and how they are simulated.
 
 `Run` is the one record of it. Scene files, the flags of `pb4u simulate`, `make_scene`, `load_simulator`, the clips of a
-dataset and the studio's form are made of its fields: the text of a field in the docstring is its help, and its `Flag`
-says how it is offered and in what range.
+dataset and the studio's form are made of its fields (`options.py`).
 """
 
 from __future__ import annotations
 
-import inspect
 import math
 import os
-import re
 import sys
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
 from pathlib import Path
 from pkgutil import resolve_name
-from types import UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pb4u.errors import InputError, refuse_unknown, unknown_name
+from pb4u.errors import InputError, refuse_unknown
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import replace_file
+from pb4u.options import Flag, described, require_fitting
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -51,29 +47,6 @@ outermost has no room left within the sleeves of its own cut."""
 SCENE, GARMENT, BODY, MODEL = "Scene", "Garment", "Body and motion", "Model"
 RESEARCH = "For released research code"
 """Headings of the help."""
-
-
-@dataclass(frozen=True)
-class Flag:
-    """How a field is offered beyond Python, and in what range.
-
-    Args:
-        panel: heading of the help under which it stands.
-        metavar: what the help writes for its value; by default its type.
-        names: spelling of the flag, where that is more than the name of the field.
-        least: smallest value.
-        most: largest value.
-        is_file: whether a text may name a file, which scene files hold relative to themselves.
-        section: section of a scene file in which it stands.
-    """
-
-    panel: str
-    metavar: str | None = None
-    names: tuple[str, ...] = ()
-    least: float | None = None
-    most: float | None = None
-    is_file: bool = False
-    section: str = "scene"
 
 
 def _model(metavar: str | None = None, **given: Any) -> Flag:
@@ -147,8 +120,8 @@ class Run:
         motion: Built-in motion (`pb4u assets`), or .amc, .bvh, AMASS .npz, VTO .pkl, or from a video GVHMR .pt, WHAM
             .pkl or TRAM .npy (FILE:PERSON of several people). Default: walk, or the body's own.
         crop: Frames A to B-1 of a recording, at its own rate.
-        arms_away: Degrees by which hanging arms are held away from the torso. Default: arms of a recording by as much
-            as they would go into the body; 0 leaves them as recorded.
+        arms_away: Degrees by which hanging arms are held away from the torso. Default: as far as
+            keeps the arms of a recording out of the body; 0 leaves them as recorded.
         raw_motion: Leave motion from a video as it is, neither smoothed nor its feet held.
         recorded_fps: Frames per second of a recording. Default: what its file says, or 30.
         lead_in: Frames from the rest pose into the motion, simulated but not written.
@@ -366,54 +339,6 @@ _HEADING = """\
 """
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One field as all that is derived from it sees it.
-
-    Args:
-        name: of the field.
-        kind: "switch", "whole", "number", "choice" or "name"; "other" where its record checks it.
-        optional: whether None may stand for its value.
-        choices: values of a choice.
-        default: its value where none is given.
-        flag: how it is offered.
-        help: its text.
-    """
-
-    name: str
-    kind: str
-    optional: bool
-    choices: tuple[str, ...]
-    default: Any
-    flag: Flag
-    help: str
-
-
-@lru_cache
-def described(record: type) -> Mapping[str, Entry]:
-    """The fields of `Run` or `WornGarment` that have a flag, by name.
-
-    Args:
-        record: `Run` or `WornGarment`.
-    """
-    texts, hints = _texts(record), get_type_hints(record, include_extras=True)
-    found = {}
-    for each in fields(record):
-        hint = hints[each.name]
-        if get_origin(hint) is not Annotated:
-            continue
-        kinds, flag = get_args(hint)[0], get_args(hint)[1]
-        choices = get_args(kinds) if get_origin(kinds) is Literal else ()
-        parts = get_args(kinds) if isinstance(kinds, UnionType) or get_origin(kinds) is Union else (kinds,)
-        kind = "choice" if choices else next((name for of, name in _KINDS.items() if of in parts), "other")
-        default = each.default if each.default is not MISSING else None
-        found[each.name] = Entry(each.name, kind, type(None) in parts, choices, default, flag, texts[each.name])
-    return found
-
-
-_KINDS = {bool: "switch", int: "whole", float: "number", str: "name"}
-
-
 def entries(section: str) -> tuple[str, ...]:
     """Names of the entries of a section of a scene file: "garments", "scene" or "run".
 
@@ -427,13 +352,6 @@ def entries(section: str) -> tuple[str, ...]:
 
 def _files(record: type) -> tuple[str, ...]:
     return tuple(name for name, entry in described(record).items() if entry.flag.is_file)
-
-
-def _texts(record: type) -> dict[str, str]:
-    """The text of each argument in the docstring of a record."""
-    part = re.search(r"^Args:\n(.*?)(?:^\w|\Z)", inspect.getdoc(record) or "", re.MULTILINE | re.DOTALL)
-    found = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", part[1] if part else "", re.MULTILINE | re.DOTALL)
-    return {name: " ".join(text.split()) for name, text in found}
 
 
 ENTRIES = (*entries("garments"), *entries("scene"), *entries("run"))
@@ -480,43 +398,10 @@ _OF_ARRAYS = {
 
 def _check(record: Run | WornGarment) -> None:
     """Refuse values of a wrong kind or out of range."""
-    kind: type = type(record)
-    for entry in described(kind).values():
-        value = getattr(record, entry.name)
-        if hasattr(value, "__array__") and (made := _OF_ARRAYS.get(entry.name)):
-            raise InputError(f"The {entry.name} is an array; give a name, a path or {made}.")
-        if not (value is None and entry.optional) and not _fits(entry, value):
-            raise InputError(f"{entry.name} must be {_wanted(entry)}, not {value!r}.")
-
-
-def _fits(entry: Entry, value: object) -> bool:
-    if entry.kind == "choice":
-        if value not in entry.choices:
-            raise unknown_name(entry.name.replace("_", " "), str(value), entry.choices)
-        return True
-    if entry.kind == "switch":
-        return isinstance(value, bool)
-    if entry.kind == "name":
-        return value != "" and not isinstance(value, Real | Mapping | list | set) and value is not None
-    if entry.kind == "other":
-        return True
-    kind = Integral if entry.kind == "whole" else Real
-    if isinstance(value, bool) or not isinstance(value, kind):
-        return False
-    least, most = entry.flag.least, entry.flag.most
-    return (least is None or value >= least) and (most is None or value <= most)  # type: ignore[operator]
-
-
-def _wanted(entry: Entry) -> str:
-    """What the value of an entry has to be, in words."""
-    if entry.kind == "switch":
-        return "true or false"
-    if entry.kind == "name":
-        return "a name, a path or a loaded object"
-    number, least, most = "a whole number" if entry.kind == "whole" else "a number", entry.flag.least, entry.flag.most
-    if least is None:
-        return number
-    return f"{number} from {least:,g} to {most:,g}" if most is not None else f"{number}, {least:,g} or more"
+    for name, made in _OF_ARRAYS.items():
+        if hasattr(getattr(record, name, None), "__array__"):
+            raise InputError(f"The {name} is an array; give a name, a path or {made}.")
+    require_fitting(record)
 
 
 def _checked_shape(shape: Any) -> dict[str, float]:

@@ -36,7 +36,7 @@ def thread_count() -> int:
     return min(processors, int(wanted)) if wanted.isdecimal() and int(wanted) > 0 else processors
 
 
-def sent(values: torch.Tensor, device: torch.device) -> torch.Tensor:
+def to_device(values: torch.Tensor, device: torch.device) -> torch.Tensor:
     """Copy of `values` (...), from the processor, on `device`; an accelerator goes on meanwhile.
 
     Args:

@@ -79,7 +79,7 @@ def test_contourcraft_with_the_edges_that_its_code_found_is_met(compat: Path, ca
 def _compare_mesh_edges(checkpoint: Checkpoint, graph: Any, golden: GoldenScene, number: int) -> None:
     given = golden.value(number, "mesh_edge_features")
     order = MESH if given.shape[1] == sum(MESH.values()) else RELATIVE_MESH
-    assert tuple(order) == checkpoint.model.network.layout.mesh_edge
+    assert tuple(order) == checkpoint.model.network.configuration.layout.mesh_edge
     edges, count = graph.edges["mesh"], len(golden.garment.vertices)
     ours = (edges.senders.index * count + edges.receivers.index).numpy()
     senders, receivers = golden.data["scene/mesh_edge_index"].astype(np.int64)

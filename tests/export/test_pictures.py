@@ -12,8 +12,9 @@ import pytest
 from PIL import Image
 
 from pb4u.errors import InputError, Pb4uError
-from pb4u.export.picture import render, write_mp4
+from pb4u.export.picture import write_mp4
 from pb4u.export.registry import export
+from pb4u.export.still_renderer import render
 from pb4u.export.video_writer import open_video
 from pb4u.export.view import SIDES, View
 from pb4u.scene.trajectory import Trajectory
@@ -192,7 +193,7 @@ def test_sides_that_a_video_cannot_have_are_refused_before_anything_is_drawn(
 def test_a_film_slower_than_encoders_hold_is_refused_before_it_is_drawn(
     trajectory: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr("pb4u.export.picture.StillRenderer", None)
+    monkeypatch.setattr("pb4u.export.still_renderer.StillRenderer", None)
     slow = replace(trajectory, header=replace(trajectory.header, fps=0.001))
     with pytest.raises(InputError, match=r"0\.002 frames per second or more, not 0\.001"):
         export(slow, tmp_path / name)

@@ -16,10 +16,11 @@ from tests.export.readers import pc2_frames
 
 from pb4u.errors import InputError, InputWarning, MissingExtraError
 from pb4u.export.finite_frames import hold_finite
-from pb4u.export.picture import render
 from pb4u.export.registry import FORMATS, WRITERS, check_target, export, written_files
+from pb4u.export.still_renderer import render
 from pb4u.export.view import View
-from pb4u.scene.trajectory import Trajectory, TrajectoryWriter
+from pb4u.scene.trajectory import Trajectory
+from pb4u.scene.trajectory_file import TrajectoryWriter
 
 PICTURES = {".png", ".jpg", ".gif", ".mp4"}
 DATA_SUFFIXES = [suffix for suffix in WRITERS if suffix not in PICTURES]

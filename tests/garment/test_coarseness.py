@@ -8,7 +8,8 @@ from cloth_shapes import saved, triangle_tube
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputWarning
 from pb4u.garment.coarseness import Coarseness
-from pb4u.garment.diagnosis import Severity, diagnose, require_fine
+from pb4u.garment.diagnosis import diagnose, require_fine
+from pb4u.garment.findings import Severity
 from pb4u.garment.fit import RestBody
 from pb4u.garment.library import build_garment
 from pb4u.geometry.mesh_file import PolygonMesh

@@ -8,7 +8,8 @@ from cloth_shapes import quad_tube, triangle_tube, tube_garment, with_open_seam
 
 from pb4u.body.library import load_body
 from pb4u.errors import InputError, InputWarning
-from pb4u.garment.diagnosis import Severity, diagnose, require_worn
+from pb4u.garment.diagnosis import diagnose, require_worn
+from pb4u.garment.findings import Severity
 from pb4u.garment.fit import RestBody
 from pb4u.garment.library import build_garment
 from pb4u.garment.pins import resolve_pins

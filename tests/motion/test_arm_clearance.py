@@ -12,6 +12,7 @@ from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputWarning
 from pb4u.geometry.rotation import angle_between
 from pb4u.motion.arm_clearance import eased, reach
+from pb4u.motion.lead_in import arms_held_off, lead_in
 from pb4u.motion.library import load_motion
 
 HANGING = {"LeftArm": {"Z": -90.0}, "RightArm": {"Z": 90.0}}
@@ -85,3 +86,22 @@ def test_recorded_walks_and_runs_have_their_arms_outside(test_data, woman, trial
         np.rad2deg(angle_between(each.rotations[1:, wrist], each.rotations[:-1, wrist])) for each in (before, after)
     ]
     assert (speeds[1] - speeds[0]).max() < 5.0
+
+
+def test_a_lead_in_has_its_arms_held_off_as_the_motion_has(bvh, woman):
+    """Arms that fly out at the first frame come from inside the hips, where the way there is thought back."""
+    hanging, out = (
+        load_motion(bvh(20, angles={"LeftArm": {"Z": -angle}, "RightArm": {"Z": angle}})).poses(woman, 30.0, count)
+        for angle, count in ((78.0, 1), (70.0, 11))
+    )
+    motion = PoseSequence(
+        np.concatenate([hanging.rotations, out.rotations]),
+        np.concatenate([hanging.root_positions, out.root_positions]),
+        30.0,
+    )
+    led = lead_in(motion, woman, 12)
+    assert wrist_depth(woman, led).max() > 0.02
+    held = arms_held_off(led, woman, 12)
+    assert wrist_depth(woman, held).max() < 0.0
+    np.testing.assert_array_equal(held.rotations[12 + reach(30.0) :], motion.rotations[reach(30.0) :])
+    np.testing.assert_array_equal(held.rotations[0], led.rotations[0])

@@ -120,7 +120,8 @@ def test_the_edges_of_the_released_code_are_found(compat: Path, case: int, numbe
     checkpoint = read_released(compat / "checkpoints/contourcraft.pth").checkpoint(torch.float64)
     golden = GoldenScene(compat / "golden/contourcraft_outfit.npz", case)
     graph, _, _ = predicted(checkpoint, golden.time_step(number))
-    future = [feature.name for feature in checkpoint.model.network.layout.columns("found_edge")].index("future_pinned")
+    layout = checkpoint.model.network.configuration.layout
+    future = [feature.name for feature in layout.columns("found_edge")].index("future_pinned")
     assert future == 6
     for kind in (REPULSION, ATTRACTION):
         edges = graph.edges[kind]

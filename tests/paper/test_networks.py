@@ -23,7 +23,7 @@ from pb4u.paper.baselines.meshgraphnet import MeshGraphNetConfiguration
 from pb4u.paper.network_presets import NETWORKS, mgn
 from pb4u.scene.packed import pack
 from pb4u.simulation.checkpoint import TrainingRecord, from_pretrained, save_checkpoint
-from pb4u.simulation.network_configuration import CONFIGURATIONS, configuration_from_json, configuration_to_json
+from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
 
 TINY = {
     "mgn": MeshGraphNetConfiguration(width=16, blocks=3),
@@ -274,12 +274,11 @@ class PooledConfiguration(MeshGraphNetConfiguration):
     pooling: tuple[Pooling, ...] = (Pooling(), Pooling(0.25))
 
 
-def test_a_configuration_is_read_with_all_its_parts_once_its_kind_is_listed(monkeypatch):
+def test_a_configuration_is_read_with_all_its_parts_once_a_preset_is_of_its_kind(monkeypatch):
     written = configuration_to_json(PooledConfiguration(width=4))
     with pytest.raises(InputError, match="unknown type"):
         configuration_from_json(written)
-    kinds = "pb4u.simulation.network_configuration.CONFIGURATIONS"
-    monkeypatch.setattr(kinds, (*CONFIGURATIONS, f"{__name__}:PooledConfiguration"))
+    monkeypatch.setitem(NETWORKS, "pooled", PooledConfiguration())
     assert configuration_from_json(written) == PooledConfiguration(width=4)
     with pytest.raises(InputError, match="describes a Pooling, not a network"):
         configuration_from_json(written["pooling"][0])

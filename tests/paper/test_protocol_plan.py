@@ -13,7 +13,8 @@ from pb4u.measures.run_job import RunJob
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
 from pb4u.network.propagation_control import FixedSteps
-from pb4u.paper.protocol_plan import EvaluationRequest, plan
+from pb4u.paper.evaluation_request import EvaluationRequest
+from pb4u.paper.protocol_plan import plan
 from pb4u.paper.protocols import PROTOCOLS
 from pb4u.paper.reference_energies import stored_reference
 from pb4u.simulation.checkpoint import TrainingRecord, save_checkpoint
@@ -86,7 +87,7 @@ def test_floors_are_the_runs_own_solver_then_stored_then_a_job_or_absent() -> No
         (case,) = plan(replace(SMALL, **{"levels": ("base",), "frames": 30, **change})).cases
         assert isinstance(case.floor, RunJob), change
 
-    (case,) = plan(replace(SMALL, floors=False)).cases
+    (case,) = plan(replace(SMALL, floors="stored")).cases
     assert case.floor is None
 
 
@@ -99,7 +100,9 @@ def test_with_contact_the_floor_stays_the_bare_solver() -> None:
 
 def test_settings_reach_only_what_has_them(tmp_path: Path) -> None:
     file = weights(tmp_path / "net.safetensors")
-    planned = plan(replace(SMALL, models=(str(file), "skinning", "solver"), steps=(2, 5), refine=3, device="cpu"))
+    planned = plan(
+        replace(SMALL, models=(str(file), "skinning", "solver"), propagation_steps=(2, 5), refine=3, device="cpu")
+    )
     asked = [(case.job.label, case.job.run.propagation_steps, case.job.run.refine) for case in planned.cases]
     assert asked == [("net", 2, 3), ("net", 5, 3), ("skinning", None, 0), ("solver", None, 0)]
 
@@ -148,7 +151,7 @@ def test_recordings_take_the_place_of_built_in_motions(test_data: Path) -> None:
         ({"levels": ("100",)}, "between 200 and 200000"),
         ({"frames": 0}, "1 or more, not 0"),
         ({"lead_in": -1}, "lead_in must be a whole number, 0 or more, not -1"),
-        ({"steps": (0, 1), "models": ("pb4u-small",)}, "from 1 to 500, not 0"),
+        ({"propagation_steps": (0, 1), "models": ("pb4u-small",)}, "from 1 to 500, not 0"),
         ({"levels": ()}, "--levels names nothing"),
         ({"recordings": Path("absent")}, "no folder of recordings absent"),
         ({"device": "tpu"}, "no device 'tpu'"),

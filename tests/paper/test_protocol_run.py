@@ -22,9 +22,9 @@ from pb4u.measures.metrics import ENERGIES
 from pb4u.measures.run_job import RunJob, attempt
 from pb4u.paper import report
 from pb4u.paper.evaluation import evaluate
-from pb4u.paper.protocol_plan import EvaluationRequest
+from pb4u.paper.evaluation_request import EvaluationRequest
 from pb4u.paper.protocols import PROTOCOLS
-from pb4u.paper.report import told_once
+from pb4u.paper.report import merge_similar
 from pb4u.paper.summary import share_text
 from pb4u.paper.tables import terms_tables
 from pb4u.run import Run
@@ -179,7 +179,12 @@ def test_an_interrupt_keeps_what_is_done(tmp_path: Path) -> None:
 def test_networks_are_run_at_every_depth_and_against_the_floor(tmp_path: Path) -> None:
     file = weights(tmp_path / "net.safetensors")
     request = replace(
-        REQUEST, protocol="depth", models=(str(file), "solver"), steps=(1, 3), levels=("11K",), motions=("walk",)
+        REQUEST,
+        protocol="depth",
+        models=(str(file), "solver"),
+        propagation_steps=(1, 3),
+        levels=("11K",),
+        motions=("walk",),
     )
     results, did, _ = run(request, tmp_path / "run")
     assert len(did) == 3
@@ -218,7 +223,7 @@ def test_weights_that_changed_after_planning_are_not_taken_for_the_old_ones(tmp_
         weights(tmp_path / "net.safetensors", seed=1)
         return attempt(job)
 
-    request = replace(REQUEST, models=(str(file),), levels=("11K",), motions=("walk",), floors=False)
+    request = replace(REQUEST, models=(str(file),), levels=("11K",), motions=("walk",), floors="stored")
     results, _, _ = run(request, tmp_path / "run", changed)
     (failure,) = results["failures"]
     assert "changed after the run was planned" in failure["sentence"]
@@ -237,6 +242,6 @@ def test_unexpected_errors_come_back_as_a_sentence(tmp_path: Path, monkeypatch: 
 
 def test_notes_that_differ_in_numbers_alone_are_told_once() -> None:
     notes = ["dress: edges of 18.5 mm", "dress: edges of 27.4 mm", "tshirt: edges of 13.1 mm", "dress: edges of 9 mm"]
-    first, second = told_once(notes)
+    first, second = merge_similar(notes)
     assert first == "dress: edges of 18.5 mm (2 more with other numbers, in results.json.)"
     assert second == "tshirt: edges of 13.1 mm"

@@ -16,8 +16,9 @@ from pb4u.measures import run_job
 from pb4u.measures.divergence import SLID, SLID_FRAMES, hold_shifts, slid_from
 from pb4u.measures.run_job import RunJob, attempt, make
 from pb4u.paper.evaluation import evaluate
+from pb4u.paper.evaluation_request import EvaluationRequest
 from pb4u.paper.page import Table
-from pb4u.paper.protocol_plan import ALONE, BY_DEFAULT, EvaluationRequest, plan
+from pb4u.paper.protocol_plan import ALONE, BY_DEFAULT, plan
 from pb4u.paper.robustness import failure_pictures, failure_table, parts_tables, robustness_table
 from pb4u.paper.summary import Row, Summary
 from pb4u.scene.trajectory import Trajectory

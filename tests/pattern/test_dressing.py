@@ -15,10 +15,12 @@ from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.obj_file import read_obj, write_obj
 from pb4u.pattern import files
 from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
-from pb4u.pattern.dressing import Dressed, _Sewing, carried, crotch_height, dress
+from pb4u.pattern.dressing import Dressed, _Sewing, carried, dress
 from pb4u.pattern.files import load_worn, read_dressed, write_worn
+from pb4u.pattern.fit_checks import refuse_slipped
 from pb4u.pattern.mesh import mesh_pattern
 from pb4u.pattern.pattern import Panel, Pattern, Seam
+from pb4u.pattern.placement import around, crotch_height
 from pb4u.pattern.thin_body import SewingBody
 
 TRIANGLES = 300
@@ -167,11 +169,11 @@ def test_a_pattern_three_times_too_small_is_refused(body, pattern: Pattern):
 
 def test_a_garment_that_slips_off_the_shoulders_is_refused(body):
     mesh = mesh_pattern(vest(0.9), 100)
-    sewing = _Sewing(mesh, body, MATERIALS["default"], None)
-    worn = mesh.sewn(sewing.placed)
-    sewing._refuse_slipped(worn - (0, 0.02, 0))
+    placed = around(mesh, body)
+    worn = mesh.sewn(placed)
+    refuse_slipped(mesh, body, placed, worn - (0, 0.02, 0))
     with pytest.raises(InputError, match=r"vest is too large for woman: it slips off the shoulders, by 2\d cm"):
-        sewing._refuse_slipped(worn - (0, 0.25, 0))
+        refuse_slipped(mesh, body, placed, worn - (0, 0.25, 0))
 
 
 def test_a_waistband_that_does_not_close_is_refused(body):

@@ -10,7 +10,8 @@ import pytest
 
 from pb4u.errors import InputError
 from pb4u.scene.author_mesh import Polygons, SourceTrack
-from pb4u.scene.trajectory import FORMAT_VERSION, HALF_VERSION, Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
+from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
+from pb4u.scene.trajectory_file import FORMAT_VERSION, HALF_VERSION, TrajectoryWriter
 
 
 def make_trajectory(frames: int = 5, vertices: int = 700, with_source: bool = False) -> Trajectory:

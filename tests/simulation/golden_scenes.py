@@ -130,7 +130,7 @@ def predicted(checkpoint: Checkpoint, step: TimeStep) -> tuple[Graph, Tensor, St
 
 def columns(graph: Graph, checkpoint: Checkpoint, rows: str) -> Iterator[tuple[str, Tensor]]:
     """Columns that the encoder of nodes is fed, by name, cloth before body."""
-    network, layout = checkpoint.model.network, checkpoint.model.network.layout
+    network, layout = checkpoint.model.network, checkpoint.model.network.configuration.layout
     sets = [graph.nodes[name] for name in (GARMENT, BODY) if name in graph.nodes]
     table = layout.columns(rows)
     parts = torch.split(torch.cat([each.features for each in sets]), [feature.width for feature in table], dim=1)

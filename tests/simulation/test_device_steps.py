@@ -45,7 +45,8 @@ def method_of(model: AccelerationModel, timeline: Timeline) -> StepMethod:
     network = model.network
     dtype = next(model.parameters()).dtype
     prepared = model.prepare(timeline.garments, dtype=dtype)
-    passes = NetworkPass(model, prepared, network.passes, further=min(network.further_passes, 2))
+    c = network.configuration
+    passes = NetworkPass(model, prepared, c.passes, further=min(c.further_passes, 2))
     return StepMethod(start_of(network), passes, search=search_of(network))
 
 
@@ -54,7 +55,8 @@ def on_host(model: AccelerationModel, steps: int) -> list[torch.Tensor]:
     method, state = method_of(model, timeline), timeline.skinned_state(1)
     made = []
     for _ in range(steps):
-        *_, state = predictions(timeline.step_from(state), method)
+        *_, made_last = predictions(timeline.step_from(state), method)
+        state = made_last.state
         made.append(state.positions.detach())
     return made
 
@@ -191,7 +193,7 @@ def test_a_scene_of_a_pack_is_the_scene_alone(
         for _ in range(2, frames):
             made = list(predictions(timeline.step_from(state), method))
             passes.append(len(made))
-            state = made[-1]
+            state = made[-1].state
             states.append(state.positions.detach())
         return states
 

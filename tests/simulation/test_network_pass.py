@@ -131,6 +131,10 @@ class Reached(BodyMotionWarmStart):
         return self.reached
 
 
+def states(step: TimeStep, method: StepMethod) -> list[State]:
+    return [made.state for made in predictions(step, method)]
+
+
 def test_training_takes_a_pass_at_a_time() -> None:
     at = a_step()
     network = model()
@@ -138,12 +142,12 @@ def test_training_takes_a_pass_at_a_time() -> None:
     start: BodyMotionWarmStart | None = None
     free = integrate(at, torch.zeros_like(at.state.positions)).positions
     for _ in range(3):
-        before, reached = predictions(at, StepMethod(start, NetworkPass(network, prepared, mode=nullcontext)))
+        before, reached = states(at, StepMethod(start, NetworkPass(network, prepared, mode=nullcontext)))
         assert not before.positions.requires_grad
         start = Reached((reached.positions - free).detach())
     assert reached.positions.requires_grad
     all_passes = StepMethod(None, NetworkPass(network, prepared, 3, mode=nullcontext))
-    *earlier, last = predictions(at, all_passes)
+    *earlier, last = states(at, all_passes)
     assert len(earlier) == 3
     assert torch.allclose(last.positions, reached.positions, atol=1e-9)
     (of_all,) = torch.autograd.grad(last.positions.sum(), network.network.decoder.last.bias)

@@ -26,7 +26,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.models import load_simulator
 from pb4u.simulation.network_pass import NetworkPass
-from pb4u.simulation.pass_search import ConjugatePass, PassSearch, search_of
+from pb4u.simulation.pass_search import PassSearch, conjugate_move, search_of
 from pb4u.simulation.step import StepMethod, predictions
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
 from pb4u.simulation.timeline import Timeline
@@ -64,37 +64,40 @@ class JacobiPass:
 
 def energies_after(step: TimeStep, method: StepMethod) -> list[float]:
     potential = IncrementalPotential().of(step)
-    return [float(potential.energies(state.positions).total) for state in predictions(step, method)]
+    return [float(potential.energies(made.state.positions).total) for made in predictions(step, method)]
 
 
 def test_whole_passes_are_what_the_network_predicts() -> None:
-    at = sheets(10)
-    correction = torch.ones_like(at.state.positions)
-    assert PassSearch().move(at, torch.zeros_like(correction), correction) is correction
+    at, network = sheets(10), JacobiPass(1)
+    zero = torch.zeros_like(at.state.positions)
+    *_, made = predictions(at, StepMethod(network=network))
+    assert torch.equal(made.state.positions, integrate(at, network.correction(at, zero)).positions)
+    assert made.state.last_move is None
 
 
 @pytest.mark.parametrize("share", [0.2, 3.0, -1.0])
 def test_the_length_of_a_pass_does_not_matter(share: float) -> None:
     at = sheets(10)
-    start, one = energies_after(at, StepMethod(network=JacobiPass(1), search=ConjugatePass()))
-    _, other = energies_after(at, StepMethod(network=JacobiPass(1, share), search=ConjugatePass()))
+    start, one = energies_after(at, StepMethod(network=JacobiPass(1), search=conjugate_move))
+    _, other = energies_after(at, StepMethod(network=JacobiPass(1, share), search=conjugate_move))
     assert one < start
     assert other == pytest.approx(one, abs=0.02 * (start - one))
 
 
 def test_passes_are_joined_into_a_conjugate_gradient() -> None:
     at = sheets(10)
-    lowest = energies_after(at, StepMethod(network=JacobiPass(100), search=ConjugatePass()))[-1]
+    lowest = energies_after(at, StepMethod(network=JacobiPass(100), search=conjugate_move))[-1]
     whole = energies_after(at, StepMethod(network=JacobiPass(20, 0.5)))
-    joined = energies_after(at, StepMethod(network=JacobiPass(20, 0.5), search=ConjugatePass()))
+    joined = energies_after(at, StepMethod(network=JacobiPass(20, 0.5), search=conjugate_move))
     assert joined == sorted(joined, reverse=True), "no pass adds energy"
     assert joined[-1] - lowest < 0.1 * (whole[-1] - lowest)
 
 
 def test_the_last_move_serves_the_next_step() -> None:
-    at, search, network = sheets(10), ConjugatePass(), JacobiPass(1)
-    first = energies_after(at, StepMethod(network=network, search=search))[-1]
-    assert energies_after(at, StepMethod(network=network, search=search))[-1] < first
+    at, method = sheets(10), StepMethod(network=JacobiPass(1), search=conjugate_move)
+    *_, made = predictions(at, method)
+    again = replace(at, state=replace(at.state, last_move=made.state.last_move))
+    assert energies_after(again, method)[-1] < energies_after(at, method)[-1]
 
 
 def weight(step: TimeStep) -> float:
@@ -102,15 +105,10 @@ def weight(step: TimeStep) -> float:
     return 9.81 * float(step.garments.vertex_masses.sum())
 
 
-class Freeing(PassSearch):
-    """Says that the passes of a step decrease the energies of some heights [m]."""
-
-    def __init__(self, *heights: float) -> None:
-        self.heights = iter(heights)
-
-    def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
-        self.decrease = correction.new_tensor([next(self.heights) * weight(step)])
-        return correction
+def freeing(*heights: float) -> PassSearch:
+    """Takes passes whole, and says that they lower the energy of a step by some heights [m]."""
+    each = iter(heights)
+    return lambda step, _, correction, last: (correction, correction.new_tensor([next(each) * weight(step)]))
 
 
 @pytest.mark.parametrize(
@@ -120,15 +118,15 @@ class Freeing(PassSearch):
 def test_further_passes_are_made_while_much_is_freed(heights: tuple[float, ...], taken: int) -> None:
     network = JacobiPass(2, 0.1)
     network.further = 3
-    _, *passes = predictions(sheets(5), StepMethod(network=network, search=Freeing(*heights)))
+    _, *passes = predictions(sheets(5), StepMethod(network=network, search=freeing(*heights)))
     assert len(passes) == taken
 
 
-def test_what_a_pass_freed_is_told_as_a_height() -> None:
-    at, search = sheets(10), ConjugatePass()
-    start, after = energies_after(at, StepMethod(network=JacobiPass(1), search=search))
-    assert search.decrease_height(at.garments) == pytest.approx((start - after) / weight(at), rel=1e-3)
-    assert PassSearch().decrease_height(at.garments) == 0.0
+def test_a_pass_tells_by_how_much_it_lowered_the_energy() -> None:
+    at = sheets(10)
+    start, after = energies_after(at, method := StepMethod(network=JacobiPass(1), search=conjugate_move))
+    *_, made = predictions(at, method)
+    assert float(made.decrease) == pytest.approx(start - after, rel=1e-3)
 
 
 def test_whole_passes_tell_nothing_that_further_ones_could_be_asked_by() -> None:
@@ -150,37 +148,39 @@ def test_who_names_a_number_of_passes_gets_it(tmp_path: Path) -> None:
 
 def test_every_world_has_lengths_of_its_own() -> None:
     both, method = sheets(10, 7), StepMethod(network=JacobiPass(2))
-    *_, together = predictions(both, replace(method, search=ConjugatePass()))
+    *_, together = predictions(both, replace(method, search=conjugate_move))
     for world, cells in enumerate((10, 7)):
-        *_, alone = predictions(sheets(cells), replace(method, search=ConjugatePass()))
+        *_, alone = predictions(sheets(cells), replace(method, search=conjugate_move))
         mine = both.garments.vertex_world == world
-        torch.testing.assert_close(together.positions[mine], alone.positions, rtol=0, atol=1e-9)
+        torch.testing.assert_close(together.state.positions[mine], alone.state.positions, rtol=0, atol=1e-9)
 
 
 def test_pinned_vertices_take_their_places() -> None:
     at = sheets(10, pinned=True)
-    *_, after = predictions(at, StepMethod(network=JacobiPass(2), search=ConjugatePass()))
+    *_, after = predictions(at, StepMethod(network=JacobiPass(2), search=conjugate_move))
     pinned = at.garments.pinned
     assert pinned.any()
-    assert torch.equal(after.positions[pinned], at.pin_positions[pinned])
+    assert torch.equal(after.state.positions[pinned], at.pin_positions[pinned])
 
 
 def test_cloth_on_a_body_gains_no_energy_by_a_pass() -> None:
     timeline = Timeline.of(ball_scene())
-    rest, search = timeline.skinned(0), ConjugatePass()
+    rest, method = timeline.skinned(0), StepMethod(network=JacobiPass(2), search=conjugate_move)
     state = State(rest, torch.zeros_like(rest), 0)
     for _ in range(4):
         at = timeline.step_from(state)
-        energies = energies_after(at, StepMethod(network=JacobiPass(2), search=search))
+        energies = energies_after(at, method)
         # Chosen with the body's tangent planes; twice-looked-up contacts may differ in the last digits.
         assert all(after <= before + 1e-6 for before, after in pairwise(energies))
-        *_, state = predictions(at, StepMethod(network=JacobiPass(2), search=search))
+        *_, made = predictions(at, method)
+        state = made.state
 
 
 def test_what_is_not_finite_is_left_to_whoever_looks_for_it() -> None:
     at = sheets(10)
     correction = torch.full_like(at.state.positions, torch.nan)
-    assert torch.isnan(ConjugatePass().move(at, torch.zeros_like(correction), correction)).all()
+    move, _ = conjugate_move(at, torch.zeros_like(correction), correction, None)
+    assert torch.isnan(move).all()
 
 
 def test_lengths_carry_no_gradient_and_directions_do() -> None:
@@ -191,7 +191,7 @@ def test_lengths_carry_no_gradient_and_directions_do() -> None:
     prepared = model.prepare(pack(at.garments.garments, torch.float32))
     network = NetworkPass(model, prepared, 2, mode=nullcontext)
     *_, last = predictions(at, StepMethod(network=network, search=search_of(model.network)))
-    energy = IncrementalPotential().of(at).energies(last.positions).total
+    energy = IncrementalPotential().of(at).energies(last.state.positions).total
     bias, weight = model.network.decoder.last.bias, model.network.decoder.last.weight
     gradient = torch.autograd.grad(energy, (bias, weight))
     assert any(float(part.abs().max()) > 0 for part in gradient)
@@ -208,6 +208,6 @@ def test_a_checkpoint_keeps_whether_its_passes_are_joined(tmp_path: Path) -> Non
     save_checkpoint(tmp_path / "a.safetensors", model, CONJUGATE, TrainingRecord(1 / 30, (0.02, 0.03), (1, 9), 5))
     read = load_checkpoint(tmp_path / "a.safetensors")
     assert read.configuration == CONJUGATE
-    assert isinstance(search_of(read.model.network), ConjugatePass)
-    assert type(search_of(replace(CONJUGATE, conjugate=False).network())) is PassSearch
+    assert search_of(read.model.network) is conjugate_move
+    assert search_of(replace(CONJUGATE, conjugate=False).network()) is None
     assert np.isfinite(read.record.dt)

@@ -20,7 +20,7 @@ from pb4u.scene.packed import pack
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import NetworkPass
 from pb4u.simulation.step import StepMethod, take
-from pb4u.simulation.step_start import BodyMotionWarmStart, begun, start_of
+from pb4u.simulation.step_start import BodyMotionWarmStart, start_accelerations, start_of
 
 SHARES = (0.25, 0.5, 0.75, 1.0)
 DT = 1.0 / 30.0
@@ -67,7 +67,7 @@ def energies_at(step: TimeStep, accelerations: Tensor) -> Tensor:
 
 def test_the_papers_start_is_free_flight() -> None:
     at = sheets_on_balls(1.0)
-    assert not begun(None, at).any()
+    assert not start_accelerations(None, at).any()
 
 
 def test_a_start_has_least_potential_of_all_that_may_be_chosen() -> None:
@@ -137,7 +137,7 @@ def test_a_network_that_adds_nothing_ends_at_the_start(name: str) -> None:
     assert BodyMotionWarmStart(SHARES).accelerations(at).any()
     prepared = model.prepare(pack(at.garments.garments, torch.float32))
     expected = integrate(at, BodyMotionWarmStart(SHARES).accelerations(at))
-    method = StepMethod(start_of(model.network), NetworkPass(model, prepared, model.network.passes))
+    method = StepMethod(start_of(model.network), NetworkPass(model, prepared, model.network.configuration.passes))
     assert torch.allclose(take(at, method).positions, expected.positions)
 
 

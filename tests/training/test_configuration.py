@@ -12,7 +12,8 @@ from pb4u.errors import InputError
 from pb4u.paper.network_presets import NETWORKS
 from pb4u.paper.training_presets import TRAININGS, training_preset
 from pb4u.training.configuration import TrainingConfiguration, training_from_json, training_to_json, with_settings
-from pb4u.training.session import Request, train
+from pb4u.training.request import TrainingRequest
+from pb4u.training.session import train
 
 
 @pytest.mark.parametrize("name", TRAININGS)
@@ -83,7 +84,7 @@ def test_unknown_presets_and_foreign_records_are_refused() -> None:
 def test_fixed_steps_with_a_random_number_of_steps_are_refused_before_any_work(tmp_path: Path) -> None:
     out = tmp_path / "run"
     with pytest.raises(InputError, match=r"fixed number of propagation steps.*most_propagation_steps=0"):
-        train(Request(preset="comparison", settings=["network=literal_small_without_both"], out=out))
+        train(TrainingRequest(preset="comparison", set=["network=literal_small_without_both"], out=out))
     assert not out.exists()
 
 

@@ -45,7 +45,7 @@ def weights(trainer: Trainer) -> torch.Tensor:
 def in_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
     """No compiled kernels, as on an accelerator."""
     for user in ("interaction_block", "mlp", "propagation"):
-        monkeypatch.setattr(f"pb4u.network.{user}.records", lambda *given: False)
+        monkeypatch.setattr(f"pb4u.network.{user}.are_compiled", lambda *given: False)
 
 
 def test_a_step_of_training_neither_reads_back_nor_copies(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,10 +54,10 @@ def test_a_step_of_training_neither_reads_back_nor_copies(in_tensors: None, monk
     accelerator = import_module("accelerator")
     trainer = trainer_of()
     trainer.gather_statistics()
-    course = trainer.begin(1, 4)
-    assert trainer.advance(course)
+    rollout = trainer.begin(1, 4)
+    assert trainer.advance(rollout)
     trainer.look_at_outcomes()
-    moved, window = accelerator.faked((trainer, course), torch.device("meta"))
+    moved, window = accelerator.faked((trainer, rollout), torch.device("meta"))
     for _ in range(2):
         # Constants are made by the first.
         with accelerator.Counted() as counted:
@@ -76,9 +76,9 @@ def test_a_card_learns_what_a_processor_learns(in_tensors: None, monkeypatch: py
     begun = weights(one)
     torch.testing.assert_close(weights(other), begun, rtol=0, atol=0)
     for trainer in (one, other):
-        course = trainer.begin(1, 2)
+        rollout = trainer.begin(1, 2)
         for _ in range(2):
-            assert trainer.advance(course)
+            assert trainer.advance(rollout)
     assert other.counters.step >= one.counters.step
     assert other.look_at_outcomes()
     # Passes that were not worth their time are no steps.
@@ -93,39 +93,40 @@ def test_a_step_that_went_wrong_changes_no_weights(
 ) -> None:
     trainer = trainer_of()
     trainer.gather_statistics()
-    course = trainer.begin(1, 3)
-    assert trainer.advance(course)
+    rollout = trainer.begin(1, 3)
+    assert trainer.advance(rollout)
     assert trainer.look_at_outcomes()
     assert trainer.rooms is not None
     steps, kept, moments = trainer.counters.step, weights(trainer), trainer.learner.state()
     assert steps > 0
     if fault == "lost":
-        course.watch.lost = torch.tensor(True)
+        rollout.watch.lost = torch.tensor(True)
     elif fault == "short of room":
         trainer.rooms.sizes["faces"] = 5
     else:
         monkeypatch.setattr("pb4u.training.trainer.step_energies", _not_finite)
-    assert trainer.advance(course)
+    assert trainer.advance(rollout)
     assert torch.equal(weights(trainer), kept)
     assert all(
         torch.equal(moments[name], now) for name, now in trainer.learner.state().items() if "average" not in name
     )
     assert trainer.look_at_outcomes() == (fault != "not finite")
     assert trainer.counters.step == steps
-    assert course.watch.seen_lost == (fault != "not finite")
+    assert rollout.watch.seen_lost == (fault != "not finite")
     assert trainer.rooms.sizes["faces"] > 5
 
 
 def test_what_steps_gave_is_read_once_a_line_of_the_log(in_tensors: None, monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = trainer_of(replace(CONJUGATE, log_every=3))
     trainer.gather_statistics()
-    course, reads, copied = trainer.begin(1, 6), [], torch.Tensor.cpu
+    rollout, reads, copied = trainer.begin(1, 6), [], torch.Tensor.cpu
     monkeypatch.setattr(torch.Tensor, "cpu", lambda self: reads.append(1) or copied(self))
-    taken = 0
-    while course.left:
-        assert trainer.advance(course)
-        taken += course.search.worth is None or 2
-    assert len(reads) == taken // 3 >= 2
+    taken: list[bool] = []
+    learn = trainer.learn
+    monkeypatch.setattr(trainer, "learn", lambda *given: taken.append(learn(*given)) or taken[-1])
+    while rollout.left:
+        assert trainer.advance(rollout)
+    assert len(reads) == len(taken) // 3 >= 2
 
 
 def _not_finite(*args: object, **kwargs: object) -> Energies:

@@ -44,8 +44,8 @@ def test_progress_weights_are_of_the_logarithm_of_what_a_pass_freed() -> None:
 
 def test_what_is_inside_the_skin_costs_more_and_what_rests_on_it_does_not() -> None:
     trainer = made(TINY, 1)
-    course = trainer.begin(0, 2)
-    step, garments = course.next_step(), course.window.timeline.garments
+    rollout = trainer.begin(0, 2)
+    step, garments = rollout.next_step(), rollout.window.timeline.garments
     planes = step.contacts.now
     assert planes is not None
 

@@ -10,8 +10,9 @@ import pytest
 import torch
 
 from pb4u.errors import InputError
+from pb4u.training.request import TrainingRequest
 from pb4u.training.run_folder import NotSavedError, RunFolder
-from pb4u.training.session import Request, train
+from pb4u.training.session import train
 
 
 def test_a_full_disk_leaves_the_last_checkpoint_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,6 +70,6 @@ def test_metrics_forget_steps_that_will_be_taken_again(tmp_path: Path) -> None:
 def test_one_process_at_a_time_trains_in_a_folder(tmp_path: Path) -> None:
     folder = RunFolder.create(tmp_path / "run", {})
     with folder.held(), pytest.raises(InputError, match="Another process is training in"):
-        train(Request(resume=folder.path))
+        train(TrainingRequest(resume=folder.path))
     with folder.held():
         pass

@@ -21,7 +21,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import load_checkpoint
 from pb4u.simulation.network_pass import NetworkPass
-from pb4u.simulation.step import StepMethod, predictions
+from pb4u.simulation.step import Prediction, StepMethod, predictions
 from pb4u.training import trainer as trainer_module
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.curriculum import Curriculum
@@ -103,12 +103,12 @@ def test_a_training_that_keeps_coming_apart_ends_with_advice(monkeypatch: pytest
 def test_predictions_that_are_not_finite_are_not_learnt_from() -> None:
     trainer = made(TINY, 4)
     trainer.run()
-    course = trainer.begin(0, 1)
-    state = course.state
+    rollout = trainer.begin(0, 1)
+    state = rollout.state
     before = [p.detach().clone() for p in trainer.model.parameters()]
     lost = State(state.positions * torch.nan, state.velocities, state.frame + 1)
     lost.positions.requires_grad_(True)
-    assert not trainer.learn(course.prepared, course.window.timeline.step_from(state), lost)
+    assert not trainer.learn(rollout.prepared, rollout.window.timeline.step_from(state), Prediction(lost))
     assert all(torch.equal(a, b) for a, b in zip(before, trainer.model.parameters(), strict=True))
 
 
@@ -125,7 +125,7 @@ def test_garments_of_two_sizes_and_propagation_counts_share_a_batch() -> None:
         step = window.timeline.step_from(window.start(0.003, 0.002))
         method = StepMethod(network=NetworkPass(trainer.model, prepared, mode=nullcontext))
         *_, after = predictions(step, method)
-        energies = trainer_module.step_energies(step, after.positions, 5e3)
+        energies = trainer_module.step_energies(step, after.state.positions, 5e3)
         losses.append(energies.total.item() / len(chosen))
     assert losses[2] == pytest.approx((losses[0] + losses[1]) / 2, rel=1e-4)
 
@@ -133,11 +133,11 @@ def test_garments_of_two_sizes_and_propagation_counts_share_a_batch() -> None:
 @pytest.mark.parametrize("variant", ["skinned", "zero", "carried"])
 def test_the_velocity_after_settling_is_the_chosen_one(variant: str) -> None:
     trainer = made(replace(TINY, after_settling=variant), 1)
-    course = trainer.begin(0, 2)
-    window, state = course.window, course.state
+    rollout = trainer.begin(0, 2)
+    window, state = rollout.window, rollout.state
     moved = 1e-3 * torch.ones_like(state.positions)
     settled = State(state.positions + moved, moved * 3.0, state.frame + 1)
-    off = trainer.with_initial_velocity(course, settled)
+    off = trainer.with_initial_velocity(rollout, settled)
     expected = {
         "skinned": window.timeline.skinned_velocity(1),
         "zero": torch.zeros_like(moved),
@@ -149,12 +149,12 @@ def test_the_velocity_after_settling_is_the_chosen_one(variant: str) -> None:
 
 def test_slowed_garments_set_off_with_half_to_all_of_the_bodys_speed() -> None:
     trainer = made(replace(TINY, after_settling="slowed"), 1)
-    course = trainer.begin(0, 2)
-    window, state = course.window, course.state
+    rollout = trainer.begin(0, 2)
+    window, state = rollout.window, rollout.state
     shares = []
     for number in range(20):
         off = trainer.with_initial_velocity(
-            replace(course, number=number), State(state.positions, state.velocities, state.frame + 1)
+            replace(rollout, number=number), State(state.positions, state.velocities, state.frame + 1)
         )
         share = float(off.velocities.norm() / window.timeline.skinned_velocity(1).norm())
         assert torch.allclose(off.velocities, share * window.timeline.skinned_velocity(1), atol=1e-6)
@@ -183,11 +183,11 @@ def test_the_end_of_the_minutes_does_not_wait_for_a_round(monkeypatch: pytest.Mo
     trainer = Trainer(long, Budget(steps=None, minutes=10.0), ball_data(), ALONE, None, Listener())
     original, taken = Trainer.advance, [0]
 
-    def late(self: Trainer, course: Rollout) -> bool:
+    def late(self: Trainer, rollout: Rollout) -> bool:
         taken[0] += 1
         if taken[0] == 6:
             self.began -= 700.0
-        return original(self, course)
+        return original(self, rollout)
 
     monkeypatch.setattr(Trainer, "advance", late)
     assert trainer.run() == "finished"
@@ -250,11 +250,11 @@ def test_interleaved_windows_take_turns_until_each_is_over(monkeypatch: pytest.M
     seen: list[tuple[int, int]] = []
     original = Trainer.advance
 
-    def noted(self: Trainer, course: Rollout) -> bool:
-        seen.append((course.number, course.left))
-        if course.number == 1:
-            course.left = 1
-        return original(self, course)
+    def noted(self: Trainer, rollout: Rollout) -> bool:
+        seen.append((rollout.number, rollout.left))
+        if rollout.number == 1:
+            rollout.left = 1
+        return original(self, rollout)
 
     monkeypatch.setattr(Trainer, "advance", noted)
     assert trainer.train_round() is RoundEnd.LEARNT
@@ -266,13 +266,13 @@ def test_a_window_does_not_care_what_it_is_interleaved_with() -> None:
     steps = {}
     for together in (1, 2):
         trainer = made(replace(TINY, interleaved=together, curriculum=Curriculum(learning_rate=1e-12)), 100)
-        course = trainer.begin(1, 2)
+        rollout = trainer.begin(1, 2)
         other = trainer.begin(0, 2)
         for _ in range(2):
-            assert trainer.advance(course)
+            assert trainer.advance(rollout)
             if together == 2:
                 assert trainer.advance(other)
-        steps[together] = course.state.positions
+        steps[together] = rollout.state.positions
     assert torch.allclose(steps[1], steps[2], atol=1e-6)
 
 
@@ -320,7 +320,7 @@ CARRIED = replace(
 
 def test_further_passes_in_training_start_where_the_last_one_left_off(monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = made(CARRIED, 100)
-    course = trainer.begin(0, 2)
+    rollout = trainer.begin(0, 2)
     begun: list[Tensor] = []
     reached: list[Tensor] = []
     original = NetworkPass.correction
@@ -332,8 +332,8 @@ def test_further_passes_in_training_start_where_the_last_one_left_off(monkeypatc
         return added
 
     monkeypatch.setattr(NetworkPass, "correction", noted)
-    assert trainer.advance(course)
-    assert trainer.advance(course)
+    assert trainer.advance(rollout)
+    assert trainer.advance(rollout)
     assert len(begun) == 4
     assert torch.equal(begun[1], reached[0])
     assert torch.equal(begun[3], reached[2])

@@ -7,7 +7,7 @@ import numpy as np
 from pb4u.body.node_animation import Channel, Clip, NodePoses, NodeTree, parted
 from pb4u.errors import InputError
 from pb4u.io.gltf_file import GltfFile
-from pb4u.io.reading_limits import told_names
+from pb4u.io.reading_limits import names_text
 
 
 def node_tree(file: GltfFile) -> NodeTree:
@@ -86,7 +86,7 @@ def read_clip(file: GltfFile, tree: NodeTree, wanted: str | None) -> Clip | None
     """
     entries, names = file.entries("animations"), clip_names(file)
     if wanted is not None and wanted not in names:
-        held = f"it has {told_names(names)}" if names else "it has none"
+        held = f"it has {names_text(names)}" if names else "it has none"
         raise InputError(f'{file.path} has no clip "{wanted}"; {held}.')
     if not entries:
         return None

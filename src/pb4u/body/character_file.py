@@ -26,7 +26,7 @@ from pb4u.body.skinning import SkinningWeights
 from pb4u.errors import InputError
 from pb4u.geometry.topology import Topology
 from pb4u.io.gltf_file import GltfFile, read_gltf
-from pb4u.io.reading_limits import refusing, told_names
+from pb4u.io.reading_limits import names_text, refusing
 
 # Words of meshes and materials that are no skin; a material called skin, body or face outweighs its mesh's name.
 _NOT_SKIN = re.compile(
@@ -251,12 +251,12 @@ def _chosen(path: Path, parts: list[_Part], wanted: Collection[str] | None) -> t
         known = {name for part in parts for name in part.names if name}
         for name in wanted:
             if name not in known:
-                raise InputError(f'{path} has no mesh or material "{name}"; it has {told_names(known)}.')
+                raise InputError(f'{path} has no mesh or material "{name}"; it has {names_text(known)}.')
         chosen = [part for part in parts if set(wanted) & set(part.names)]
     titles = list(dict.fromkeys(part.title for part in parts))
     if not chosen:
         raise InputError(
-            f"{path}: by their names none of its meshes is a body ({told_names(titles)}); name it with --body-parts."
+            f"{path}: by their names none of its meshes is a body ({names_text(titles)}); name it with --body-parts."
         )
     if sum(len(part.faces) for part in chosen) > _MOST_TRIANGLES:
         raise InputError(f"{path} has over {_MOST_TRIANGLES:,} triangles; decimate it in the program it comes from.")

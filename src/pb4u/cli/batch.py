@@ -66,7 +66,7 @@ def batch(
     Raises:
         InputError: a number is out of range, or something is unknown or unusable.
     """
-    from pb4u.dataset.dataset_run import make_dataset, told_size
+    from pb4u.dataset.dataset_run import make_dataset, size_text
     from pb4u.dataset.jobs_file import MOST_CLIPS, read_jobs
 
     check_json_target(json)
@@ -81,7 +81,7 @@ def batch(
     if plan:
         write_json(made, json)
         return
-    tell(made, json, f"{made['done']} of {made['clips']} clips, {told_size(made['bytes'])}: {made['index']}")
+    tell(made, json, f"{made['done']} of {made['clips']} clips, {size_text(made['bytes'])}: {made['index']}")
     for count, what in (
         (made["diverged"], "diverged (the index has them in its column `diverged`)"),
         (made["limbs_through_cloth"], "have limbs that went through the cloth (column `limbs_through_cloth_max`)"),

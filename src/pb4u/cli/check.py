@@ -111,7 +111,7 @@ def check(
 
 
 def _check_outfit(names: list[str], figure: Any, body: str, triangles: int | None) -> dict[str, Any]:
-    """What was found of each garment, and where they cross: as each was made, and as they are worn over each other."""
+    """Findings of each garment, and where they cross, as made and as worn over each other."""
     from pb4u.garment.fit import RestBody
     from pb4u.garment.garment_file import read_garment
     from pb4u.garment.material import MATERIALS
@@ -160,7 +160,7 @@ def _check_fix(fix: Path, given: str | None) -> None:
 
 
 def _check_garment(name: str, figure: Any, body: str, triangles: int | None, fix: Path | None) -> dict[str, Any]:
-    """What was found, what was mended and, of a mended garment, what is found still."""
+    """Findings of a garment, what was mended, and findings of the mended garment."""
     from pb4u.garment.diagnosis import diagnose
     from pb4u.garment.garment_file import read_source
     from pb4u.garment.library import garment_names

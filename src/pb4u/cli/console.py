@@ -1,4 +1,4 @@
-"""What every verb shares: what is said, JSON output and the flag values that are more than a word."""
+"""Shared by all verbs: messages, JSON output, and parsers of flag values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from pb4u.errors import InputError
-from pb4u.export.registry import formats_help, is_same_file, would_overwrite, written_files
+from pb4u.export.registry import is_same_file, would_overwrite, written_files
 from pb4u.garment.dictionary_entry import DictionaryEntry
 from pb4u.io.atomic_file import check_writable, json_text, replace_file
 from pb4u.run import with_companions
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 Switch: TypeAlias = Literal["on", "off"]
 SHAPE_EXAMPLES = "such as height=0.7,weight=0.4, or beta0=1.5,beta1=-0.5 of an SMPL-family file"
-FORMATS = formats_help()
 
 
 class _Switches:
@@ -85,7 +84,7 @@ def say(sentence: str) -> None:
 
 
 def tell(payload: Mapping[str, Any], target: str | None, sentence: str) -> None:
-    """Print the result of a verb in a sentence, and as JSON where that is asked for; alone on standard output.
+    """Print the result of a verb as a sentence, and write it as JSON if `--json` is given.
 
     Args:
         payload: the result.
@@ -181,7 +180,7 @@ def _read_file(name: str) -> Path:
 
 
 def pool_of(workers: int, ray: str | None) -> Callable[[], WorkerPool]:
-    """Who does the jobs of a run; called once there is work.
+    """Function that makes the workers of a run; called once there is work.
 
     Args:
         workers: processes on this machine.
@@ -295,13 +294,4 @@ JsonFlag: TypeAlias = Annotated[
 WorkersFlag: TypeAlias = Annotated[int, typer.Option(metavar="N", help="Processes on this machine, one thread each.")]
 RayFlag: TypeAlias = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Run on a Ray cluster: its address, auto, or local.")
-]
-BonesFlag: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        help="Give each surface of a .glb this many bones (48 at most) in the place of morph targets, which game "
-        "engines play; says how far off they leave the garment.",
-        rich_help_panel="Output",
-    ),
 ]

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import typer
 
-from pb4u.cli.console import BodyShape, FrameRange, Switch
+from pb4u.cli.console import BodyShape, FrameRange
+from pb4u.cli.record_flags import flag_of, is_on_or_off, option
 from pb4u.errors import InputError, refuse_unknown, unknown_name
-from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, SCENE, Entry, Run, WornGarment, described, entries
+from pb4u.options import Entry, described
+from pb4u.run import BODY, GARMENT, MODEL, RESEARCH, SCENE, Run, WornGarment, entries
 
 AS_RELEASED: Mapping[str, str] = {"pb4u": "release", "hood": "hood", "mgn": "mgn", "contourcraft": "contourcraft"}
 """First frame of the released code of each method."""
@@ -119,7 +121,7 @@ def run_of(described_run: Run, flags: Mapping[str, Any]) -> Run:
             if each.garment not in worn and (each.garment is not None or len(worn) > 1):
                 raise unknown_name("garment in this scene", each.garment or "--tack without NAME=", worn)
     for entry in described(Run).values():
-        if entry.name in given and _is_on_or_off(entry):
+        if entry.name in given and is_on_or_off(entry):
             given[entry.name] = given[entry.name] == "on"
     if "body_shape" in given:
         kept = {} if "body" in given else described_run.body_shape
@@ -133,7 +135,9 @@ def run_flags() -> dict[str, Any]:
     listed.sort(key=lambda entry: (SCENE, BODY, MODEL, RESEARCH).index(entry.flag.panel))
     return {
         **dict(map(_garment_flag, described(WornGarment).values())),
-        **{entry.name: Annotated[_kind(entry), _option(entry, parser=_PARSERS.get(entry.name))] for entry in listed},
+        **{entry.name: flag_of(entry) for entry in listed},
+        "crop": Annotated[FrameRange | None, option(described(Run)["crop"], parser=FrameRange.parse)],
+        "body_shape": Annotated[list[BodyShape] | None, option(described(Run)["body_shape"], parser=BodyShape.parse)],
         "as_released": AsReleasedFlag,
     }
 
@@ -143,49 +147,12 @@ def _garment_flag(entry: Entry) -> tuple[str, Any]:
     if entry.name == "tucked":
         return "tuck", TuckFlag
     if entry.name == "tacks":
-        return "tack", Annotated[list[GarmentValue] | None, _option(entry, " Repeatable.", GarmentValue.parse_pair)]
+        return "tack", Annotated[list[GarmentValue] | None, option(entry, " Repeatable.", GarmentValue.parse_pair)]
     if entry.name == "garment":
-        return entry.name, Annotated[list[str] | None, _option(entry, " Repeatable, inner first.")]
+        return entry.name, Annotated[list[str] | None, option(entry, " Repeatable, inner first.")]
     parser = GarmentValue.parse_count if entry.kind == "whole" else GarmentValue.parse
     more = " Once for all garments, once a garment in their order, or as NAME=VALUE."
-    return entry.name, Annotated[list[GarmentValue] | None, _option(entry, more, parser)]
-
-
-_PARSERS: dict[str, Callable[[str], Any]] = {"crop": FrameRange.parse, "body_shape": BodyShape.parse}
-
-
-def _is_on_or_off(entry: Entry) -> bool:
-    """Whether a flag takes `on` or `off`; the other switches have flags of their own for yes and no."""
-    return entry.kind == "switch" and not entry.flag.names
-
-
-def _kind(entry: Entry) -> Any:
-    """Type of the value of a flag as typer reads it."""
-    if entry.name == "body_shape":
-        return list[BodyShape] | None
-    if entry.name == "crop":
-        return FrameRange | None
-    if entry.kind == "choice":
-        return Literal[entry.choices] | None
-    if entry.kind == "switch":
-        return Switch | None if _is_on_or_off(entry) else bool | None
-    return {"whole": int, "number": float}.get(entry.kind, str) | None
-
-
-def _option(entry: Entry, more: str = "", parser: Callable[[str], Any] | None = None) -> Any:
-    text = entry.help + more
-    if "Default:" not in text and entry.default not in (None, ()):
-        shown = (
-            {True: "on", False: "off"}.get(entry.default, entry.default) if entry.kind == "switch" else entry.default
-        )
-        text += f" Default: {shown:g}." if isinstance(shown, float) else f" Default: {shown}."
-    return typer.Option(
-        *entry.flag.names,
-        metavar=entry.flag.metavar,
-        help=text,
-        parser=parser,
-        rich_help_panel=entry.flag.panel,
-    )
+    return entry.name, Annotated[list[GarmentValue] | None, option(entry, more, parser)]
 
 
 def _one_each(flag: str, given: Sequence[GarmentValue], names: Sequence[str]) -> list[Any]:

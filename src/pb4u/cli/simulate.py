@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pb4u.cli.console import FORMATS, BonesFlag, check_json_target, keep_inputs, say, with_flags, write_json, wrote
+from pb4u.cli.console import check_json_target, keep_inputs, say, with_flags, write_json, wrote
+from pb4u.cli.outputs import OUTPUT_FLAGS, Outputs
 from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
+from pb4u.cli.record_flags import given_values
 from pb4u.cli.run_flags import run_flags, run_of
 from pb4u.errors import InputError, Interrupted, Pb4uError, warn
 from pb4u.export.registry import check_bones, check_target, export, is_drawn
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
     from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
     from pb4u.simulation.simulator import RunRecord, Simulator
 
-_OUTPUT = "Output"
-
 _PACES = {"skinning": 0.0, "quick-solver": 3e-5}
 """Seconds a step and triangle where cloth is easy, one core (docs/performance.md); of all others `_PACE`."""
 _PACE = 1e-4
@@ -37,7 +37,7 @@ _WORTH_MEASURING = 5.0
 """Seconds by experience from which the speed of the machine is measured."""
 
 
-@with_flags(flags=run_flags(), picture=PICTURE_FLAGS)
+@with_flags(flags=run_flags(), outputs=OUTPUT_FLAGS, picture=PICTURE_FLAGS)
 def simulate(
     scene: Annotated[
         Path | None,
@@ -50,80 +50,32 @@ def simulate(
     ] = None,
     *,
     flags: Mapping[str, Any],
-    out: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            help=f"File to write, repeatable: {FORMATS} Default: GARMENT_MOTION with .npz, .glb, .png and .mp4.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = None,
-    json: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE|-",
-            help="Write counts, timing and metrics as JSON; '-' is standard output.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = None,
-    measure: Annotated[
-        Literal["excess"] | None,
-        typer.Option(
-            help="Also measure excess, which costs three solves a frame: the energy above the least of each step, as "
-            "the height to which it would lift the garments. Needs --json.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = None,
-    reference: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.npz",
-            help="Also measure the mean distance of the vertices from those of a trajectory, such as the solver's. "
-            "Needs --json.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = None,
-    save_scene: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Also write a scene file, to run the same again: `pb4u simulate FILE`.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = None,
-    live: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Also write each frame there as it is computed: NAME.pc2 of each garment on its author's own mesh, "
-            "and a line of progress.jsonl a step.",
-            rich_help_panel=_OUTPUT,
-        ),
-    ] = None,
-    bones: BonesFlag = None,
+    outputs: Mapping[str, Any],
     picture: Mapping[str, Any],
 ) -> None:
     """Simulate garments on a moving body. Without options: the T-shirt on a walk, animated, in this folder.\f
 
-    Each argument is described by its `help`; `flags` are the fields of `Run`, `picture` those of pictures.
+    Each argument is described by its `help`; `flags` are the fields of `Run`, `outputs` those of
+    `Outputs`, `picture` those of pictures.
 
     Raises:
         InputError: the arguments contradict each other, or something they name is unknown or unusable.
     """
     run = run_of(Run() if scene is None else Run.open(scene), flags)
     _refuse_useless(str(run.model), flags)
-    if (measure or reference) and not json:
+    asked = Outputs(**given_values(Outputs, outputs))
+    if (asked.measure or asked.reference) and not asked.json:
         raise InputError("--measure and --reference add to the report of --json; give --json FILE too.")
-    targets = list(out) if out else _default_targets(run)
+    targets = list(asked.out) or _default_targets(run)
     for target in targets:
         check_target(target)
-    keep_inputs([scene, reference, *run.files], [("--save-scene", save_scene), ("--json", json)], targets)
+    others = [("--save-scene", asked.save_scene), ("--json", asked.json)]
+    keep_inputs([scene, asked.reference, *run.files], others, targets)
     baked = [target for target in targets if target.suffix.lower() == ".glb"]
-    if bones is not None:
+    if asked.bones is not None:
         for target in baked or targets[:1]:
-            check_bones(target, bones)
-    seen = view_of(targets, picture)
-    _simulate(run, targets, seen, save_scene, live, json, bool(measure), reference, bones)
+            check_bones(target, asked.bones)
+    _simulate(run, asked, targets, view_of(targets, picture))
 
 
 def _refuse_useless(model: str, flags: Mapping[str, Any]) -> None:
@@ -146,50 +98,40 @@ def _default_targets(run: Run) -> list[Path]:
     return [Path(stem + suffix) for suffix in suffixes]
 
 
-def _simulate(
-    run: Run,
-    targets: list[Path],
-    view: View | None,
-    save_scene: Path | None,
-    live: Path | None,
-    json: str | None,
-    excess: bool,
-    reference: Path | None,
-    bones: int | None,
-) -> None:
+def _simulate(run: Run, asked: Outputs, targets: list[Path], view: View | None) -> None:
     from pb4u.export.live_caches import check_live_folder
-    from pb4u.scene.trajectory import interrupted_path
+    from pb4u.scene.trajectory_file import interrupted_path
     from pb4u.simulation.models import simulator_of
     from pb4u.simulation.run_simulation import scene_for
     from pb4u.simulation.simulator import RunRecord
 
-    check_json_target(json)
-    if save_scene is not None:
-        check_writable(save_scene, "--save-scene")
-    if live is not None:
-        check_live_folder(live)
+    check_json_target(asked.json)
+    if asked.save_scene is not None:
+        check_writable(asked.save_scene, "--save-scene")
+    if asked.live is not None:
+        check_live_folder(asked.live)
     simulator = simulator_of(run)
     if run.device == "cuda" and simulator.settings().get("device", "cpu") == "cpu":
         warn(f"{simulator.name} always runs on the CPU; --device cuda is for networks.")
     scene = scene_for(run, simulator)
-    against = _reference(reference, run, simulator, scene)
-    if save_scene is not None:
-        run.save(save_scene)
+    against = _reference(asked.reference, run, simulator, scene)
+    if asked.save_scene is not None:
+        run.save(asked.save_scene)
     record = RunRecord()
     file = next((target for target in targets if target.suffix.lower() == ".npz"), None)
     kept = interrupted_path(file or targets[0])
-    trajectory, watched = _trajectory(run, simulator, scene, file, kept, live, record)
-    _export(trajectory, [target for target in targets if target is not file], file, view, bones)
-    if json != "-":
+    trajectory, watched = _trajectory(run, simulator, scene, file, kept, asked.live, record)
+    _export(trajectory, [target for target in targets if target is not file], file, view, asked.bones)
+    if asked.json != "-":
         print(wrote(targets, trajectory.frame_count))
     diverged, through = None, None
-    if json:
+    if asked.json:
         from pb4u.measures.run_report import run_report
 
         with progress_bar("measuring") as progress:
             limbs = watched.over(trajectory)
-            report = run_report(trajectory, simulator, scene, record, progress, excess, against, limbs)
-        write_json(report, json)
+            report = run_report(trajectory, simulator, scene, record, progress, bool(asked.measure), against, limbs)
+        write_json(report, asked.json)
         diverged, through = report["diverged_at"], report.get("limbs_through_cloth")
     elif record.failed_at is None:
         from pb4u.measures.divergence import skinned_centres
@@ -314,7 +256,7 @@ def _export(
     trajectory: Trajectory, targets: list[Path], saved: Path | None, view: View | None, bones: int | None
 ) -> None:
     """Write the files asked for; `saved` is the trajectory's; `view` is for pictures, `bones` for GLB."""
-    from pb4u.scene.trajectory import interrupted_path
+    from pb4u.scene.trajectory_file import interrupted_path
 
     try:
         for target in targets:

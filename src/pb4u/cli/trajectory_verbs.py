@@ -11,8 +11,6 @@ from typing import Annotated, Any, Literal
 import typer
 
 from pb4u.cli.console import (
-    FORMATS,
-    BonesFlag,
     FrameRange,
     JsonFlag,
     check_json_target,
@@ -22,11 +20,12 @@ from pb4u.cli.console import (
     with_flags,
     wrote,
 )
+from pb4u.cli.outputs import FORMATS, OUTPUT_FLAGS
 from pb4u.cli.picture_flags import PICTURE_FLAGS, view_of
 from pb4u.progress import progress_bar
 
 
-@with_flags(picture=PICTURE_FLAGS)
+@with_flags(glb={"bones": OUTPUT_FLAGS["bones"]}, picture=PICTURE_FLAGS)
 def convert(
     trajectory: Annotated[
         Path,
@@ -45,12 +44,12 @@ def convert(
             help="First frame and the frame after the last, counted from 0.",
         ),
     ] = None,
-    bones: BonesFlag = None,
     on: Annotated[
         Literal["simulated", "source"],
         typer.Option(help="The simulated mesh, or the author's own with its vertex order, polygons and UVs."),
     ] = "simulated",
     *,
+    glb: Mapping[str, Any],
     picture: Mapping[str, Any],
     json: JsonFlag = None,
 ) -> None:
@@ -59,6 +58,7 @@ def convert(
     from pb4u.export.registry import check_bones, check_target, export
     from pb4u.export.selection import on_source, select_frames
 
+    bones = glb["bones"]
     check_target(out)
     if bones is not None:
         check_bones(out, bones)

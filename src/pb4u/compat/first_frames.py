@@ -5,7 +5,6 @@ Every frame of a recording is written; the first two are skinned, and what the r
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -22,19 +21,8 @@ CLEARANCE = 2e-3
 """Distance from the body that cloth is pushed to before a rollout [m]."""
 
 
-class StartProtocol(FirstFrame):
-    """Rule that makes the first frames of a run."""
-
-    @abstractmethod
-    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]: ...
-
-    def start(self, timeline: Timeline, method: StepMethod) -> State:
-        *_, last = self.states(timeline, method)
-        return last
-
-
 @dataclass(frozen=True)
-class StandingStart(StartProtocol):
+class StandingStart(FirstFrame):
     """Pb4U-GNet and HOOD: one long step on the body standing at frame 2, whose displacement becomes velocity.
 
     Args:
@@ -49,7 +37,7 @@ class StandingStart(StartProtocol):
         pushed = pushed_out(begun.positions, timeline.pose(2), self.push)
         begun = untangled(timeline, method, replace(begun, positions=pushed))
         settled = take(timeline.settling_from(begun), method)
-        state = State(settled.positions, settled.velocities * (SETTLING_DT / timeline.dt), 2)
+        state = replace(settled, velocities=settled.velocities * (SETTLING_DT / timeline.dt), frame=2)
         yield state
         step = timeline.step_from(state)
         standing = ColliderFrame(step.collider.now, step.collider.now, step.collider.following)
@@ -57,7 +45,7 @@ class StandingStart(StartProtocol):
 
 
 @dataclass(frozen=True)
-class MovingStart(StartProtocol):
+class MovingStart(FirstFrame):
     """MeshGraphNet and the HOOD of the paper: one long step from frame 1 to 2, after which the cloth is at rest.
 
     Args:
@@ -76,7 +64,7 @@ class MovingStart(StartProtocol):
         yield replace(moved, velocities=torch.zeros_like(moved.velocities))
 
 
-class SkinnedStart(StartProtocol):
+class SkinnedStart(FirstFrame):
     """ContourCraft: two skinned frames, whose velocity is kept; no push and no long step."""
 
     def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
@@ -105,7 +93,7 @@ def pushed_out(positions: Tensor, body: ColliderPose, factor: float) -> Tensor:
     return positions - factor * (height - CLEARANCE).clamp_max(0.0) * normal
 
 
-FIRST_FRAMES: dict[str, StartProtocol] = {
+FIRST_FRAMES: dict[str, FirstFrame] = {
     "release": StandingStart(),
     "hood": StandingStart(push=1.0),
     "mgn": MovingStart(),

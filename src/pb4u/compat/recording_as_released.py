@@ -14,7 +14,7 @@ from pb4u.body.smpl import BETA_RANGE, JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import about_axis, from_axis_angle, multiply, slerp
 from pb4u.io.array_archive import member_names, read_arrays
-from pb4u.io.reading_limits import told_names
+from pb4u.io.reading_limits import names_text
 from pb4u.io.restricted_pickle import load_pickle
 from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.motion import Motion, Performed
@@ -164,7 +164,7 @@ def _read_amass(path: Path) -> SmplSequence:
     names = ("poses", "trans", "betas", "mocap_framerate")
     file = read_arrays(path, names)
     if missing := [name for name in names if name not in file]:
-        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {told_names(member_names(path))}.")
+        raise InputError(f"{path} has no {' and no '.join(missing)}; it holds {names_text(member_names(path))}.")
     poses, translations, betas, rate = (_numbers(path, file, name) for name in names)
     if poses.ndim != 2 or poses.shape[1] < 3 * _JOINTS or translations.shape != (len(poses), 3):
         raise _of_another_skeleton(path, poses)
@@ -188,7 +188,7 @@ def _turned_upright(joints: np.ndarray) -> np.ndarray:
 
 def _numbers(path: Path, content: Mapping, key: str) -> np.ndarray:
     if key not in content:
-        raise InputError(f"{path} has no {key}; it holds {told_names(content)}.")
+        raise InputError(f"{path} has no {key}; it holds {names_text(content)}.")
     return stored_numbers(content[key], path, key).astype(np.float64, copy=False)
 
 

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from pb4u.errors import InputError
-from pb4u.io.reading_limits import told_error
+from pb4u.io.reading_limits import error_text
 from pb4u.io.restricted_pickle import load_tensors
 
 NETWORK = "model._learned_model."
@@ -69,7 +69,7 @@ class ReleasedFile:
         try:
             return cls(path, load_file(path))
         except (SafetensorError, OSError, ValueError) as error:
-            raise InputError(f"{path} is no whole safetensors file ({told_error(error)}); fetch it again.") from None
+            raise InputError(f"{path} is no whole safetensors file ({error_text(error)}); fetch it again.") from None
 
     def tensor(self, key: str, columns: int | None = None) -> Tensor:
         """The weights called `key`, float32.

@@ -161,7 +161,7 @@ def _record(file: ReleasedFile, method: ReleasedMethod) -> TrainingRecord:
 
 
 def _folded(file: ReleasedFile, method: ReleasedMethod, network: EncodeProcessDecode) -> dict[str, Tensor]:
-    layout = network.layout
+    layout = network.configuration.layout
     node = _Columns(file, method.columns["node"], "node")
     marks = ("type", *(("level",) if network.level is not None else ()))
     state = prefixed("network.node_encoder", node.fold(file.mlp("node_encoder"), _names(layout, "node") + marks))

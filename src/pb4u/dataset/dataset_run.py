@@ -69,7 +69,7 @@ def make_dataset(
         missing = folder.still_to_do(jobs, "clips", retry, say)
         if missing:
             size = sum(footprints(missing))
-            room = f"{told_size(size)} on the disk, which has {told_size(_free(out))} free"
+            room = f"{size_text(size)} on the disk, which has {size_text(_free(out))} free"
             say(f"{len(missing):,} clips take about {room}.")
             _require_room(size, out)
         if plan_only:
@@ -90,7 +90,7 @@ def _require_room(size: int, out: Path) -> None:
     free = _free(out)
     if size + _SPARE > free:
         raise InputError(
-            f"The clips take about {told_size(size)}, and the disk of {out} has {told_size(free)} free; make room, "
+            f"The clips take about {size_text(size)}, and the disk of {out} has {size_text(free)} free; make room, "
             "keep them in half precision with --half, or ask for fewer."
         )
 
@@ -99,7 +99,7 @@ def _free(path: Path) -> int:
     return shutil.disk_usage(path).free
 
 
-def told_size(size: float) -> str:
+def size_text(size: float) -> str:
     """A size in the unit that suits it.
 
     Args:

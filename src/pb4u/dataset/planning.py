@@ -1,4 +1,4 @@
-"""From runs to the clips to make, and what they take."""
+"""Plans the clips of a dataset from its runs, and estimates the space on the disk that they take."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def together(jobs: Sequence[RunJob]) -> list[RunJob | JobPack]:
 
 
 def _named(run: Run) -> str:
-    """What a clip that cannot be planned was described by, defaults left out."""
+    """Entries that describe a clip, defaults left out: for the message where it cannot be planned."""
     garments = (f"{each.name} in {each.material}" if each.material else each.name for each in run.garments)
     others = {name: getattr(run, name) for name in ("body", "motion", "crop", "clip", "model", "seed")}
     told = (f"{name} = {value}" for name, value in others.items() if value != getattr(Run(), name))

@@ -1,4 +1,4 @@
-"""What is said of a file that a library left unfinished."""
+"""Error for a file that a library did not finish writing."""
 
 from __future__ import annotations
 

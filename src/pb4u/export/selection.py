@@ -116,7 +116,7 @@ def on_source(trajectory: Trajectory) -> Trajectory:
 
 
 def source_motion(header: TrajectoryHeader) -> Callable[[np.ndarray], np.ndarray]:
-    """What carries values (frames, vertices, 3) over to the author's mesh (frames, source vertices, 3), when read.
+    """Function that maps values (frames, vertices, 3) to the author's mesh (frames, source vertices, 3).
 
     Args:
         header: of the trajectory; where it has no other mesh, values stay as they are.

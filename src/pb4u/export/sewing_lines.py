@@ -69,7 +69,7 @@ class SewingLines(NamedTuple):
         return shaded
 
     def drawn_on(self, header: TrajectoryHeader, part: ClothPart) -> bytes | None:
-        """A grey PNG of the lines of a part, laid on by its UVs; None where its UVs leave the unit square.
+        """Grey PNG of the sewing lines of a part in its UV space; None where its UVs leave the unit square.
 
         Args:
             header: of the surface, with UVs.

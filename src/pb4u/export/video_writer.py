@@ -157,7 +157,7 @@ class FfmpegWriter(VideoWriter):
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether the boxes of an MP4 end where the file does, one of them its table of contents."""
+    """Whether an MP4 was written to its end: its boxes fill the file, and its table of contents is among them."""
     size, at, kinds = path.stat().st_size, 0, set()
     with path.open("rb") as file:
         while at < size:

@@ -1,9 +1,8 @@
-"""What is wrong with a garment before it is simulated, each fault in one plain sentence with its cure."""
+"""What is wrong with a garment before it is simulated: all of its faults, and refusals of those that are too grave."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -12,62 +11,31 @@ from scipy.spatial import cKDTree
 
 from pb4u.body.animated_body import AnimatedBody
 from pb4u.body.body_model import ShapedBody
-from pb4u.collision.crossings import self_crossings
 from pb4u.errors import InputError, warn
-from pb4u.garment.coarseness import Coarseness
-from pb4u.garment.fit import AXES, UNITS, UPRIGHT, WHOLLY_INSIDE, Fit, RestBody, find_fit, is_inside_out
+from pb4u.garment.findings import (
+    WORST_MISFIT,
+    Finding,
+    Severity,
+    coarse_findings,
+    contact_findings,
+    crossing_findings,
+    far_finding,
+    limb_findings,
+    penetration_findings,
+    placement_findings,
+    support_findings,
+    surface_findings,
+)
+from pb4u.garment.fit import Fit, RestBody, find_fit
 from pb4u.garment.garment import Garment
-from pb4u.garment.garment_file import MOST_SIMULATED, fix_command, likely_unit
-from pb4u.garment.source_surface import Fault, SourceSurface, first_of, surface_faults
-from pb4u.garment.support import Support, find_support, slide
-from pb4u.garment.tangles import tangles
-from pb4u.garment.untangling import untangle
+from pb4u.garment.garment_file import fix_command, likely_unit
+from pb4u.garment.source_surface import SourceSurface
+from pb4u.garment.support import Support, find_support
 from pb4u.geometry.mesh_file import PolygonMesh
 from pb4u.geometry.triangle_mesh import edge_lengths
 
-# Mean distance to the body [m] above which a garment that would fit elsewhere is not taken to be worn.
-_WORST_MISFIT = 0.08
-# A garment whose nearest point is farther from the body than this [m] does not touch it.
-_FAR = 0.05
 # Findings after which nothing is said of what holds the garment up.
 _NOT_WORN = ("far", "inside", "unsure")
-# Deviation of edge lengths, of their mean, above which they count as graded; built-in garments have about a tenth.
-_GRADED = 0.35
-# Share of faces with another layer behind them above which the cloth is reported as double: a hem or a pocket has less.
-_DOUBLE = 0.2
-
-
-class Severity(str, Enum):
-    """Severity of a fault: refused, a warning, or only a note."""
-
-    REFUSED = "refused"
-    WARNING = "warning"
-    NOTE = "note"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One fault.
-
-    Args:
-        code: short fixed name.
-        severity: whether simulation refuses it, warns, or only has a note for it.
-        sentence: what and where.
-        fix: how to mend it.
-        mendable: whether `repair` does that.
-        where: indices of the first vertices, faces or edges concerned, as the sentence says.
-        vertices: indices of all vertices concerned, in the author's mesh.
-        tacks: pairs of vertices, in the author's mesh, that would be sewn together to mend it.
-    """
-
-    code: str
-    severity: Severity
-    sentence: str
-    fix: str
-    mendable: bool = False
-    where: tuple[int, ...] = ()
-    vertices: tuple[int, ...] = ()
-    tacks: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +97,7 @@ def diagnose(
         pinned = bool(garment.pinned.any())
         garment = PolygonMesh(garment.vertices, tuple(garment.faces))
     surface = SourceSurface.of(garment)
-    findings = _surface_findings(surface)
+    findings = surface_findings(surface)
     vertices = garment.vertices[np.unique(surface.faces)]
     lengths = edge_lengths(garment.vertices, surface.topology.edges)
     measures: dict[str, float | None] = {
@@ -145,21 +113,21 @@ def diagnose(
         rest = RestBody.of(body)
         fit = find_fit(vertices, rest)
         mend = fix_command(file, rest.name if body_file is None else body_file)
-        findings += _placement_findings(vertices, fit, rest, mend)
-        findings += _crossing_findings(surface, fit.apply(garment.vertices), measures)
-        findings += _contact_findings(surface, fit, rest, measures, mend)
+        findings += placement_findings(vertices, fit, rest, mend)
+        findings += crossing_findings(surface, fit.apply(garment.vertices), measures)
+        findings += contact_findings(surface, fit, rest, measures, mend)
         if not pinned and not any(f.code in _NOT_WORN for f in findings):
             support = find_support(fit.apply(garment.vertices), surface.faces, rest)
-            findings += _support_findings(fit.apply(garment.vertices), surface.faces, rest, support)
+            findings += support_findings(fit.apply(garment.vertices), surface.faces, rest, support)
             held = support.name
         if isinstance(body, ShapedBody) and not any(f.code in _NOT_WORN for f in findings):
-            findings += _limb_findings(fit.apply(garment.vertices), surface.faces, body)
+            findings += limb_findings(fit.apply(garment.vertices), surface.faces, body)
         if not any(f.code in _NOT_WORN for f in findings):
-            findings += _coarse_findings(fit.apply(garment.vertices), surface.faces, rest)
+            findings += coarse_findings(fit.apply(garment.vertices), surface.faces, rest)
     elif len(vertices) and (unit := likely_unit(vertices)):
         findings.append(Finding("units", Severity.REFUSED, f"The garment {unit}.", "scale it to metres"))
     elif len(vertices):
-        findings += _crossing_findings(surface, garment.vertices, measures)
+        findings += crossing_findings(surface, garment.vertices, measures)
     order = list(Severity)
     return Diagnosis(tuple(sorted(findings, key=lambda f: order.index(f.severity))), fit, measures, held)
 
@@ -180,14 +148,14 @@ def require_worn(garment: Garment, body: ShapedBody | AnimatedBody, file: str | 
     misfit = float(rest.misfit(garment.vertices))
     mend = fix_command(file, rest.name)
     findings = []
-    if misfit > 0.6 * _WORST_MISFIT:  # well under it there is nothing to look for
-        findings = _placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
+    if misfit > 0.6 * WORST_MISFIT:  # well under it there is nothing to look for
+        findings = placement_findings(garment.vertices, find_fit(garment.vertices, rest), rest, mend)
     if rest.is_closed:  # of one that is not, who loaded it was warned
-        findings += _penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
+        findings += penetration_findings(rest.signed_distances(garment.vertices), rest, mend)
     if support is not None:
         source = garment.source
         names = None if source is None else cKDTree(source.source.vertices).query(garment.vertices)[1]
-        findings += _support_findings(garment.vertices, garment.faces, rest, support, names)
+        findings += support_findings(garment.vertices, garment.faces, rest, support, names)
     for finding in findings:
         if finding.severity is Severity.REFUSED:
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
@@ -208,8 +176,8 @@ def require_near(garment: Garment, body: ShapedBody | AnimatedBody) -> None:
     if unit := likely_unit(garment.vertices):
         raise InputError(f"garment {garment.name} {unit}; give its vertices in metres.")
     rest = RestBody.of(body)
-    inside = _penetration_findings(rest.signed_distances(garment.vertices), rest, "")
-    for finding in (*_far_finding(garment.vertices, rest), *inside):
+    inside = penetration_findings(rest.signed_distances(garment.vertices), rest, "")
+    for finding in (*far_finding(garment.vertices, rest), *inside):
         if finding.severity is Severity.REFUSED:
             raise InputError(f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}.")
 
@@ -225,222 +193,8 @@ def require_fine(garment: Garment, body: ShapedBody | AnimatedBody, *, accepted:
     Raises:
         InputError: its edges span too much of the way round the body.
     """
-    for finding in _coarse_findings(garment.vertices, garment.faces, RestBody.of(body)):
+    for finding in coarse_findings(garment.vertices, garment.faces, RestBody.of(body)):
         sentence = f"{garment.name}: {finding.sentence[:-1]}; {finding.fix}."
         if finding.severity is Severity.REFUSED and not accepted:
             raise InputError(sentence)
         warn(sentence)
-
-
-def _surface_findings(surface: SourceSurface) -> list[Finding]:
-    findings = [_finding(surface, fault) for fault in surface_faults(surface)]
-    if len(surface.faces) > MOST_SIMULATED:
-        sentence = f"The garment has {len(surface.faces):,} triangles, {MOST_SIMULATED:,} can be simulated."
-        findings.append(Finding("too-many", Severity.REFUSED, sentence, "simulate it with `--triangles N`"))
-    if len(surface.faces):
-        share = surface.double.mean()
-        if share > _DOUBLE:
-            polygons = surface.polygon[surface.kept[surface.double]]
-            sentence = f"{100 * share:.0f}% of the cloth lies double, back to back, first faces {first_of(polygons)}."
-            fault = Fault("double-layer", sentence, "keep the outer layer only", faces=polygons)
-            findings.append(_finding(surface, fault))
-        lengths = edge_lengths(surface.source.vertices, surface.topology.edges)
-        if lengths.std() > _GRADED * lengths.mean():
-            sentence = f"Edge lengths vary by {lengths.std() / lengths.mean():.2f} of their mean, more than {_GRADED}."
-            fix = f"simulate it evenly meshed with `--triangles {len(surface.faces)}`"
-            findings.append(Finding("graded", Severity.WARNING, sentence, fix))
-    return findings
-
-
-def _finding(surface: SourceSurface, fault: Fault) -> Finding:
-    named = fault.vertices if fault.faces is None else fault.faces
-    first = () if named is None else tuple(np.asarray(named)[:20].tolist())
-    concerned = fault.vertices
-    if fault.faces is not None and concerned is None:
-        concerned = _corners(surface, fault.faces)
-    severity = Severity.REFUSED if fault.is_refused else Severity.WARNING
-    return Finding(fault.code, severity, fault.sentence, fault.fix, fault.mendable, first, _indices(concerned))
-
-
-def _placement_findings(vertices: np.ndarray, fit: Fit, body: RestBody, mend: str) -> list[Finding]:
-    """Units, axes and place of (vertices, 3); `mend` is the command to mend them."""
-    if fit.is_identity:
-        return _far_finding(vertices, body)
-    if fit.is_unsure:
-        sentence = (
-            "Where on the body the garment belongs is unclear: it fits about as well in "
-            f"{1 + len(fit.alike)} of {len(AXES)} ways to turn it, {1000 * fit.misfit:.0f} mm off on average."
-        )
-        fix = (
-            "give --body and --body-shape of the body that it was made for, or place it on the resting body in the "
-            "program it comes from, in metres, Y up and facing +Z"
-        )
-        return [*_far_finding(vertices, body), Finding("unsure", Severity.REFUSED, sentence, fix)]
-    findings = []
-    if fit.unit != "metres":
-        sentence = f"The garment is in {fit.unit}: it spans {np.ptp(vertices, axis=0).max():.4g} of them."
-        findings.append(
-            Finding("units", Severity.REFUSED, sentence, f"scale it by {UNITS[fit.unit]:g} with {mend}", True)
-        )
-    if fit.axes != UPRIGHT:
-        sentence = f"The garment is made {fit.axes}; the world is Y up and the body faces +Z."
-        findings.append(Finding("axes", Severity.WARNING, sentence, f"turn it with {mend}", True))
-    if fit.shift.any():
-        why = "where it fits best" if fit.searched else "it was made around the body model's own origin"
-        sentence = f"The garment has to move {fit.move} to be worn: {why}, {1000 * fit.misfit:.0f} mm off on average."
-        code = "place" if fit.shift[[0, 2]].any() else "height"
-        findings.append(Finding(code, Severity.WARNING, sentence, f"move it with {mend}", True))
-    if fit.front_alike:
-        sentence = f"Front and back of the garment fit alike: {fit.axes} is taken, {fit.front_alike[0]} is as likely."
-        fix = "look at it once it is mended, and turn it about the vertical where it is the wrong way round"
-        findings.append(Finding("front", Severity.WARNING, sentence, fix))
-    if float(body.misfit(vertices)) > _WORST_MISFIT:
-        away = 100 * float(np.median(np.abs(body.signed_distances(vertices))))
-        why = "made at another place" if fit.axes == UPRIGHT else fit.axes
-        sentence = (
-            f'The garment is not on the body "{body.name}" as it stands, half of it is {away:.0f} cm away or more: it '
-            f"seems to be {why if fit.unit == 'metres' else fit.unit}."
-        )
-        findings.append(Finding("misplaced", Severity.REFUSED, sentence, f"move it with {mend}", True))
-    return findings + _far_finding(fit.apply(vertices), body)
-
-
-def _limb_findings(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> list[Finding]:
-    """Limbs of the resting body that are not inside a garment's sleeves and legs."""
-    from pb4u.garment.limbs_inside import limbs_outside
-
-    limbs = limbs_outside(vertices, faces, body)
-    if not limbs:
-        return []
-    sentence = f"{', '.join(limbs[:4])} of the body at rest go through it, not inside it."
-    fix = "pose it around them where it was made; simulation pushes it out where a push is enough, and refuses it else"
-    return [Finding("limb-outside", Severity.WARNING, sentence, fix)]
-
-
-def _coarse_findings(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> list[Finding]:
-    """A garment whose triangles are too few for the body, its (vertices, 3) where it is worn."""
-    coarse = Coarseness.of(vertices, faces, body)
-    if not coarse.is_few:
-        return []
-    spans = f"one edge in ten covers {coarse.degrees:.0f} of the 360 degrees around a limb or the trunk"
-    fix = f"ask for more with `--triangles {coarse.enough}`"
-    if coarse.is_lost:
-        sentence = f"Its {coarse.triangles:,} triangles are too few to stay around the body: {spans}."
-        fix = f"{fix}, or take its own with `--triangles {coarse.triangles}`"
-        return [Finding("too-coarse", Severity.REFUSED, sentence, fix)]
-    sentence = f"Its {coarse.triangles:,} triangles are few for the body, so skin or a limb may come through: {spans}."
-    return [Finding("coarse", Severity.WARNING, sentence, fix)]
-
-
-def _far_finding(vertices: np.ndarray, body: RestBody) -> list[Finding]:
-    distance = float(np.abs(body.signed_distances(vertices)).min())
-    if distance <= _FAR:
-        return []
-    sentence = f'The garment is far from the body "{body.name}": its nearest point is {distance:.2f} m away.'
-    return [Finding("far", Severity.REFUSED, sentence, "place it on the body where it was made")]
-
-
-def _support_findings(
-    vertices: np.ndarray, faces: np.ndarray, body: RestBody, support: Support, names: np.ndarray | None = None
-) -> list[Finding]:
-    """A garment without pins, its (vertices, 3) where it is worn, that will slide down; `names` of its vertices."""
-    if support.name == "shoulders":
-        return []
-    if support.held is not None:
-        sentence = f"Nothing but its {support.name}, {int(support.held.sum())} vertices, can hold the garment up."
-        fix = "none is needed: `pb4u simulate` lets it follow the body, and `--pins none` lets it go"
-        return [Finding("unsupported", Severity.NOTE, sentence, fix)]
-    why, fix = "none of it lies on the shoulders", "simulate it with `--pins waist`"
-    straps = support.loose
-    names = np.arange(len(vertices)) if names is None else names
-    tacks = tuple((int(names[a]), int(names[b])) for strap in straps for a, b in strap.tacks)
-    if straps:
-        gap = max(strap.gap for strap in straps)
-        why = f"{len(straps)} of its straps end loose, {100 * gap:.1f} cm from the border they would be sewn to"
-        fix = "sew them where they were made"
-    if tacks:
-        fix = "sew them with " + " ".join(f"`--tack {a}:{b}`" for a, b in tacks)
-    down = slide(vertices, faces, body)
-    where = "to the ground" if down is None else f"by {100 * down:.0f} cm, to where the body is wider than it"
-    sentence = f"Nothing holds the garment up: {why}; it would slide down {where}."
-    ends = tuple(int(names[vertex]) for strap in straps for vertex in strap.end)
-    severity = Severity.WARNING if straps else Severity.NOTE
-    return [Finding("unsupported", severity, sentence, fix, where=ends[:20], vertices=ends, tacks=tacks)]
-
-
-def _contact_findings(
-    surface: SourceSurface, fit: Fit, body: RestBody, measures: dict[str, float | None], mend: str
-) -> list[Finding]:
-    """First-frame penetration, a garment inside out, a body that is not closed."""
-    used = np.unique(surface.faces)
-    moved = fit.apply(surface.source.vertices)
-    distances = body.signed_distances(moved[used])
-    findings = _penetration_findings(distances, body, mend, used)
-    closed = body.is_closed
-    measures["penetration_percent"] = 100.0 * float((distances < 0.0).mean()) if closed else None
-    measures["penetration_depth_max"] = max(0.0, -float(distances.min())) if closed else None
-    # Seen from within the body every garment looks away from its skin.
-    within = closed and (distances < 0.0).mean() > 0.5
-    if not within and not surface.flipped[0].any() and is_inside_out(moved, surface.faces, body):
-        sentence = "All faces look inwards, at the body."
-        findings.append(Finding("inside-out", Severity.WARNING, sentence, f"turn them with {mend}", True))
-    return findings
-
-
-def _crossing_findings(
-    surface: SourceSurface, vertices: np.ndarray, measures: dict[str, float | None]
-) -> list[Finding]:
-    """A garment that passes through itself, its (vertices, 3) where it is worn; open seams count as welded."""
-    welded = surface.weld_target[surface.faces]
-    whole = np.flatnonzero((welded != np.roll(welded, 1, axis=1)).all(axis=1))
-    faces = welded[whole]
-    pairs = self_crossings(vertices, faces, sharing=True)
-    measures["self_intersections"] = float(len(pairs))
-    if not len(pairs):
-        return []
-    (tangle,) = tangles(["The garment"], np.zeros(len(vertices), dtype=np.int64), vertices, faces, pairs)
-    polygons = surface.polygon[surface.kept[whole[pairs]]]
-    start = untangle(vertices, faces, gap=0.0)
-    sentence = f"{tangle}, first faces {first_of(polygons)} (pairs)."
-    where, concerned = tuple(polygons.reshape(-1)[:20].tolist()), _indices(_corners(surface, polygons))
-    if not start.is_free:
-        fix = "mend it where it was made, or simulate it with `--self-contact off`"
-        return [Finding("self-crossing", Severity.REFUSED, sentence, fix, where=where, vertices=concerned)]
-    farthest = float(np.linalg.norm(start.vertices - vertices, axis=1).max())
-    fix = f"mend it where it was made; simulation untangles its start, by at most {1000 * farthest:.1f} mm"
-    return [Finding("self-crossing", Severity.WARNING, sentence, fix, where=where, vertices=concerned)]
-
-
-def _penetration_findings(
-    distances: np.ndarray, body: RestBody, mend: str, ids: np.ndarray | None = None
-) -> list[Finding]:
-    if not body.is_closed:
-        sentence = f'The body "{body.name}" is not a closed surface, so penetration is not reported.'
-        return [Finding("open-body", Severity.WARNING, sentence, "close its holes")]
-    inside = distances < 0.0
-    if not inside.any():
-        return []
-    deepest = int(distances.argmin())
-    names = np.arange(len(distances)) if ids is None else ids
-    where = tuple(names[np.argsort(distances)[: min(20, int(inside.sum()))]].tolist())
-    concerned = _indices(names[inside])
-    if inside.mean() > WHOLLY_INSIDE:
-        sentence = (
-            f'The garment lies wholly inside the body "{body.name}" ({100 * inside.mean():.0f}% of its vertices).'
-        )
-        fix = "make it larger, or take the body it was made for"
-        return [Finding("inside", Severity.REFUSED, sentence, fix, where=where, vertices=concerned)]
-    sentence = (
-        f"{100 * inside.mean():.1f}% of the vertices start inside the body, the deepest "
-        f"{-1000 * distances[deepest]:.1f} mm (vertex {names[deepest]})."
-    )
-    return [Finding("penetration", Severity.WARNING, sentence, f"push them out with {mend}", True, where, concerned)]
-
-
-def _corners(surface: SourceSurface, faces: np.ndarray) -> np.ndarray:
-    """Vertices (n,) at the corners of some faces of the author's mesh, whatever shape the indices have."""
-    return np.concatenate([surface.source.polygons[face] for face in np.unique(faces).tolist()])
-
-
-def _indices(vertices: np.ndarray | None) -> tuple[int, ...]:
-    return () if vertices is None else tuple(np.unique(vertices).tolist())

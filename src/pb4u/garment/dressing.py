@@ -1,4 +1,4 @@
-"""How a garment rides on a body: the start pose, the pins, and where skinning alone would put every vertex."""
+"""Skinning of garments: where the body alone would put every vertex, at the start, for pins and in every frame."""
 
 from __future__ import annotations
 

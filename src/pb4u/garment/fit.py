@@ -197,7 +197,7 @@ class Fit:
 
     @property
     def front_alike(self) -> tuple[str, ...]:
-        """Other axes of the same upward one under which it fits about as well: its shape does not show its front."""
+        """Other turns about the vertical in which the garment fits about as well, as where front and back are alike."""
         return tuple(axes for axes in self.alike if axes[0] == self.axes[0])
 
     @property

@@ -34,7 +34,7 @@ class SourceMap:
 
 @dataclass(frozen=True, eq=False)
 class GarmentSkinning:
-    """How a garment rides on an SMPL-family body, where its file says so; in the model's own axes and height.
+    """Skinning of a garment by an SMPL-family body, from its own file; in the model's own axes and height.
 
     Args:
         vertices: (vertices, 3) float64 in the body's rest pose, average shape [m].

@@ -111,7 +111,7 @@ def mobility_of(vertex_garment: np.ndarray, count: int) -> np.ndarray:
 def _laid_under(
     inner: Garment, places: np.ndarray, outer: Garment, outer_places: np.ndarray, body: RestBody
 ) -> np.ndarray:
-    """Positions (vertices, 3) [m] of a garment, what reaches beyond another laid towards the body."""
+    """Positions (vertices, 3) [m] of a garment with the parts that reach beyond another moved towards the body."""
     surface = TriangleSurface(outer.faces, len(outer_places)).at(outer_places)
 
     def push_at(moved: np.ndarray) -> np.ndarray:

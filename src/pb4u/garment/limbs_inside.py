@@ -34,7 +34,7 @@ def limbs_outside(vertices: np.ndarray, faces: np.ndarray, body: ShapedBody) -> 
 
 
 def with_limbs_inside(garment: Garment, body: ShapedBody | AnimatedBody) -> Garment:
-    """The garment, pushed out of the body where limbs go through it at rest; as it is where none does.
+    """The garment, pushed out of the body where limbs of the resting body go through it; unchanged where none does.
 
     Args:
         garment: where it is worn.

@@ -119,7 +119,7 @@ def _strap(
 
 
 def slide(vertices: np.ndarray, faces: np.ndarray, body: RestBody) -> float | None:
-    """How far [m] a garment that nothing holds slides down until the body is wider than it is; None for to the ground.
+    """Distance [m] that a garment slides down until the body is wider than it; None if it slides to the ground.
 
     Args:
         vertices: (vertices, 3) of the garment where it is worn [m].

@@ -69,7 +69,7 @@ def tangles(
 
 @dataclass(frozen=True)
 class OutfitCrossings:
-    """What of several garments crosses, before and after they are laid over each other.
+    """Crossings of several garments, before and after they are laid over each other.
 
     Args:
         as_made: where each was made.

@@ -218,7 +218,7 @@ class _Untangling:
         return _rounded(drawn)
 
     def _near(self, vertices: np.ndarray) -> tuple[_Pushes | None, float]:
-        """What to push apart of parts nearer than the gap, None for nothing; and the smallest distance found [m]."""
+        """Pairs of parts nearer than the gap, to be pushed apart, or None; and the smallest distance found [m]."""
         if not self.gap:
             return None, 0.0
         pairs = self.tree.pairs(vertices, _AIM * self.gap)

@@ -43,7 +43,7 @@ class Appearances:
     of_face: np.ndarray
 
     def at(self, faces: np.ndarray) -> Appearances:
-        """Those of other faces.
+        """Appearances of a selection of the faces.
 
         Args:
             faces: (faces,) int64 the face that each takes its appearance from.
@@ -52,7 +52,7 @@ class Appearances:
 
     @staticmethod
     def joined(parts: Sequence[Appearances | None], faces: Sequence[int]) -> Appearances | None:
-        """Those of meshes joined into one; None where no mesh has any.
+        """Appearances of several meshes joined into one; None where no mesh has any.
 
         Args:
             parts: appearances of each mesh, or None.

@@ -70,7 +70,7 @@ def read_obj(path: Path) -> PolygonMesh:
 def _appearances(
     path: Path, count: int, used: list[tuple[int, str]], libraries: list[str], laid_on: bool
 ) -> Appearances | None:
-    """Of `count` faces from those that `used` names at the first face of each; images only where UVs lay them on."""
+    """Appearances of `count` faces; `used` names the material that begins at a face; images need `laid_on`."""
     known: dict[str, Appearance] = {}
     for name in libraries:
         if (path.parent / name).is_file():

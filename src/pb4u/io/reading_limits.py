@@ -79,7 +79,7 @@ def read_json(path: Path) -> Any:
     return parse_json(path.read_bytes())
 
 
-def told_names(names: Iterable[object]) -> str:
+def names_text(names: Iterable[object]) -> str:
     """The first of many names, for a message.
 
     Args:
@@ -89,8 +89,8 @@ def told_names(names: Iterable[object]) -> str:
     return ", ".join(ordered[:10]) + (f" and {len(ordered) - 10} more" if len(ordered) > 10 else "") or "(none)"
 
 
-def told_error(error: BaseException) -> str:
-    """What a library says of a file, cut to a sentence's length: some repeat the file.
+def error_text(error: BaseException) -> str:
+    """Message of a library's error, cut to the length of a sentence: some repeat the whole file.
 
     Args:
         error: the error that the library raised.
@@ -118,4 +118,4 @@ def refusing(path: Path, sentence: str) -> Iterator[None]:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
     except Exception as error:
         kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
-        raise InputError(f"{path} {sentence} ({kind}{told_error(error)}).") from error
+        raise InputError(f"{path} {sentence} ({kind}{error_text(error)}).") from error

@@ -42,7 +42,7 @@ def load_pickle(path: str | Path) -> Any:
 
 
 def load_object_array(path: str | Path) -> Any:
-    """What `numpy.save` wrote of one object: numbers, text, collections, arrays and tensors of torch, as `load_pickle`.
+    """Object in a file of `numpy.save`: numbers, text, collections, arrays and tensors of torch, as in `load_pickle`.
 
     Args:
         path: the file.
@@ -61,7 +61,7 @@ def load_object_array(path: str | Path) -> Any:
 
 
 def load_tensors(path: str | Path) -> Any:
-    """What `torch.save` wrote of tensors, numbers, text and collections of them, by `torch.load(weights_only=True)`.
+    """Tensors, numbers, text and collections of them in a file of `torch.save`, by `torch.load(weights_only=True)`.
 
     Args:
         path: the file. Tensors are mapped: what is not looked at is not read.

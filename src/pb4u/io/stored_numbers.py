@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.io.reading_limits import told_names
+from pb4u.io.reading_limits import names_text
 
 Layout = Mapping[str, tuple[str, tuple[str | int | None, ...]]]
 """Member -> kinds of its numbers as numpy's letters, and its shape. Counts of one name agree over all members; None is
@@ -73,7 +73,7 @@ def read_members(
     if not isinstance(content, Mapping):
         raise refuse(f"it holds a {type(content).__name__}, no dictionary")
     if missing := [name for name in layout if name not in content and name not in optional]:
-        raise refuse(f"it has no {' and no '.join(missing)}; it holds {told_names(content)}")
+        raise refuse(f"it has no {' and no '.join(missing)}; it holds {names_text(content)}")
     arrays = {name: _array(content[name]) for name in layout if name in content}
     if odd := [name for name, values in arrays.items() if values is None]:
         raise refuse(f'"{odd[0]}" is not an array of numbers')

@@ -54,7 +54,7 @@ def jobs_of(job: Job) -> tuple[Any, ...]:
 
 
 class Made(NamedTuple):
-    """What a job made.
+    """Result of a job.
 
     Args:
         result: JSON but for numbers that are not finite.

@@ -157,7 +157,7 @@ class JobFolder:
             raise self.refused(name, error) from error
 
     def refused(self, name: str, error: OSError) -> Pb4uError:
-        """What is said where the disk refuses a file of the run.
+        """Error for a file of the run that cannot be written.
 
         Args:
             name: path of the file within the folder.

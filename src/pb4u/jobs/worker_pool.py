@@ -1,4 +1,4 @@
-"""Who does the jobs: a pool of processes on this machine, or the workers of a Ray cluster."""
+"""Workers that do the jobs: a pool of processes on this machine, or a Ray cluster."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ class _Worker:
 
 
 def _work(pipe: Connection, attempt: Attempt) -> None:
-    """What a worker process does until it is stopped."""
+    """Main loop of a worker process."""
     # Set before torch is first imported here: as many workers as cores, each with threads of its own, crawl.
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[name] = "1"

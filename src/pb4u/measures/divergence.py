@@ -86,7 +86,7 @@ def _skinned_means(scene: Scene, trajectory: Trajectory, worn: DressedGarment, s
 
 
 def hold_shifts(scene: Scene, trajectory: Trajectory) -> np.ndarray:
-    """How far what holds each garment up has moved from where skinning puts it.
+    """Distance of the vertices that hold each garment up from where skinning puts them.
 
     A garment hangs from the uppermost `HOLD_DEPTH` of its left half and of its right half: straps, shoulders or the two
     sides of a waist. The shift is that of the mean of those vertices, of the half that moved farther.

@@ -273,11 +273,10 @@ class Reference:
         """
         minima, heights = StepMinima(), []
         for each in self.shared:
-            for _ in predictions(self.timeline.step_from(each.before), method):
-                pass
-            step = self.timeline.step_from(each.state)
+            *_, earlier = predictions(self.timeline.step_from(each.before), method)
+            step = self.timeline.step_from(replace(each.state, last_move=earlier.state.last_move))
             try:
-                *_, predicted = [take(step, method)] if settled else predictions(step, method)
+                predicted = take(step, method) if settled else [*predictions(step, method)][-1].state
             except DivergedError:
                 heights.append(math.nan)
                 continue

@@ -1,4 +1,4 @@
-"""From runs to jobs. What can be refused is refused here, before any work."""
+"""Makes jobs of runs; validates all of them before any work."""
 
 from __future__ import annotations
 

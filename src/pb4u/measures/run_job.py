@@ -88,7 +88,7 @@ class RunJob:
 
     @property
     def labels(self) -> dict[str, Any]:
-        """What the run was asked to be, as JSON: names as they were given, files by their stem."""
+        """Options of the run as JSON: names as they were given, files by their stem."""
         run, names = self.run, {value: Path(file).stem for value, file, _ in reversed(self.contents)}
 
         def named(value: object) -> str | None:
@@ -306,7 +306,7 @@ def _against_reference(run: Run, simulator: Simulator, trajectory: Trajectory) -
 
 
 def _own_steps(simulator: Simulator, mean_edge_length: float) -> int | None:
-    """K that a network's own rule takes, whatever it was told; None for what has none."""
+    """K by the network's own rule, whatever the run sets; None for models without propagation steps."""
     from pb4u.simulation.stepwise_simulator import NetworkSimulator
 
     if not isinstance(simulator, NetworkSimulator):
@@ -315,7 +315,7 @@ def _own_steps(simulator: Simulator, mean_edge_length: float) -> int | None:
 
 
 def _encoded(job: RunJob, trajectory: Trajectory, result: dict[str, Any]) -> bytes:
-    """What is kept of a trajectory, as the bytes of a trajectory file."""
+    """Bytes of the trajectory file that is kept."""
     if job.keep != "stills":
         return trajectory.encode(job.keep == "half")
     kept = [result["pictured_frame"], _worst_frame(result, trajectory.frame_count)]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.io.reading_limits import told_names
+from pb4u.io.reading_limits import names_text
 from pb4u.io.restricted_pickle import load_tensors
 from pb4u.motion.recording import Recording
 from pb4u.motion.smpl_recording import full_poses, shape_note, smpl_recording
@@ -35,7 +35,7 @@ def read_gvhmr(path: Path) -> Recording:
     content = load_tensors(path)
     parameters = content.get(_PARAMETERS) if isinstance(content, Mapping) else None
     if not isinstance(parameters, Mapping):
-        held = told_names(content) if isinstance(content, Mapping) else f"a {type(content).__name__}"
+        held = names_text(content) if isinstance(content, Mapping) else f"a {type(content).__name__}"
         raise InputError(
             f"{path} is no result of GVHMR: it has no {_PARAMETERS} and holds {held}; give its hmr4d_results.pt, or "
             "weights as --model."

@@ -13,7 +13,7 @@ from pb4u.motion.ground import on_level_ground
 from pb4u.motion.motion import Motion
 from pb4u.motion.procedural import CLIPS, ProceduralMotion
 from pb4u.motion.recording import Recording
-from pb4u.motion.repair import told_of_leaps, without_false_start, without_flips
+from pb4u.motion.repair import with_leap_notes, without_false_start, without_flips
 from pb4u.motion.retargeting import RecordedMotion
 from pb4u.motion.smpl_recording import vto_recording
 from pb4u.motion.steadying import steadied
@@ -90,7 +90,7 @@ def load_motion(
         recording = replace(recording, poses=replace(recording.poses, fps=recorded_fps))
     # The crop comes first: bad frames are often what it is there to leave out.
     recording = without_false_start(recording) if crop is None else recording.cropped(*crop)
-    recording = told_of_leaps(without_flips(recording))
+    recording = with_leap_notes(without_flips(recording))
     if recording.from_video and not raw:
         recording = steadied(recording)
     return RecordedMotion(on_level_ground(recording), arms_away_degrees)

@@ -14,7 +14,7 @@ from pb4u.motion.humanoid import humanoid_of
 
 
 class Performed(NamedTuple):
-    """What a body does of a motion.
+    """Poses of a body that performs a motion.
 
     Args:
         poses: its poses.
@@ -80,6 +80,14 @@ class Motion(ABC):
             return performed
         swung = humanoid_of(body).arms_swung_out(performed.poses, self.arms_away_degrees)
         return performed._replace(poses=swung)
+
+    def holds_arms_off(self, body: ShapedBody) -> bool:
+        """Whether arms that would go into a body are swung out of it, by as much as they have to be.
+
+        Args:
+            body: who performs.
+        """
+        return False
 
     def available_frames(self, fps: float) -> int | None:
         """Number of frames at `fps` frames per second; None where the motion has no end.

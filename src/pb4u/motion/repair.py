@@ -78,7 +78,7 @@ def without_false_start(recording: Recording) -> Recording:
     return replace(recording.cropped(first, len(recording.poses)), notes=(*recording.notes, note))
 
 
-def told_of_leaps(recording: Recording) -> Recording:
+def with_leap_notes(recording: Recording) -> Recording:
     """The recording with a note where the whole body leaps farther in a frame than a person can; nothing is mended.
 
     Args:

@@ -157,13 +157,16 @@ class RecordedMotion(Motion):
 
     def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> Performed:
         retargeting = self._retargeting(body)
-        as_measured = retargeting.direct and not self.recording.from_video
-        if as_measured or self.arms_away_degrees is not None:
+        if not self.holds_arms_off(body):
             return Performed(replace(retargeting.poses(frames / fps), fps=fps))
         # With some frames around them, so that a frame does not depend on which others are computed.
         end = self.available_frames(fps) or int(frames[-1]) + 1
         around = np.arange(max(frames[0] - reach(fps), 0), min(frames[-1] + 1 + reach(fps), end))
         return self._held_off(retargeting, replace(retargeting.poses(around / fps), fps=fps), frames - around[0])
+
+    def holds_arms_off(self, body: ShapedBody) -> bool:
+        as_measured = self._retargeting(body).direct and not self.recording.from_video
+        return not as_measured and self.arms_away_degrees is None
 
     def _held_off(self, retargeting: Retargeting, poses: PoseSequence, kept: np.ndarray) -> Performed:
         """Some frames of the poses with the arms swung out of the body."""

@@ -14,7 +14,7 @@ from pb4u.body.smpl import JOINT_NAMES
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import from_axis_angle, multiply, rotate
 from pb4u.io.array_archive import member_names, read_arrays
-from pb4u.io.reading_limits import told_names
+from pb4u.io.reading_limits import names_text
 from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.correspondences import SMPL
 from pb4u.motion.recording import Recording, finite_frames, require_rate
@@ -68,7 +68,7 @@ def read_amass(path: Path) -> Recording:
     rate_key = next((key for key in _RATE_KEYS if key in names), None)
     if missing or rate_key is None:
         wanted = missing or [" or ".join(_RATE_KEYS[:2])]
-        raise InputError(f"{path} has no {' and no '.join(wanted)}; it holds {told_names(names)}.")
+        raise InputError(f"{path} has no {' and no '.join(wanted)}; it holds {names_text(names)}.")
     file = read_arrays(path, ("poses", "trans", rate_key))
     poses, translations, rate = file["poses"], file["trans"], file[rate_key]
     betas, gender = (_optional(path, key) for key in ("betas", "gender"))
@@ -138,7 +138,7 @@ def vto_recording(path: Path, content: Any) -> Recording:
     translation_key = next((key for key in _TRANSLATION_KEYS if key in content), None)
     if pose_key is None or translation_key is None:
         wanted = "poses" if pose_key is None else "trans"
-        raise InputError(f"{path} has no {wanted}; it holds {told_names(content)}.")
+        raise InputError(f"{path} has no {wanted}; it holds {names_text(content)}.")
     poses, translations = (stored_numbers(content[key], path, key) for key in (pose_key, translation_key))
     if poses.ndim == 2 and poses.shape[1] == 69 and "global_orient" in content:
         root = stored_numbers(content["global_orient"], path, "global_orient")
@@ -203,7 +203,7 @@ def full_poses(path: Path, parameters: Mapping[str, np.ndarray]) -> tuple[np.nda
     translation = next((key for key in _TRANSLATION_KEYS if key in parameters), None)
     missing = [key for key in ("global_orient", "body_pose") if key not in parameters]
     if missing or translation is None:
-        raise InputError(f"{path} has no {(missing or ['transl'])[0]}; it holds {told_names(parameters)}.")
+        raise InputError(f"{path} has no {(missing or ['transl'])[0]}; it holds {names_text(parameters)}.")
     body = parameters["body_pose"]
     frames = len(body) if body.ndim else 0
     if not frames:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pb4u.body.skeleton import joint_positions
 from pb4u.errors import InputError
-from pb4u.io.reading_limits import told_names
+from pb4u.io.reading_limits import names_text
 from pb4u.io.restricted_pickle import load_object_array
 from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.recording import Recording
@@ -77,7 +77,7 @@ def _dictionary(path: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     if not isinstance(content, Mapping):
         raise InputError(f"{path} holds a {type(content).__name__}, not the dictionary that TRAM writes.")
     if missing := [key for key in keys if key not in content]:
-        raise InputError(f"{path} has no {missing[0]}; it holds {told_names(content)}.")
+        raise InputError(f"{path} has no {missing[0]}; it holds {names_text(content)}.")
     return {key: stored_numbers(content[key], path, key) for key in (*keys, "pred_shape") if key in content}
 
 

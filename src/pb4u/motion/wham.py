@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pb4u.errors import InputError
-from pb4u.io.reading_limits import told_names
+from pb4u.io.reading_limits import names_text
 from pb4u.io.stored_numbers import stored_numbers
 from pb4u.motion.recording import Recording
 from pb4u.motion.repair import without_gaps
@@ -52,7 +52,7 @@ def wham_recording(path: Path, content: Mapping[Any, Any], person: str | None) -
         person = next(iter(people))
     held = people[person]
     if "pose_world" not in held or "trans_world" not in held:
-        raise InputError(f"{path}: person {person} has no pose_world and trans_world, but {told_names(held)}.")
+        raise InputError(f"{path}: person {person} has no pose_world and trans_world, but {names_text(held)}.")
     poses, translations = (stored_numbers(held[key], path, key) for key in ("pose_world", "trans_world"))
     recording = smpl_recording(path, poses, translations, _RATE)
     recording = replace(recording, name=path.stem if len(people) == 1 else f"{path.stem}_{person}", from_video=True)

@@ -129,6 +129,7 @@ class GraphNetwork(nn.Module, ABC):
         configuration: the columns read, the world edges and the number of passes in a step.
 
     Attributes:
+        configuration: as given.
         propagates: whether it has propagation steps, whose number can be set.
     """
 
@@ -136,14 +137,7 @@ class GraphNetwork(nn.Module, ABC):
 
     def __init__(self, configuration: NetworkConfiguration) -> None:
         super().__init__()
-        self.layout = configuration.layout
-        self.world_edges = configuration.world_edges
-        self.pins = configuration.pins
-        self.passes = configuration.passes
-        self.warm_start_shares = configuration.warm_start_shares
-        self.conjugate = configuration.conjugate
-        self.further_passes = configuration.further_passes
-        self.descent_size = configuration.descent_size
+        self.configuration = configuration
 
     @abstractmethod
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
@@ -248,7 +242,7 @@ class AccelerationModel(nn.Module):
     def __init__(self, network: GraphNetwork) -> None:
         super().__init__()
         self.network = network
-        layout = network.layout
+        layout = network.configuration.layout
         self.node_normaliser = Normaliser(layout.columns("node"))
         self.mesh_edge_normaliser = Normaliser(layout.columns("mesh_edge"))
         self.world_edge_normaliser = Normaliser(layout.columns("world_edge"))
@@ -272,13 +266,16 @@ class AccelerationModel(nn.Module):
         Raises:
             InputError: the override is not between 1 and 500.
         """
-        network, layout = self.network, self.network.layout
+        network, configuration = self.network, self.network.configuration
+        layout = configuration.layout
         derived = network.derive(garments)
         static = garment_graph(garments, layout.material_range, dtype, derived.edges)
-        builder = GraphBuilder(static, layout, network.world_edges, derived.finder, derived.rest, network.pins)
+        builder = GraphBuilder(
+            static, layout, configuration.world_edges, derived.finder, derived.rest, configuration.pins
+        )
         steps = tuple(network.propagation_steps(length) for length in garments.mean_edge_lengths)
         scale = network.update_scale(static)
-        prepared = PreparedGarments(builder, steps, scale, derived.losses, network.descent_size)
+        prepared = PreparedGarments(builder, steps, scale, derived.losses, configuration.descent_size)
         return prepared if propagation_steps is None else prepared.with_steps(propagation_steps)
 
     def for_inference(self, precision: torch.dtype = torch.float32) -> AccelerationModel:

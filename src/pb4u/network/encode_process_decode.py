@@ -84,7 +84,7 @@ class EncodeProcessDecode(GraphNetwork):
         Args:
             blocks: any number of `InteractionBlock`.
             nodes: latents (nodes, width) [1] by set name.
-            edges: latents (edges, width) [1] by set name; overwritten while gradients are off.
+            edges: latents (edges, width) [1] by set name.
             graph: the ends of the edges.
         """
         for index, block in enumerate(blocks):

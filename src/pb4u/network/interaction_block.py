@@ -7,9 +7,9 @@ from typing import cast
 
 from torch import Tensor, nn
 
+from pb4u.network.compiled_layers import Ends, are_compiled, passed_edges
 from pb4u.network.graph.graph import EdgeSet, Graph
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP, SplitMLP
-from pb4u.network.recorded_passes import Ends, passed_edges, records
 from pb4u.network.segment import gather, segment_sum
 
 
@@ -47,40 +47,28 @@ class InteractionBlock(nn.Module):
                 nothing reads them again.
             masks: (edges, 1) dimensionless factors on the messages by set name, 1 where a set is not named.
         """
-        wanted = list(nodes) if receivers is None else list(receivers)
-        return self._passed(nodes, edges, graph, wanted, masks or {}, receivers is None)
-
-    def _passed(
-        self,
-        nodes: dict[str, Tensor],
-        edges: dict[str, Tensor],
-        graph: Graph,
-        wanted: Sequence[str],
-        masks: Mapping[str, Tensor],
-        keep_edges: bool,
-    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """The block; all edges of a set at once."""
+        wanted, masks = list(nodes) if receivers is None else receivers, masks or {}
         hidden = {name: self.node_mlp.project(0, nodes[name]) for name in wanted}
         new_edges = {}
         for name, edge_set in graph.edges.items():
             if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
                 continue
             mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
-            new_edges[name], sums = _recorded_edges(mlp, nodes, edges[name], edge_set, masks.get(name))
+            new_edges[name], sums = _passed(mlp, nodes, edges[name], edge_set, masks.get(name))
             share = self.node_mlp.project(1 + self.kinds.index(edge_set.kind), sums)
             hidden[edge_set.receiver_set] = hidden[edge_set.receiver_set] + share
-            if not keep_edges:
+            if receivers is not None:
                 new_edges[name] = edges[name]
         return {name: nodes[name] + self.node_mlp.after_product(value) for name, value in hidden.items()}, new_edges
 
 
-def _recorded_edges(
+def _passed(
     mlp: EdgeMLP, nodes: Mapping[str, Tensor], latents: Tensor, edge_set: EdgeSet, mask: Tensor | None
 ) -> tuple[Tensor, Tensor]:
     """New latents (edges, width) [1] of a set of edges, and sums (receivers, width) [1] of their changes."""
     at_sender = mlp.project(SENDER, nodes[edge_set.sender_set])
     at_receiver = mlp.project(RECEIVER, nodes[edge_set.receiver_set])
-    if mask is None and records(latents, mlp.first.weight, edge_set.receivers):
+    if mask is None and are_compiled(latents, mlp.first.weight, edge_set.receivers):
         ends, norm = Ends(edge_set.senders, edge_set.receivers), cast(nn.LayerNorm, mlp.norm)
         layers, own = (mlp.second, mlp.last, norm), mlp.weight_of(EDGE)
         return passed_edges(latents, at_sender, at_receiver, own, mlp.first.bias, layers, ends)

@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from pb4u.network.recorded_passes import normed_perceptron, records
+from pb4u.network.compiled_layers import are_compiled, normed_perceptron
 
 
 class MLP(nn.Module):
@@ -43,7 +43,7 @@ class MLP(nn.Module):
         Args:
             values: (rows, inputs) [1].
         """
-        if isinstance(self.norm, nn.LayerNorm) and records(values, self.first.weight):
+        if isinstance(self.norm, nn.LayerNorm) and are_compiled(values, self.first.weight):
             return normed_perceptron(values, self.first.weight, self.first.bias, (self.second, self.last, self.norm))
         return self.after_first(self.first(values.to(self.precision)))
 
@@ -53,7 +53,7 @@ class MLP(nn.Module):
         Args:
             product: (..., width) [1].
         """
-        if isinstance(self.norm, nn.LayerNorm) and records(product, self.first.weight):
+        if isinstance(self.norm, nn.LayerNorm) and are_compiled(product, self.first.weight):
             return normed_perceptron(product, None, self.first.bias, (self.second, self.last, self.norm))
         return self.after_first(product + self.first.bias)
 

@@ -46,18 +46,15 @@ class Pb4uGNet(EncodeProcessDecode):
         configuration: width, columns, propagation and blocks.
     """
 
+    configuration: Pb4uConfiguration
     propagates = True
 
     def __init__(self, configuration: Pb4uConfiguration) -> None:
         super().__init__(configuration)
-        self.configuration = configuration
-        self.kinds = ("mesh", "world")
-        self.control = configuration.control
-        self.scaling = configuration.scaling
         width = configuration.width
         self.propagation = Propagation(width, configuration.propagation)
         self.update = SplitMLP((width, width), width, width, norm=True)
-        self.blocks = nn.ModuleList(InteractionBlock(width, self.kinds) for _ in range(configuration.blocks))
+        self.blocks = nn.ModuleList(InteractionBlock(width, ("mesh", "world")) for _ in range(configuration.blocks))
         self.decoder = MLP(width, width, 3, norm=False)
 
     def forward(self, graph: Graph, steps: Sequence[int]) -> Tensor:
@@ -69,11 +66,9 @@ class Pb4uGNet(EncodeProcessDecode):
         """
         nodes, edges = self.encode(graph)
         propagated = self.propagation(nodes, edges, graph, steps)
-        nodes = {**nodes, GARMENT: self._updated(nodes[GARMENT], propagated)}
+        update = self.update.project(0, nodes[GARMENT]) + self.update.project(1, propagated)
+        nodes = {**nodes, GARMENT: self.update.after_product(update)}
         return self.decode_after(self.blocks, nodes, edges, graph)
-
-    def _updated(self, before: Tensor, propagated: Tensor) -> Tensor:
-        return self.update.after_product(self.update.project(0, before) + self.update.project(1, propagated))
 
     def propagation_steps(self, mean_edge_length: float) -> int:
         """Number K of propagation steps of a garment of `mean_edge_length` [m].
@@ -81,7 +76,7 @@ class Pb4uGNet(EncodeProcessDecode):
         Args:
             mean_edge_length: mean edge length of the garment at rest [m].
         """
-        return self.control.steps(mean_edge_length)
+        return self.configuration.control.steps(mean_edge_length)
 
     def update_scale(self, garments: GarmentGraph) -> Tensor | None:
         """Factors S (vertices, 1), dimensionless, on the accelerations, or None for 1.
@@ -89,4 +84,4 @@ class Pb4uGNet(EncodeProcessDecode):
         Args:
             garments: rest lengths of the garments' edges.
         """
-        return self.scaling.factors(garments)
+        return self.configuration.scaling.factors(garments)

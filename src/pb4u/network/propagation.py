@@ -13,10 +13,10 @@ import torch
 from torch import Tensor, nn
 
 from pb4u.errors import InputError
+from pb4u.network.compiled_layers import Ends, are_compiled, propagated
 from pb4u.network.graph.graph import GARMENT, EdgeSet, Graph
 from pb4u.network.graph.incidence import Span
 from pb4u.network.mlp import EDGE, RECEIVER, SENDER, EdgeMLP
-from pb4u.network.recorded_passes import Ends, propagated, records
 from pb4u.network.segment import gather, segment_sum
 
 
@@ -113,7 +113,7 @@ class Propagation(nn.Module):
     def _after(self, steps: int, state: Tensor, inflows: list[EdgeSet]) -> Tensor:
         """State after `steps` steps of the garments that all `inflows` end in."""
         message, norm = self.message, self.norm
-        recorded = records(state, message.first.weight, *(inflow.receivers for inflow in inflows))
+        recorded = are_compiled(state, message.first.weight, *(inflow.receivers for inflow in inflows))
         if recorded and self.form.norm == "messages" and not self.form.message_norm:
             constants = [inflow.features for inflow in inflows]
             ends = [Ends(i.senders if i.sender_set == GARMENT else None, i.receivers) for i in inflows]

@@ -25,7 +25,7 @@ GRADIENT_DESCENT, WARM_START = "gradient-descent", "warm-start"
 
 @dataclass(eq=False)
 class ControlSimulator(StepwiseSimulator):
-    """The start, search and passes of a network, with gradient descent in its place, or with nothing.
+    """A step as the default network takes it, with gradient descent or nothing in the place of the network.
 
     `--model gradient-descent` takes the network's own input feature, Jacobi descent of the potential, for its
     prediction; `--model warm-start` leaves the step where it starts. What a network is better by is its own.
@@ -45,7 +45,8 @@ class ControlSimulator(StepwiseSimulator):
         """Gradients in a step, and the most beyond those."""
         if self.name != GRADIENT_DESCENT:
             return 0, 0
-        return (self.like.passes, self.like.further_passes) if self.passes is None else (self.passes, 0)
+        like = self.like.configuration
+        return (like.passes, like.further_passes) if self.passes is None else (self.passes, 0)
 
     def settings(self) -> dict[str, Any]:
         return {**super().settings(), "refine": self.refine, "device": "cpu", "passes": self._repeats[0]}

@@ -84,7 +84,7 @@ def departures(checkpoint: Checkpoint) -> list[str]:
 
 
 def _additions(configuration: NetworkConfiguration) -> list[str]:
-    """What is put around a network that the paper does not have."""
+    """Sentences on what surrounds a network here and not in the paper."""
     found = [
         f"It reads the node feature {feature.name}: {feature.source.removesuffix('; ours')}."
         for feature in configuration.layout.extra

@@ -9,7 +9,8 @@ from typing import Any
 
 from pb4u.jobs.job_folder import JobFolder, quiet
 from pb4u.jobs.worker_pool import WorkerPool
-from pb4u.paper.protocol_plan import EvaluationRequest, plan
+from pb4u.paper.evaluation_request import EvaluationRequest
+from pb4u.paper.protocol_plan import plan
 from pb4u.paper.report import write_report
 from pb4u.progress import Progress
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pb4u.errors import InputError, Pb4uError
-from pb4u.export.picture import render
+from pb4u.export.still_renderer import render
 from pb4u.export.view import View
 from pb4u.measures.run_job import RunJob
 from pb4u.paper.page import Block, Plot, Remark, png

@@ -1,11 +1,11 @@
-"""From what was asked for to the rollouts to make. Everything that can be refused is refused here, before any work."""
+"""Plans the rollouts of an evaluation; validates all of them before any work."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from pb4u.garment.library import FEWEST_TRIANGLES, LEVELS, MOST_TRIANGLES
 from pb4u.measures.job_planner import JobPlanner, Model
 from pb4u.measures.run_job import RunJob
 from pb4u.motion.library import SUFFIXES as MOTION_SUFFIXES, motion_names, recording_file
+from pb4u.paper.evaluation_request import EvaluationRequest
 from pb4u.paper.protocols import PROTOCOLS, Protocol
 from pb4u.paper.reference_energies import REFERENCE_LEAD_IN, stored_reference
 from pb4u.run import Run, WornGarment
@@ -42,53 +43,6 @@ BY_DEFAULT: dict[str, Any] = {**ALONE, "refine": REFINE, "contact": True, "self_
 """Those of a run as `pb4u simulate` makes it."""
 
 _TRIAL = re.compile(r"\d+_\d+")
-
-
-@dataclass(frozen=True)
-class EvaluationRequest:
-    """The arguments of `pb4u evaluate`; None keeps the protocol's own choice.
-
-    Args:
-        protocol: its name.
-        models: names or files.
-        garments: names or files.
-        motions: names or files.
-        bodies: names or files.
-        levels: names such as 11K, or numbers of triangles.
-        steps: numbers of propagation steps.
-        frames: frames to write of each scene.
-        lead_in: frames simulated before them.
-        recordings: folder of CMU trials, SUBJECT/TRIAL.amc beside SUBJECT/SUBJECT.asf.
-        refine: solver iterations after each step of a network.
-        contact: contact response after each step of networks and solver.
-        device: auto, cpu or cuda.
-        floors: run the solver on scenes whose floor is not stored.
-        scenes: number of scenes to draw, of a protocol that draws them.
-        seed: of the draws.
-        excess: also measure excess heights and distances from the solver; of the protocol `controls` always.
-    """
-
-    protocol: str = "resolution"
-    models: tuple[str, ...] | None = None
-    garments: tuple[str, ...] | None = None
-    motions: tuple[str, ...] | None = None
-    bodies: tuple[str, ...] | None = None
-    levels: tuple[str, ...] | None = None
-    steps: tuple[int, ...] | None = None
-    frames: int | None = None
-    lead_in: int = 30
-    recordings: Path | None = None
-    refine: int = 0
-    contact: bool = False
-    device: str = "auto"
-    floors: bool = True
-    scenes: int | None = None
-    seed: int = 0
-    excess: bool = False
-
-    def as_json(self) -> dict[str, Any]:
-        """The fields as JSON."""
-        return asdict(self) | {"recordings": None if self.recordings is None else str(self.recordings)}
 
 
 @dataclass(frozen=True)
@@ -156,7 +110,7 @@ def plan(request: EvaluationRequest) -> Plan:
 
 
 class _Planning:
-    """What all rollouts of a request share while it is planned."""
+    """Planning of one request: the models, levels and motions that its rollouts share."""
 
     def __init__(self, request: EvaluationRequest) -> None:
         _check_numbers(request)
@@ -170,8 +124,8 @@ class _Planning:
             motions=request.motions or (protocol.recordings if request.recordings else protocol.motions),
             levels=tuple(self.levels),
             frames=protocol.frames if request.frames is None else request.frames,
-            steps=request.steps or protocol.steps,
-            excess=request.excess or protocol.excess,
+            steps=request.propagation_steps or protocol.steps,
+            excess=request.measure == "excess" or protocol.excess,
             scenes=(request.scenes or protocol.scenes) if protocol.scenes else 0,
         )
         self.motions = [_motion(name, request.recordings) for name in self.protocol.motions]
@@ -186,7 +140,7 @@ class _Planning:
         cases = list(self._drawn() if self.protocol.scenes else self._combined())
         jobs = {case.job.key: case.job for case in cases}
         jobs |= {case.floor.key: case.floor for case in cases if isinstance(case.floor, RunJob)}
-        if self.request.floors:
+        if self.request.floors == "run":
             # What pictures show beside the models.
             pictured = (c for c in cases if self.protocol.pictures(c.level, c.motion, str(c.job.run.body)))
             jobs |= {job.key: job for job in (self._solver_on(case.job.run) for case in pictured)}
@@ -227,7 +181,9 @@ class _Planning:
                     floor = job
                     if model.name != "solver":
                         floor = self._job(scene, "solver", "solver", **{**options, "refine": 0})
-                    yield Case(level, motion.label, motion.seed, job, floor if self.request.floors else None, number)
+                    yield Case(
+                        level, motion.label, motion.seed, job, floor if self.request.floors == "run" else None, number
+                    )
 
     def _drawn_scene(self, number: int) -> tuple[str, _Motion, Run]:
         """Level, motion and scene of a number. Garments and motions go in turns, so that few scenes have all."""
@@ -259,10 +215,10 @@ class _Planning:
             stored = stored_reference(title, level, self.protocol.frames)
             if stored is not None:
                 return stored
-        return self._solver_on(scene, self.protocol.excess) if self.request.floors else None
+        return self._solver_on(scene, self.protocol.excess) if self.request.floors == "run" else None
 
     def _options(self, model: str) -> dict[str, Any]:
-        """What is requested, where a model uses it."""
+        """The requested options that a model uses."""
         asked = {"refine": self.request.refine, "contact": self.request.contact}
         if model == QuickSolver.name:
             asked["refine"] = self.request.refine or REFINE
@@ -299,7 +255,7 @@ def _ways(model: str) -> list[tuple[str, dict[str, Any]]]:
 
 def _check_numbers(request: EvaluationRequest) -> None:
     draws = bool(PROTOCOLS[request.protocol].scenes)
-    if draws and (request.contact or request.refine or request.steps):
+    if draws and (request.contact or request.refine or request.propagation_steps):
         raise InputError(
             f"The protocol {request.protocol} runs networks alone and by default: leave out --contact, --refine and "
             "--propagation-steps."
@@ -307,20 +263,15 @@ def _check_numbers(request: EvaluationRequest) -> None:
     if not draws and request.scenes is not None:
         drawing = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.scenes)
         raise InputError(f"--scenes are of protocols that draw their scenes: {drawing}.")
-    if request.scenes is not None and request.scenes < 1:
-        raise InputError(f"The number of scenes must be 1 or more, not {request.scenes}.")
-    if request.seed < 0:
-        raise InputError(f"The seed must be 0 or more, not {request.seed}.")
     if request.recordings is not None and not request.recordings.is_dir():
         raise InputError(f"There is no folder of recordings {request.recordings}.")
-    for name in ("models", "garments", "motions", "bodies", "levels", "steps"):
+    for name in ("models", "garments", "motions", "bodies", "levels", "propagation_steps"):
         if getattr(request, name) == ():
-            flag = "propagation-steps" if name == "steps" else name
-            raise InputError(f"--{flag} names nothing; give at least one, or leave it out.")
+            raise InputError(f"--{name.replace('_', '-')} names nothing; give at least one, or leave it out.")
 
 
 def _level(name: str) -> tuple[str, int]:
-    """What a level is called, and its number of triangles."""
+    """Name and number of triangles of a level."""
     named = {key.lower(): (key, count) for key, count in LEVELS.items()}
     if name.lower() in named:
         return named[name.lower()]

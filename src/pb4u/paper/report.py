@@ -12,11 +12,12 @@ from typing import Any
 from pb4u import __version__
 from pb4u.io.atomic_file import json_text
 from pb4u.jobs.job_folder import FOLDER_VERSION, JobFolder
+from pb4u.paper.evaluation_request import EvaluationRequest
 from pb4u.paper.page import Block, Plot, Remark, as_html, as_markdown
 from pb4u.paper.paper_figures import PAPER
 from pb4u.paper.pictures import picture_grid
 from pb4u.paper.plots import across_levels, against_steps, over_time
-from pb4u.paper.protocol_plan import EvaluationRequest, Plan
+from pb4u.paper.protocol_plan import Plan
 from pb4u.paper.robustness import failure_pictures, failure_table, parts_tables, robustness_table
 from pb4u.paper.summary import Summary, summarise
 from pb4u.paper.tables import controls_tables, level_table, terms_tables
@@ -106,7 +107,7 @@ def _remarks(summary: Summary) -> list[Block]:
         lines = [f"{job}: {sentence}" for job, sentence in summary.failures]
         blocks.append(Remark("Rollouts that could not be made", lines))
     results = [row.result for row in summary.rows if row.result]
-    if notes := told_once(dict.fromkeys(note for result in results for note in result["notes"])):
+    if notes := merge_similar(dict.fromkeys(note for result in results for note in result["notes"])):
         blocks.append(Remark("Notes", notes))
     machines = dict.fromkeys(
         ", ".join(f"{key} {value}" for key, value in result["machine"].items()) for result in results
@@ -121,7 +122,7 @@ def _remarks(summary: Summary) -> list[Block]:
     return blocks
 
 
-def told_once(notes: Iterable[str]) -> list[str]:
+def merge_similar(notes: Iterable[str]) -> list[str]:
     """Notes shortened: those that differ in their numbers alone become the first one, and how many more there are.
 
     Args:

@@ -1,4 +1,4 @@
-"""What the rollouts of a run come to: means and spreads over scenes, ratios to the reference, how many diverged."""
+"""Statistics of the rollouts of an evaluation: means and spreads over scenes, ratios to the reference, divergence."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ class Row:
 
     @property
     def faults(self) -> list[str]:
-        """What went wrong, in words; nothing of a rollout that is as it should be, or not done yet."""
+        """Sentences on what went wrong; none for a rollout without faults, or not done yet."""
         if self.failure is not None:
             return [f"could not be made: {self.failure.sentence}"]
         if self.result is None:

@@ -159,7 +159,7 @@ DEFAULT_STEPS = {
 
 
 def trainable(name: str) -> str | None:
-    """What to train for a name that is a network's or a training's and no model's, and which of them is the paper's.
+    """Advice on how to train a network that has a name but no weights, and which preset is the paper's.
 
     Args:
         name: name that was given for a model.

@@ -20,7 +20,6 @@ from torch import Tensor
 from pb4u.body.body_model import ShapedBody
 from pb4u.collision.crossings import crossings, self_crossings
 from pb4u.errors import InputError
-from pb4u.garment.body_form import BodyForm
 from pb4u.garment.fit import RestBody, is_inside_out
 from pb4u.garment.garment import Garment
 from pb4u.garment.garment_file import nearest_places
@@ -28,16 +27,17 @@ from pb4u.garment.material import MATERIALS, Material
 from pb4u.garment.support import find_support
 from pb4u.garment.tangles import untangled_start
 from pb4u.geometry.principal_stretch import face_strains
-from pb4u.pattern.body_measurements import shoulder_height, trunk_girths
+from pb4u.pattern.fit_checks import refuse_far, refuse_narrow, refuse_slipped, refuse_tight
 from pb4u.pattern.mesh import PatternMesh, mesh_pattern
 from pb4u.pattern.pattern import Pattern
+from pb4u.pattern.placement import around, off_body, sleeve_points
 from pb4u.pattern.thin_body import SewingBody
 from pb4u.physics.contact.contact_set import nearest_planes
 from pb4u.physics.contact.penetration_cleanup import FaceClearance
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import implicit_steps
 from pb4u.physics.solver.newton_solver import Solver
-from pb4u.physics.terms.collision import Collision
+from pb4u.physics.terms.collision import STIFF_CONTACT_WEIGHT, Collision
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, ColliderPose, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
@@ -87,48 +87,12 @@ _MOST_HANGING = 12
 _MOST_SETTLING = 3
 """The same of the mesh that is wanted, which begins where the coarse one hangs."""
 
-_REACH = 0.1
-"""Distance [m] from the top and the middle of the pattern at which a panel keeps its placement a third as firmly."""
-
 _LEFT_INSIDE = 1e-3
 """Depth [m] from which on cloth that hangs is pushed out of the body."""
-
-_STIFF_WEIGHT = 5e5
-"""Weight of the collision term for that; the usual one is 5e3."""
 
 _CLEAR = 2e-3
 """Distance [m] from the skin to which hanging cloth is moved: a waistband that is pinned there stays out of skin
 that bends, though no step moves it."""
-
-_AHEAD = 0.02
-"""Distance [m] from the body at which panels begin."""
-
-_TIGHT = 0.1
-"""Mean strain of the cloth from which on a pattern is too small for a body: those that fit have 0.02 to 0.05."""
-
-_TIGHT_PANEL = 0.2
-"""The same of one panel, such as a waistband that does not close: those that fit have 0.13 at most."""
-
-_NARROW = 0.8
-"""Share of the waist from which on cloth goes around a body: narrower cloth is not strained, but ends around the neck.
-"""
-
-_SLIPPED = 0.05
-"""Drop [m] of a shoulder seam from which on a garment has slipped off: those that stay drop by less than 0.01."""
-
-_REMEDY = "check the pattern's unit, or make it from the body's measures, which `pb4u measure-body` writes."
-
-_CROTCH_ROOM = 0.01
-"""Least distance [m] of the crotch of trousers below that of the body."""
-
-_WAISTBAND = 0.05
-"""Most height [m] above the waist of the top of a skirt: that of a waistband."""
-
-_MIDDLE = 0.02
-"""Distance [m] from the middle of the body within which four corners of panels that meet are a crotch."""
-
-_SLICE = 0.03
-"""Half height [m] of a ring of cloth whose strain tells what girth it was cut for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +166,8 @@ def dress(
     enough = max(round(pattern.area / (0.43 * _COARSE_EDGE**2)), 8 * len(pattern.panels))
     coarse = mesh_pattern(pattern, triangles if triangles < 1.5 * enough else enough)
     sewing = _Sewing(coarse, body, cloth, watch)
-    sewing.refuse_far()
-    sewing.refuse_narrow()
+    refuse_far(coarse, body)
+    refuse_narrow(coarse, body, sewing.placed)
     places = sewing.hung(sewing.sewn(), _MOST_HANGING)
     fine = coarse if triangles <= len(coarse.faces) else mesh_pattern(pattern, triangles)
     return sewing.dressed(places) if fine is coarse else sewing.on_mesh(fine, places)
@@ -304,19 +268,8 @@ class _Sewing:
 
     @cached_property
     def placed(self) -> np.ndarray:
-        """Places (points, 3) [m] of the panels, at the height of this body's shoulders where the garment has those.
-
-        Trousers whose crotch would be within the body, and skirts that would begin above the waist, are lowered.
-        """
-        places = joined(self.mesh)
-        top, rise = shoulder_point(self.mesh, places), 0.0
-        if top is not None:
-            rise = shoulder_height(self.body, abs(places[top, 0])) - float(places[top, 1])
-        elif (crotch := crotch_height(self.mesh, places)) is not None:
-            rise = min(0.0, self.body.kept("form", BodyForm).crotch - _CROTCH_ROOM - crotch)
-        else:
-            rise = min(0.0, trunk_girths(self.body)["waist"][0] + _WAISTBAND - float(places[:, 1].max()))
-        return places + rise * np.array(UP)
+        """Places (points, 3) [m] of the panels around this body."""
+        return around(self.mesh, self.body)
 
     def pose(self, share: float, done: float) -> ColliderPose:
         """The whole body, hands included; see `SewingBody.between`."""
@@ -326,40 +279,6 @@ class _Sewing:
     def rest_pose(self) -> ColliderPose:
         """The body in its size, as simulations touch it."""
         return self.colliders.pose(torch.from_numpy(self.body.vertices))
-
-    def refuse_far(self) -> None:
-        """Refuse panels that the file does not place around the body."""
-        low, high = self.body.vertices.min(axis=0), self.body.vertices.max(axis=0)
-        beyond = np.maximum(low - self.mesh.placed, self.mesh.placed - high).max(axis=1)
-        for number, panel in enumerate(self.mesh.pattern.panels):
-            if (away := beyond[self.mesh.panel == number].min()) > self.body.height:
-                raise InputError(
-                    f"{self.mesh.pattern.name} is not placed around {self.body.name}: its panel {panel.name} is "
-                    f"{away:,.1f} m away; check the panel's translation and the pattern's unit."
-                )
-
-    def refuse_narrow(self) -> None:
-        """Refuse cloth over the trunk that cannot go around it, and cloth below it, which nothing holds."""
-        form, pattern = self.body.kept("form", BodyForm), self.mesh.pattern
-        trunk = [k for k, panel in enumerate(pattern.panels) if panel.label != "arm"]
-        own = [self.placed[self.mesh.panel == k] for k in trunk]
-        low, high = (np.array([end(points[:, 1]) for points in own]) for end in (np.min, np.max))
-        widths = np.array([np.hypot(*np.ptp(points[:, [0, 2]], axis=0)) for points in own])
-        levels = np.linspace(form.crotch, form.neck[1], 64)[:, None]
-        widest = float((widths * ((low <= levels) & (levels <= high))).sum(axis=1).max(initial=0.0))
-        waist = trunk_girths(self.body)["waist"][1]
-        if len(own) and high.max() < form.crotch:
-            raise InputError(
-                f"{pattern.name} lies too low for {self.body.name}: its highest panel, "
-                f"{pattern.panels[trunk[high.argmax()]].name}, ends {100 * high.max():.0f} cm above the floor, and the "
-                f"crotch is at {100 * form.crotch:.0f} cm; {_REMEDY}"
-            )
-        if 0.0 < widest < _NARROW * waist:
-            raise InputError(
-                f"{pattern.name} is too small for {self.body.name}: its panels are {100 * widest:.0f} cm wide together "
-                f"(the widest, {pattern.panels[trunk[widths.argmax()]].name}, {100 * widths.max():.0f} cm), and the "
-                f"waist measures {100 * waist:.0f} cm; {_REMEDY}"
-            )
 
     def sewn(self) -> np.ndarray:
         """Places (vertices, 3) [m] of the garment around the body in its size, without weight."""
@@ -423,7 +342,7 @@ class _Sewing:
             if float((x - before).square().sum(1).mean().sqrt()) < _STILL:
                 break
         if self._depth(x) > _LEFT_INSIDE:
-            firm = self.potential.with_term(Collision(weight=_STIFF_WEIGHT))
+            firm = self.potential.with_term(Collision(weight=STIFF_CONTACT_WEIGHT))
             x = self.step(packed, x, solver, firm, (self.rest_pose, self.rest_pose), hangs=True)
         return x.numpy()
 
@@ -465,12 +384,12 @@ class _Sewing:
         garment = self.garment(places)
         if is_inside_out(places, garment.faces, self.rest_body):
             raise InputError(f"{garment.name} comes out inside out: run the corners of its panels the other way round.")
-        self._refuse_slipped(places)
+        refuse_slipped(self.mesh, self.body, self.placed, places)
         packed = pack([garment])
         x = torch.from_numpy(places)
         strains = face_strains(x, packed.faces, packed.inverse_rest_shape).numpy()
         strain = float(np.average(strains, weights=garment.face_areas))
-        self._refuse_tight(places, strain, strains)
+        refuse_tight(self.mesh, self.body, places, strain, strains)
         # Contact is at vertices: between them the skin may be through the cloth, its waistband included.
         hanging, cloth = State(x, torch.zeros_like(x), 0), self.potential.self_contact
         x = FaceClearance(clearance=_CLEAR).lift(packed, hanging, self.rest_pose, cloth).positions
@@ -484,128 +403,3 @@ class _Sewing:
             depth=self._depth(x),
             strain=strain,
         )
-
-    def _refuse_slipped(self, places: np.ndarray) -> None:
-        """Refuse cloth that was placed on the shoulders and hangs below them."""
-        top = shoulder_point(self.mesh, self.placed)
-        drop = 0.0 if top is None else float(self.placed[top, 1] - places[self.mesh.vertex[top], 1])
-        if drop > _SLIPPED:
-            raise InputError(
-                f"{self.mesh.pattern.name} is too large for {self.body.name}: it slips off the shoulders, by "
-                f"{100 * drop:.0f} cm; make it from the body's measures, which `pb4u measure-body` writes."
-            )
-
-    def _refuse_tight(self, places: np.ndarray, mean: float, strains: np.ndarray) -> None:
-        """Refuse cloth that is strained too much, all or a panel; names the girths of the body that are too large."""
-        panels = self.mesh.pattern.panels
-        of_panel = [strains[self.mesh.face_panel == number].mean() for number in range(len(panels))]
-        worst = int(np.argmax(of_panel))
-        if mean <= _TIGHT and of_panel[worst] <= _TIGHT_PANEL:
-            return
-        levels = places[self.mesh.sewn_faces, 1].mean(axis=1)
-        sleeve = np.array([panel.label == "arm" for panel in panels])[self.mesh.face_panel]
-        differ, own = "", {}
-        if panels[worst].label != "arm":
-            own = {panels[worst].name: float(levels[self.mesh.face_panel == worst].mean())}
-        for name, (height, girth) in trunk_girths(self.body, **own).items():
-            around = strains[(np.abs(levels - height) < _SLICE) & ~sleeve]
-            if len(around) and around.mean() > 0.5 * _TIGHT:
-                differ += f"; {name}: {100 * girth:.0f} cm, cut for about {100 * girth / (1.0 + around.mean()):.0f}"
-        raise InputError(
-            f"{self.mesh.pattern.name} is too small for {self.body.name}: its cloth would be strained by "
-            f"{100 * mean:.0f} % on average, and by {100 * of_panel[worst]:.0f} % in panel {panels[worst].name}"
-            f"{differ}; {_REMEDY}"
-        )
-
-
-def joined(mesh: PatternMesh) -> np.ndarray:
-    """Places (points, 3) [m] of the panels as the pattern has them, moved up, down and out to those they are sewn to.
-
-    Args:
-        mesh: the panels.
-    """
-    places, count = mesh.placed, len(mesh.pattern.panels)
-    own = [mesh.panel == panel for panel in range(count)]
-    tops = np.array([places[rows, 1].max() for rows in own])
-    middles = np.array([places[rows, 0].mean() for rows in own])
-    matrix, wanted = np.diag(np.exp((tops - tops.max() - np.abs(middles)) / _REACH) + 1e-6), np.zeros((count, 2))
-    for seam, sides in zip(mesh.pattern.seams, mesh.sides, strict=True):
-        one, other = (mesh.panel[side[0]] for side in sides)
-        weight = sum(mesh.pattern.seam_lengths(seam))
-        gap = np.subtract(*(places[side, :2].mean(axis=0) for side in sides))
-        for a, b, sign in ((one, other, -1.0), (other, one, 1.0)):
-            matrix[a, a] += weight
-            matrix[a, b] -= weight
-            wanted[a] += sign * weight * gap
-    shifts = np.linalg.solve(matrix, wanted)
-    # Legs would be drawn into each other, and are wide enough where they are.
-    shifts[:, 0] = np.where(shifts[:, 0] * middles > 0.0, shifts[:, 0], 0.0)
-    places[:, :2] += shifts[mesh.panel]
-    return places
-
-
-def shoulder_point(mesh: PatternMesh, places: np.ndarray) -> int | None:
-    """Number of the highest point of the seams that run across from front to back panels; None where there are none.
-
-    Args:
-        mesh: the panels.
-        places: (points, 3) of the panels [m].
-    """
-    facing = np.array([panel.rotation[2, 2] * panel.area for panel in mesh.pattern.panels])
-    found: list[int] = []
-    for one, other in mesh.sides:
-        run = np.abs(places[one[-1]] - places[one[0]])
-        if facing[mesh.panel[one[0]]] * facing[mesh.panel[other[0]]] < 0.0 and run[0] > run[1]:
-            found += [*one.tolist(), *other.tolist()]
-    return max(found, key=lambda point: places[point, 1], default=None)
-
-
-def crotch_height(mesh: PatternMesh, places: np.ndarray) -> float | None:
-    """Height [m] of the lowest point in the middle where four corners of panels are sewn together; None without one.
-
-    Args:
-        mesh: the panels.
-        places: (points, 3) of the panels [m].
-    """
-    sewn = mesh.sewn(places)
-    meet = (np.bincount(mesh.vertex) >= 4) & (np.abs(sewn[:, 0]) < _MIDDLE)
-    return float(sewn[meet, 1].min()) if meet.any() else None
-
-
-def off_body(mesh: PatternMesh, places: np.ndarray, body: np.ndarray) -> np.ndarray:
-    """The same places (points, 3) [m], each panel moved along its normal to where no part of the body is before it.
-
-    Args:
-        mesh: the panels.
-        places: (points, 3) of the panels [m].
-        body: (body vertices, 3) [m].
-    """
-    places = places.copy()
-    for number, panel in enumerate(mesh.pattern.panels):
-        outwards = panel.rotation[:, 2] * np.sign(panel.area)
-        own = mesh.panel == number
-        ahead = _over(body, places, mesh.faces[mesh.face_panel == number], panel.rotation) @ outwards
-        places[own] += max(0.0, ahead.max(initial=-np.inf) + _AHEAD - places[own][0] @ outwards) * outwards
-    return places
-
-
-def sleeve_points(mesh: PatternMesh, places: np.ndarray) -> np.ndarray:
-    """Points (n, 3) [m] of panels labelled "arm" in the frontal plane, those of the right mirrored to the left (+X).
-
-    Args:
-        mesh: mesh of the pattern.
-        places: (points, 3) [m] around the body.
-    """
-    arms = np.array([panel.label == "arm" for panel in mesh.pattern.panels])
-    x, y, _ = places[arms[mesh.panel]].T
-    return np.column_stack([np.abs(x), y, np.zeros(len(x))])
-
-
-def _over(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Those of some points (n, 3) [m] that lie over or under flat triangles, whose plane has the axes `rotation`."""
-    flat, corners = points @ rotation[:, :2], (vertices @ rotation[:, :2])[faces].reshape(-1, 2)
-    near = points[((flat >= corners.min(axis=0)) & (flat <= corners.max(axis=0))).all(axis=1)]
-    axes = rotation * np.array([1.0, 1.0, 0.0])
-    face, shares = nearest_places(near @ axes, vertices @ axes, faces)
-    on_panel = np.einsum("nc,ncx->nx", shares, (vertices @ axes)[faces[face]])
-    return near[np.linalg.norm(near @ axes - on_panel, axis=1) < _AHEAD]

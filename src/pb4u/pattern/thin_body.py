@@ -1,4 +1,4 @@
-"""A body that cloth is sewn around: arms straight along the sleeves, drawn in towards its bones, then as it is."""
+"""A body that cloth is sewn around: first thin, with arms along the sleeves, and at the end in its own shape."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _END = 0.95
 
 
 class SewingBody:
-    """A resting body on its way from thin and straight to as it is.
+    """A resting body that fills out: first thin, with straight arms, and at the end in its own shape.
 
     Args:
         body: the resting body.
@@ -77,7 +77,7 @@ def _parts(body: ShapedBody, arm: Limb) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def bone_lines(body: ShapedBody) -> np.ndarray:
-    """For each vertex (vertices, 3) [m] of a resting body the nearest point of its bones, mixed as they move it.
+    """Nearest points (vertices, 3) [m] on the bones to each vertex of a resting body, averaged by skinning weight.
 
     Args:
         body: the resting body.

@@ -224,7 +224,7 @@ class StepPotential:
         return (met if carried is wanted else met._along(x, carried - x)), carried
 
     def as_far_as_free(self, x: Tensor, moves: Tensor) -> tuple[StepPotential, Tensor]:
-        """This potential for a move, as `reached` gives it, and the shares (worlds,) of it that touch nothing.
+        """This potential for a move, as in `reached`, and how far (worlds,) along it, 0 to 1, nothing touches.
 
         Args:
             x: (vertices, 3) [m] from where, crossing nowhere.

@@ -76,12 +76,12 @@ class TimeStep:
 
     @cached_property
     def contacts(self) -> ContactSet:
-        """Contacts at the start of the step with the exact surface of the bodies, queried when first asked for."""
+        """Contacts at the start of the step with the exact surface of the bodies; queried on first use."""
         return self.contacts_by(partial(nearest_planes, within=MOTION_REACH))
 
     @cached_property
     def obstacle(self) -> Obstacle | None:
-        """The bodies as cloth may not pass through them over the step, queried when first asked for."""
+        """The moving bodies that cloth may not pass through over the step; made on first use."""
         return Obstacle.over(self.garments, self.bodies, self.state.positions)
 
     @cached_property
@@ -144,7 +144,7 @@ class TimeStep:
             positions: (vertices, 3) [m] at the end of the step.
         """
         before = self.state
-        return State(positions, (positions - before.positions) / self.dt, before.frame + 1)
+        return State(positions, (positions - before.positions) / self.dt, before.frame + 1, before.last_move)
 
 
 def integrate(step: TimeStep, acceleration: Tensor) -> State:
@@ -162,7 +162,7 @@ def integrate(step: TimeStep, acceleration: Tensor) -> State:
     positions = step.with_pins(state.positions + displacement)
     if pins is not None:
         displacement = torch.where(step.garments.pinned[:, None], pins - state.positions, displacement)
-    return State(positions=positions, velocities=displacement / step.dt, frame=state.frame + 1)
+    return State(positions, displacement / step.dt, state.frame + 1, state.last_move)
 
 
 def require_finite(state: State) -> State:

@@ -16,7 +16,7 @@ from pb4u.body.smpl import read_contact
 from pb4u.body.vertex_sequence import VertexSequence
 from pb4u.errors import InputError, warn
 from pb4u.motion.character_lead_in import character_lead_in
-from pb4u.motion.lead_in import lead_in as prepend_lead_in
+from pb4u.motion.lead_in import arms_held_off, lead_in as prepend_lead_in
 from pb4u.motion.library import load_motion
 from pb4u.motion.motion import Motion
 from pb4u.motion.steadying import CUTOFF
@@ -115,7 +115,10 @@ def _perform(body: ShapedBody, run: Run) -> Performance:
     notes = (*clip.notes, *more)
     for note in notes:
         warn(note)
-    return Performance(body.posed(prepend_lead_in(poses, body, run.lead_in)), frames, name, notes)
+    led = prepend_lead_in(poses, body, run.lead_in)
+    if clip.holds_arms_off(body):
+        led = arms_held_off(led, body, run.lead_in)
+    return Performance(body.posed(led), frames, name, notes)
 
 
 def _perform_clip(body: Character, run: Run) -> Performance:

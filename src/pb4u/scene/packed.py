@@ -23,7 +23,7 @@ from pb4u.errors import InputError
 from pb4u.garment.garment import Garment
 from pb4u.geometry.triangle_mesh import laid_flat
 from pb4u.scene.scene import STANDARD_GRAVITY
-from pb4u.threads import sent
+from pb4u.threads import to_device
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class PackedGarments:
     @cached_property
     def garment_world(self) -> Tensor:
         """World of each garment, (garments,) int64 index."""
-        return sent(torch.tensor(self.worlds, dtype=torch.int64), self.device)
+        return to_device(torch.tensor(self.worlds, dtype=torch.int64), self.device)
 
     @cached_property
     def vertex_world(self) -> Tensor:
@@ -103,7 +103,7 @@ class PackedGarments:
     @cached_property
     def garment_vertices(self) -> Tensor:
         """Number of vertices of each garment, (garments,) int64."""
-        return sent(torch.as_tensor(np.diff(self.vertex_offsets)), self.device)
+        return to_device(torch.as_tensor(np.diff(self.vertex_offsets)), self.device)
 
     @cached_property
     def world_rows(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -112,7 +112,7 @@ class PackedGarments:
         Vertex (worlds, rows) int64 of each row, whether it is no repetition (worlds, rows) bool, and the row
         (vertices,) int64 of each vertex among all of them one after the other.
         """
-        offsets = sent(torch.as_tensor(self.world_offsets), self.device)
+        offsets = to_device(torch.as_tensor(self.world_offsets), self.device)
         rows = torch.arange(int(max(np.diff(self.world_offsets), default=0)), device=self.device)
         filled = rows < offsets.diff()[:, None]
         places = offsets[:-1, None] + torch.minimum(rows, offsets.diff()[:, None] - 1)

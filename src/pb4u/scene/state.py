@@ -15,8 +15,11 @@ class State:
         positions: (vertices, 3) [m].
         velocities: (vertices, 3) [m/s].
         frame: index of the frame in its scene, lead-in included.
+        last_move: (vertices, 3) how far the last pass of the network went in the step before [m per step^2]; None where
+            no pass was joined with the one before it.
     """
 
     positions: Tensor
     velocities: Tensor
     frame: int
+    last_move: Tensor | None = None

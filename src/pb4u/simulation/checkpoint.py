@@ -19,7 +19,7 @@ from torch.overrides import TorchFunctionMode
 from pb4u.errors import InputError, on_disk, warn
 from pb4u.garment.garment import Garment
 from pb4u.io.atomic_file import replace_file
-from pb4u.io.reading_limits import parse_json, told_error
+from pb4u.io.reading_limits import error_text, parse_json
 from pb4u.network.acceleration_model import AccelerationModel, NetworkConfiguration, PreparedGarments
 from pb4u.scene.packed import PackedGarments
 from pb4u.simulation.network_configuration import configuration_from_json, configuration_to_json
@@ -194,7 +194,7 @@ _OF_A_TRAINING = ("best", "final", "last")
 
 
 def weights_name(path: Path) -> str:
-    """What the weights of a file are called: its stem, after its folder where a training named the file.
+    """Name of the weights in a file: its stem, with its folder where a training named the file.
 
     Args:
         path: path of the file.
@@ -222,7 +222,7 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(
-            f"{path} is no whole safetensors file ({told_error(error)}); fetch or train it again. "
+            f"{path} is no whole safetensors file ({error_text(error)}); fetch or train it again. "
             "Of checkpoints in pickle formats (.pt, .pth, .ckpt) only .pth of the released research code are read."
         ) from error
     version = metadata.get("pb4u_format_version")
@@ -240,7 +240,7 @@ def load_checkpoint(path: Path | str, name: str | None = None, dtype: torch.dtyp
             raise ValueError(f"it names more blocks than the file has tensors ({len(tensors)})")
         _described(configuration)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
-        raise InputError(f"{path} has a header that this pb4u cannot read: {told_error(error)}") from error
+        raise InputError(f"{path} has a header that this pb4u cannot read: {error_text(error)}") from error
     licence = metadata.get("licence", "unknown")
     return built_checkpoint(name or weights_name(path), configuration, tensors, record, licence, dtype, path)
 

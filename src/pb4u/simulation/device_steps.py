@@ -25,27 +25,25 @@ class _Taken:
 
     Args:
         begun: state that it left.
-        last: move of the pass before it.
         copies: positions and velocities of the state that it led to, and the room that it wanted, on the processor.
         names: of the searches that wanted room.
         done: recorded behind the copies; None where nothing has to be waited for.
     """
 
     begun: State
-    last: Tensor | None
     copies: tuple[Tensor, ...]
     names: tuple[str, ...]
     done: torch.cuda.Event | None
 
     @staticmethod
-    def of(begun: State, last: Tensor | None, state: State, names: tuple[str, ...], wanted: Tensor) -> _Taken:
+    def of(begun: State, state: State, names: tuple[str, ...], wanted: Tensor) -> _Taken:
         parts = (state.positions, state.velocities, wanted)
         copies = tuple(part.to("cpu", non_blocking=True) for part in parts)
         on_card = state.positions.device.type == "cuda"
         done = torch.cuda.Event() if on_card else None  # type: ignore[no-untyped-call]
         if done is not None:
             done.record()
-        return _Taken(begun, last, copies, names, done)
+        return _Taken(begun, copies, names, done)
 
     def had_room(self, rooms: Rooms) -> bool:
         """Whether the step had room for all that it found; makes more where it had not."""
@@ -104,7 +102,7 @@ def states_after(
 
     Args:
         timeline: garments and bodies on the accelerator.
-        method: whose start, network and search take the steps; the search changes.
+        method: whose start, network and search take the steps.
         state: on the accelerator.
         frames: total number, of which `state` is one.
         replays: whether steps are replayed as CUDA graphs where their shapes stay; on a card by default.
@@ -115,11 +113,11 @@ def states_after(
     while True:
         taken = None
         if state.frame < frames - 1:
-            begun, last = state, method.search.last
+            begun = state
             state, names, wanted = steps.take(begun)
-            taken = _Taken.of(begun, last, state, names, wanted)
+            taken = _Taken.of(begun, state, names, wanted)
         if waiting is not None and not waiting.had_room(rooms):
-            state, method.search.last, waiting = waiting.begun, waiting.last, None
+            state, waiting = waiting.begun, None
             continue
         if waiting is not None:
             yield waiting.state

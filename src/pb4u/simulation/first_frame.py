@@ -21,25 +21,26 @@ from pb4u.simulation.timeline import Timeline
 
 
 class FirstFrame(ABC):
-    """Rule that makes the state of frame 0."""
+    """Rule that makes frame 0, and those after it that are made in a way of their own."""
 
     @abstractmethod
-    def start(self, timeline: Timeline, method: StepMethod) -> State:
-        """State settled on the bodies at frame 0, with the velocity that skinning has there.
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+        """States of these frames; the garments set off from the last with the velocity that it has.
 
         Args:
             timeline: garments and bodies.
             method: takes the steps that follow.
         """
 
-    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
-        """States of frame 0 and of those after it that are made in a way of their own; arguments as in `start`.
+    def start(self, timeline: Timeline, method: StepMethod) -> State:
+        """The last of `states`; arguments as there.
 
         Args:
-            timeline: of the scene.
-            method: takes the steps.
+            timeline: garments and bodies.
+            method: takes the steps that follow.
         """
-        yield self.start(timeline, method)
+        *_, last = self.states(timeline, method)
+        return last
 
 
 def untangled(timeline: Timeline, method: StepMethod, state: State) -> State:
@@ -65,8 +66,8 @@ def untangled(timeline: Timeline, method: StepMethod, state: State) -> State:
 class AsPlaced(FirstFrame):
     """The garments where their placement puts them, such as cloth about to fall; untangled where cloth feels cloth."""
 
-    def start(self, timeline: Timeline, method: StepMethod) -> State:
-        return untangled(timeline, method, timeline.skinned_state(0))
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
+        yield untangled(timeline, method, timeline.skinned_state(0))
 
 
 class OneLongStep(FirstFrame):
@@ -75,7 +76,7 @@ class OneLongStep(FirstFrame):
     Before it the contact response is applied once, as the released code pushes garments out of the body.
     """
 
-    def start(self, timeline: Timeline, method: StepMethod) -> State:
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
         begun = AsPlaced().start(timeline, method)
         step = timeline.settling_from(begun)
         if method.contact is not None:
@@ -83,7 +84,8 @@ class OneLongStep(FirstFrame):
                 method.self_contact, step, step.state, method.contact.respond(step, step.state)
             )
             step = timeline.settling_from(pushed)
-        return replace(begun, positions=take(step, method).positions)
+        taken = take(step, method)
+        yield replace(begun, positions=taken.positions, last_move=taken.last_move)
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ class Settled(FirstFrame):
     solver: Solver | None = None
     potential: IncrementalPotential | None = None
 
-    def start(self, timeline: Timeline, method: StepMethod) -> State:
+    def states(self, timeline: Timeline, method: StepMethod) -> Iterator[State]:
         refinement = SolverRefinement(self.iterations, self.solver, self.potential)
         settling = StepMethod(refinement=refinement, contact=method.contact, self_contact=method.self_contact)
         begun = state = AsPlaced().start(timeline, method)
@@ -114,4 +116,4 @@ class Settled(FirstFrame):
             state = replace(begun, positions=settled.positions)
             if moved <= self.still:
                 break
-        return state
+        yield state

@@ -208,7 +208,7 @@ def load_checkpoint_of(name: str) -> Checkpoint:
 
 
 def _refuse_other_files_of_a_training(path: Path) -> None:
-    """Of what `pb4u train` leaves in its folder, only some files are models."""
+    """Refuse files of a training's folder that are no models, such as its state."""
     best = path / _BEST if path.is_dir() else path.with_name(_BEST)
     advice = f"give {best if best.is_file() else 'a .safetensors file of weights'}"
     if path.is_dir():

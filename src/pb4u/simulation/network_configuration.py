@@ -1,6 +1,6 @@
 """Network configurations as JSON, and back: frozen dataclasses tagged with the name of their type.
 
-The types that may be read are `CONFIGURATIONS` and, from there, every dataclass that a field is annotated with.
+The types that may be read are those of the presets and, from there, every dataclass that a field is annotated with.
 """
 
 from __future__ import annotations
@@ -14,14 +14,8 @@ from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 from pb4u.errors import InputError
 from pb4u.network.acceleration_model import NetworkConfiguration
 
-CONFIGURATIONS = (
-    "pb4u.network.pb4u_gnet:Pb4uConfiguration",
-    "pb4u.paper.baselines.contourcraft:ContourCraftConfiguration",
-    "pb4u.paper.baselines.eslr:EslrConfiguration",
-    "pb4u.paper.baselines.hood:HoodConfiguration",
-    "pb4u.paper.baselines.meshgraphnet:MeshGraphNetConfiguration",
-)
-"""Every kind of network that a checkpoint may hold, as "module:class"; imported when a checkpoint is read."""
+_PRESETS = "pb4u.paper.network_presets:NETWORKS"
+"""Configurations by name, one or more of every kind of network; imported when a checkpoint is read."""
 
 RENAMED = {"carried_shares": "warm_start_shares"}
 """Fields that checkpoints of before know by another name."""
@@ -54,7 +48,7 @@ def configuration_from_json(data: Any) -> NetworkConfiguration:
 def _known_types() -> dict[str, type]:
     """The dataclasses that configurations are made of, by name."""
     known: dict[str, type] = {}
-    waiting: list[Any] = [resolve_name(name) for name in CONFIGURATIONS]
+    waiting: list[Any] = [type(preset) for preset in resolve_name(_PRESETS).values()]
     while waiting:
         annotation = waiting.pop()
         waiting += get_args(annotation)

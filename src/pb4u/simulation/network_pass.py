@@ -68,7 +68,7 @@ class NetworkPass:
             return scale * self.network(self._graph(step, extra), self.prepared).to(accelerations)
 
     def graph(self, step: TimeStep, accelerations: Tensor) -> Graph:
-        """What the network sees after `accelerations` (vertices, 3) [m per step^2].
+        """Graph that the network reads after `accelerations` (vertices, 3) [m per step^2].
 
         Args:
             step: the time step.

@@ -1,6 +1,9 @@
-"""How far a step goes along a pass of the network: all of it, or the lengths of least potential."""
+"""Line search along the passes of a network: each is joined with the move of the pass before it."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -8,99 +11,81 @@ from torch import Tensor
 from pb4u.network.acceleration_model import GraphNetwork
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.time_step import TimeStep, integrate
-from pb4u.scene.packed import PackedGarments
 
 _FLATTEST = 1e-3
 """Smallest curvature along a joint of scaled directions: two that are nearly one must not be played off each other."""
 
 
-class PassSearch:
-    """Takes what the network predicts, as in the paper. Made for one run, as others may remember the passes before.
-
-    Attributes:
-        decrease: (worlds,) energy decrease [J] of the last pass; None where it is not measured.
-        last: (vertices, 3) move of the last pass [m per step^2], where it serves the next.
-        worth: (worlds,) bool where the last pass was worth its time; None where one that is not is never made.
-    """
-
-    decrease: Tensor | None = None
-    last: Tensor | None = None
-    worth: Tensor | None = None
-
-    def decrease_height(self, garments: PackedGarments) -> Tensor:
-        """Heights (worlds,) [m] to which that energy would lift the garments of each world; 0 where it is not
-        measured.
-
-        Args:
-            garments: of the step that the pass was of.
-        """
-        if self.decrease is None:
-            return garments.vertex_masses.new_zeros(garments.world_count)
-        return self.decrease / garments.world_weights
-
-    def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
-        """Accelerations (vertices, 3) [m per step^2] to add; differentiable in `correction`.
-
-        Args:
-            step: that is taken.
-            accelerations: (vertices, 3) reached so far, from free flight [m per step^2].
-            correction: (vertices, 3) that the network predicts from there [m per step^2].
-        """
-        return correction
+PassSearch: TypeAlias = Callable[[TimeStep, Tensor, Tensor, Tensor | None], tuple[Tensor, Tensor]]
+"""Called as `conjugate_move` is, and returns what it returns."""
 
 
-class ConjugatePass(PassSearch):
-    """Joins a pass with the move of the pass before it, each at the length of least potential in every world.
+def conjugate_move(
+    step: TimeStep, accelerations: Tensor, correction: Tensor, last: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    """A pass joined with the move of the pass before it, each at the length of least potential in every world.
 
-    Alone, passes free less and less energy, each a fixed share of the one before: steepest descent with the network as
-    its preconditioner. Searching the plane of its direction and the last move is what makes a conjugate gradient of
-    it, for three gradients of the potential (locally optimal form: Knyazev 2001, SIAM J. Sci. Comput. 23). The last
-    move of one time step serves the next, as what is still missing at its end changes slowly.
+    On its own a pass takes the same share of the energy that is left, again and again: steepest descent with the
+    network as its preconditioner. Searching the plane of its direction and the last move makes it a conjugate gradient,
+    for three gradients of the potential (locally optimal form: Knyazev 2001, SIAM J. Sci. Comput. 23). The last move of
+    one time step serves the next, as what is still missing at its end changes slowly.
 
     In training the lengths carry no gradient: at their optimum they have none. A pass can still add energy, as standing
     still is not among what is compared.
+
+    Args:
+        step: that is taken.
+        accelerations: (vertices, 3) reached so far, from free flight [m per step^2].
+        correction: (vertices, 3) that the network predicts from there [m per step^2].
+        last: (vertices, 3) move of the pass before [m per step^2]; None where there is none.
+
+    Returns:
+        Accelerations (vertices, 3) [m per step^2] to add, differentiable in `correction`, and by how much (worlds,) [J]
+        they lower the energy.
     """
+    directions = [torch.where(step.garments.pinned[:, None], 0.0, correction)]
+    if last is not None:
+        directions.append(last)
+    lengths, decrease = _lengths(step, accelerations, torch.stack(directions).detach())
+    joined = torch.stack([_of_world(step, length) * d for length, d in zip(lengths, directions, strict=True)]).sum(0)
+    return joined, decrease
 
-    def __init__(self) -> None:
-        self.potential = IncrementalPotential()
 
-    def move(self, step: TimeStep, accelerations: Tensor, correction: Tensor) -> Tensor:
-        directions = [torch.where(step.garments.pinned[:, None], 0.0, correction)]
-        if self.last is not None:
-            directions.append(self.last)
-        lengths = self._lengths(step, accelerations, torch.stack(directions).detach())
-        joined = torch.stack([_of_world(step, length) * d for length, d in zip(lengths, directions, strict=True)]).sum(
-            0
-        )
-        self.last = joined.detach()
-        return joined
+def search_of(network: GraphNetwork) -> PassSearch | None:
+    """Line search along the passes of `network`; None takes the passes whole, as the paper does.
 
-    @torch.no_grad()
-    def _lengths(self, step: TimeStep, accelerations: Tensor, directions: Tensor) -> Tensor:
-        """Lengths (directions, worlds) of each of `directions` (directions, vertices, 3), the first the network's."""
-        x = integrate(step, accelerations).positions
-        # The body's tangent planes where the whole pass leads are exact enough to choose by, and queried once.
-        potential = self.potential.of(step).undifferentiated().with_contact_at(x + directions[0])
-        (before, *_), (gradient, *others) = potential.gradients(torch.stack([x, *(x + directions)]))
-        changes = torch.stack(others) - gradient
+    Args:
+        network: the network.
+    """
+    return conjugate_move if network.configuration.conjugate else None
 
-        def by_world(products: Tensor) -> Tensor:
-            sums = products.new_zeros(*products.shape[:-1], step.garments.world_count)
-            return sums.index_add_(-1, step.garments.vertex_world, products).movedim(-1, 0)
 
-        curvature = by_world(torch.einsum("ivc,jvc->ijv", directions, changes))
-        slope = by_world(-torch.einsum("ivc,vc->iv", directions, gradient))
-        best = _newton_lengths(0.5 * (curvature + curvature.mT), slope).T
-        whole = torch.zeros_like(best)
-        whole[0] = 1.0
-        # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
-        choices = torch.stack([whole, best, 0.5 * (whole + best)])
-        energies = potential.energies_of_worlds(
-            torch.stack([_moved(step, x, directions, lengths) for lengths in choices])
-        )
-        lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
-        self.decrease = before - lowest
-        return choices.gather(0, chosen.expand(1, *best.shape))[0]
+@torch.no_grad()
+def _lengths(step: TimeStep, accelerations: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+    """Lengths (directions, worlds) of `directions` (directions, vertices, 3), the first the network's.
+
+    And the decrease of the energy (worlds,) [J].
+    """
+    x = integrate(step, accelerations).positions
+    # The body's tangent planes where the whole pass leads are exact enough to choose by, and queried once.
+    potential = IncrementalPotential().of(step).undifferentiated().with_contact_at(x + directions[0])
+    (before, *_), (gradient, *others) = potential.gradients(torch.stack([x, *(x + directions)]))
+    changes = torch.stack(others) - gradient
+
+    def by_world(products: Tensor) -> Tensor:
+        sums = products.new_zeros(*products.shape[:-1], step.garments.world_count)
+        return sums.index_add_(-1, step.garments.vertex_world, products).movedim(-1, 0)
+
+    curvature = by_world(torch.einsum("ivc,jvc->ijv", directions, changes))
+    slope = by_world(-torch.einsum("ivc,vc->iv", directions, gradient))
+    best = _newton_lengths(0.5 * (curvature + curvature.mT), slope).T
+    whole = torch.zeros_like(best)
+    whole[0] = 1.0
+    # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
+    choices = torch.stack([whole, best, 0.5 * (whole + best)])
+    energies = potential.energies_of_worlds(torch.stack([_moved(step, x, directions, lengths) for lengths in choices]))
+    lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
+    return choices.gather(0, chosen.expand(1, *best.shape))[0], before - lowest
 
 
 def _moved(step: TimeStep, x: Tensor, directions: Tensor, lengths: Tensor) -> Tensor:
@@ -148,12 +133,3 @@ def eigenvectors(matrices: Tensor) -> tuple[Tensor, Tensor]:
     x, y = angle.cos(), angle.sin()
     vectors = torch.stack([torch.stack([x, -y], dim=1), torch.stack([y, x], dim=1)], dim=1)
     return torch.stack([mean + radius, mean - radius], dim=1), vectors
-
-
-def search_of(network: GraphNetwork) -> PassSearch:
-    """Rule for the passes of `network`, for one run.
-
-    Args:
-        network: the network.
-    """
-    return ConjugatePass() if network.conjugate else PassSearch()

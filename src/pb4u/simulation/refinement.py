@@ -12,7 +12,7 @@ from pb4u.physics.contact.self_contact import CollisionFree
 from pb4u.physics.incremental_potential import IncrementalPotential
 from pb4u.physics.solver.implicit_steps import free_flight, implicit_steps
 from pb4u.physics.solver.newton_solver import Solution, Solver
-from pb4u.physics.terms.collision import Collision
+from pb4u.physics.terms.collision import STIFF_CONTACT_WEIGHT, Collision
 from pb4u.physics.time_step import TimeStep
 from pb4u.scene.state import State
 from pb4u.simulation.penetration_response import ContactResponse
@@ -55,14 +55,10 @@ _MOST_RETRY_ITERATIONS = 60
 """Iterations at which a retry ends; a running dress needed 8 to 31."""
 
 _LEFT_INSIDE = 1e-3
-"""Depth [m] from which on a vertex that the response leaves inside the body is pushed out."""
-
-STIFF_CONTACT_WEIGHT = 5e5
-"""Weight of the collision term for that: the highest the family trains with. With the usual 5e3 a tight waistband of
-denim presses the cloth under it 24 mm into the body, and no push of single vertices moves both."""
+"""Depth [m] from which on a vertex that the response leaves inside the body is pushed out by stiff contact."""
 
 _MOST_PRESSING = 5
-"""Iterations at which that ends."""
+"""Iterations at which that push ends."""
 
 _TURNED_ASIDE = 1e-2
 """How far [m] bodies may turn cloth aside before the energies count their faces and edges, where it is strained: in a
@@ -116,7 +112,7 @@ class SolverRefinement:
         return replace(state, positions=pressed) if contact.depth(step, pressed) < depth else state
 
     def pressed_past_bodies(self, step: TimeStep, state: State, self_contact: CollisionFree | None) -> State:
-        """`state` as far as it is reached past the moving bodies, at rest with them where they turned it aside.
+        """`state` moved past the bodies; where they turned strained cloth aside, solved again with the faces of bodies.
 
         Args:
             step: the time step.
@@ -215,8 +211,7 @@ def _has_failed(step: TimeStep, x: Tensor) -> bool:
 
 
 def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, before: State, wanted: State) -> State:
-    """As far from `before` towards `wanted` as cloth can move without passing through cloth; velocities follow the
-    positions.
+    """State as far from `before` towards `wanted` as cloth can move without passing through cloth; its velocities fit.
 
     Args:
         self_contact: keeps cloth from passing through cloth; None where it may.
@@ -231,8 +226,7 @@ def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, befo
 
 
 def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State) -> State:
-    """As far from the step's start towards `wanted` as cloth can move past the moving bodies; velocities follow the
-    positions.
+    """State as far from the step's start towards `wanted` as cloth can move past the moving bodies; its velocities fit.
 
     Args:
         self_contact: keeps cloth from passing through bodies; None where it may.

@@ -8,12 +8,13 @@ from pathlib import Path
 
 from pb4u.errors import Interrupted, warn
 from pb4u.export.selection import resampled
-from pb4u.progress import Progress, no_progress, shown
+from pb4u.progress import Progress, no_progress, progress_or_bar
 from pb4u.run import Run
 from pb4u.scene.assembly import build_scene
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
-from pb4u.scene.trajectory import Frame, Trajectory, kept_sentence
+from pb4u.scene.trajectory import Frame, Trajectory
+from pb4u.scene.trajectory_file import kept_sentence
 from pb4u.simulation.models import simulator_of
 from pb4u.simulation.simulator import RunRecord, Simulator
 
@@ -32,7 +33,7 @@ def simulate(run: Run, path: str | Path | None = None, progress: Progress | None
     """
     simulator = simulator_of(run)
     scene = scene_for(run, simulator)
-    with shown(progress, simulator.name) as heard:
+    with progress_or_bar(progress, simulator.name) as heard:
         return roll_out(run, simulator, scene, path, progress=heard)
 
 

@@ -17,10 +17,11 @@ import torch
 from pb4u import __version__
 from pb4u.body.body_model import PosedBody
 from pb4u.errors import Pb4uError, interrupt_behind
-from pb4u.progress import Progress, no_progress, shown
+from pb4u.progress import Progress, no_progress, progress_or_bar
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
-from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader, TrajectoryWriter
+from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
+from pb4u.scene.trajectory_file import TrajectoryWriter
 
 _CHUNK = 32
 """Frames skinned at a time."""
@@ -133,7 +134,7 @@ class Simulator(ABC):
         Raises:
             InputError: the state stopped being finite before the first frame to write.
         """
-        with shown(progress, self.name) as heard:
+        with progress_or_bar(progress, self.name) as heard:
             return Trajectory.collect(self.header(scene), self.written_frames(scene, progress=heard))
 
     def simulate_to(
@@ -157,7 +158,7 @@ class Simulator(ABC):
             Pb4uError: the state stopped being finite before the first frame to write.
         """
         record = record or RunRecord()
-        with TrajectoryWriter(path, self.header(scene)) as writer, shown(progress, self.name) as heard:
+        with TrajectoryWriter(path, self.header(scene)) as writer, progress_or_bar(progress, self.name) as heard:
             for frame in self.written_frames(scene, record, heard):
                 writer.append(frame)
                 if seen is not None:

@@ -6,7 +6,7 @@ Simulation takes all of it; training learns from its predictions and refines not
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import torch
@@ -19,7 +19,7 @@ from pb4u.scene.state import State
 from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import SolverRefinement, collision_free_move, past_bodies
-from pb4u.simulation.step_start import BodyMotionWarmStart, begun
+from pb4u.simulation.step_start import BodyMotionWarmStart, start_accelerations
 from pb4u.threads import one_torch_thread
 
 LARGE_DECREASE = 1.5e-3
@@ -30,7 +30,7 @@ Less than the 2 mm above the skin at which contact begins.
 
 
 class Pass(Protocol):
-    """What corrects the accelerations of a step: a network, or what stands in its place.
+    """Corrects the accelerations of a step: a network, or a control in its place.
 
     Attributes:
         passes: how often it does in a step.
@@ -51,7 +51,7 @@ class Pass(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StepMethod:
-    """What takes a step.
+    """How a step is taken.
 
     Args:
         start: where the step starts from; None for free flight.
@@ -59,7 +59,7 @@ class StepMethod:
         refinement: lowers the incremental potential from there; None leaves predictions as far as cloth can go.
         contact: answers what is left inside the body; None leaves it there.
         self_contact: keeps each of these from moving cloth through cloth; None where it may.
-        search: how far a step goes along a pass of the network.
+        search: how far a step goes along a pass of the network; None takes it whole.
     """
 
     start: BodyMotionWarmStart | None = None
@@ -67,7 +67,7 @@ class StepMethod:
     refinement: SolverRefinement | None = None
     contact: ContactResponse | None = None
     self_contact: CollisionFree | None = None
-    search: PassSearch = field(default_factory=PassSearch)
+    search: PassSearch | None = None
 
 
 def take(step: TimeStep, method: StepMethod) -> State:
@@ -75,7 +75,7 @@ def take(step: TimeStep, method: StepMethod) -> State:
 
     Args:
         step: that is taken.
-        method: what takes it.
+        method: how it is taken.
 
     Raises:
         DivergedError: it is not finite.
@@ -85,8 +85,8 @@ def take(step: TimeStep, method: StepMethod) -> State:
         if contact is not None:
             step = contact.with_pins_clear(step)
         # Where the garments would be: led there by the start of the step, corrected by every pass of the network.
-        *_, predicted = predictions(step, method)
-        require_finite(predicted)
+        *_, prediction = predictions(step, method)
+        predicted = require_finite(prediction.state)
         if refinement is None:
             state = collision_free_move(cloth, step, step.state, predicted)
         else:
@@ -105,14 +105,30 @@ def take(step: TimeStep, method: StepMethod) -> State:
             else refinement.pressed_past_bodies(step, state, cloth)
         )
         # Where one is through cloth already, no energy leads it back.
-        return kept if contact is None else contact.cleared(step, kept, cloth)
+        after = kept if contact is None else contact.cleared(step, kept, cloth)
+        return replace(after, last_move=predicted.last_move)
 
 
-def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) -> Iterator[State]:
-    """States at the end of `step`: the one its start leads to, and that after each pass of the network.
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Where the start of a step leads, or a pass of the network after it.
+
+    Args:
+        state: at the end of the step; differentiable in the network's weights.
+        decrease: (worlds,) by how much the pass lowered the energy [J]; None where that is not measured.
+        worth: (worlds,) bool where the pass was worth its time; None where one that is not is never made.
+    """
+
+    state: State
+    decrease: Tensor | None = None
+    worth: Tensor | None = None
+
+
+def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) -> Iterator[Prediction]:
+    """Where the start of `step` leads, and each pass of the network after it.
 
     Only the latest pass is differentiable: training learns from each before the next. Ends early where a pass gave
-    what is not finite, since no body can be queried there.
+    what is not finite, since no body can be queried there, and where no world gains enough by another.
 
     Args:
         step: that is taken.
@@ -120,53 +136,44 @@ def predictions(step: TimeStep, method: StepMethod, rooms: Rooms | None = None) 
         rooms: of a step that waits for no decision: passes that are not worth taking are computed, and left out.
     """
     # From free flight, or part of the way that the body moves: (vertices, 3) [m per step^2].
-    accelerations = begun(method.start, step)
+    accelerations = start_accelerations(method.start, step)
     # Velocities and positions from accelerations; pinned vertices take their places on the body.
-    yield integrate(step, accelerations)
-    if method.network is not None:
-        moved = _passes(step, method, method.network, accelerations, rooms)
-        yield from (integrate(step, each) for each in moved)
-
-
-def _passes(
-    step: TimeStep, method: StepMethod, network: Pass, accelerations: Tensor, rooms: Rooms | None
-) -> Iterator[Tensor]:
-    """Accelerations after each pass of the network, up to the first that is not worth its time in any world.
-
-    With `rooms` nothing is decided: as many passes as there is room for, those not worth their time left out.
-    """
-    search, passes, most = method.search, network.passes, network.passes + network.further
+    yield Prediction(integrate(step, accelerations))
+    network, search, last, decrease = method.network, method.search, step.state.last_move, None
+    if network is None:
+        return
+    most = network.passes + network.further
     made = most if rooms is None else rooms.repeats("passes", most)
     worth: list[Tensor] = []
     for number in range(min(made + 1, most)):
-        if number >= passes:
-            worth.append(_is_worth_another(step, method, worth[-1] if worth else None))
+        if number >= network.passes:
+            worth.append(_is_worth_another(step, decrease, worth))
             if rooms is None and not bool(worth[-1].any()):
                 return
         if number == made:
             break
-        reached, last = accelerations.detach(), search.last
+        reached = accelerations.detach()
         if rooms is None and not bool(torch.isfinite(reached).all()):
             return
-        move = search.move(step, reached, network.correction(step, reached))
-        goes_on = worth[-1] if worth else None
-        search.worth = None if rooms is None else goes_on
-        accelerations = reached + _where_worth(step, search, move, last, goes_on)
-        yield accelerations
-    if rooms is not None and most > passes:
-        rooms.note("passes", passes + torch.stack(worth).any(1).sum())
+        move = network.correction(step, reached)
+        if search is not None:
+            move, decrease = search(step, reached, move, last)
+            before, last = last, move.detach()
+            if worth and before is not None:
+                # Worlds in which it is not worth its time stay where they are, and keep their last move.
+                goes_on = worth[-1][step.garments.vertex_world, None]
+                move, last = torch.where(goes_on, move, 0.0), torch.where(goes_on, last, before)
+        accelerations = reached + move
+        state = replace(integrate(step, accelerations), last_move=last)
+        yield Prediction(state, decrease, worth[-1] if worth and rooms is not None else None)
+    if rooms is not None and network.further:
+        rooms.note("passes", network.passes + torch.stack(worth).any(1).sum())
 
 
-def _is_worth_another(step: TimeStep, method: StepMethod, before: Tensor | None) -> Tensor:
-    """Where (worlds,) bool another pass is worth its time, and the pass `before` was."""
-    worth = ~(method.search.decrease_height(step.garments) < LARGE_DECREASE)
-    return worth if before is None else worth & before
-
-
-def _where_worth(step: TimeStep, search: PassSearch, move: Tensor, last: Tensor | None, worth: Tensor | None) -> Tensor:
-    """`move` (vertices, 3) in the worlds where it is worth its time; the others stay, and keep their last."""
-    if worth is None or last is None or search.last is None:
-        return move
-    goes_on = worth[step.garments.vertex_world, None]
-    search.last = torch.where(goes_on, search.last, last)
-    return torch.where(goes_on, move, 0.0)
+def _is_worth_another(step: TimeStep, decrease: Tensor | None, worth: list[Tensor]) -> Tensor:
+    """Where (worlds,) bool another pass is worth its time, as the pass before it was, which lowered the energy."""
+    if decrease is None:
+        return torch.zeros(step.garments.world_count, dtype=torch.bool, device=step.garments.device)
+    height = decrease / step.garments.world_weights
+    large = ~(height < LARGE_DECREASE)
+    return large & worth[-1] if worth else large

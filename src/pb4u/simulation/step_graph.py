@@ -57,7 +57,7 @@ class StepGraph:
 
     Args:
         timeline: garments and bodies on the accelerator.
-        method: whose start, network and search take the steps; the search changes.
+        method: whose start, network and search take the steps.
         replays: whether steps may be replayed at all.
     """
 
@@ -72,14 +72,13 @@ class StepGraph:
         Args:
             begun: state at the start of the step.
         """
-        rooms, search = self.timeline.colliders.rooms, self.method.search
+        rooms, last = self.timeline.colliders.rooms, begun.last_move
         assert rooms is not None
-        self._step, last = self.timeline.step_from(begun), search.last
+        self._step = self.timeline.step_from(begun)
         known = self._graphs.setdefault((last is None, *sorted(rooms.sizes.items())), _Graph())
         known.seen += 1
         replayed = self._replayed(known, last) if self.replays and known.seen > 1 else None
         if replayed is None or known.seen == 3:
-            search.last = last
             plain = self._outputs(self._step)
             if replayed is not None and not all(
                 torch.allclose(one, other, rtol=0.0, atol=_SAME)
@@ -88,8 +87,7 @@ class StepGraph:
                 self.replays = False
             replayed = plain
         positions, velocities, wanted, *moves = replayed
-        search.last = moves[0] if moves else None
-        return State(positions, velocities, begun.frame + 1), self._names, wanted
+        return State(positions, velocities, begun.frame + 1, *moves), self._names, wanted
 
     def _replayed(self, known: _Graph, last: Tensor | None) -> Outputs | None:
         """Outputs of a replay; None where the graph is captured only now, or cannot be."""
@@ -115,16 +113,16 @@ class StepGraph:
     def _computed(self, x: Tensor, v: Tensor, pins: Tensor, motion: Tensor, *more: Tensor) -> Outputs:
         """Outputs as a function of tensors alone."""
         bodies = ColliderFrame(*(self.timeline.colliders.pose(positions) for positions in more[:3]))
-        self.method.search.last = more[3] if len(more) > 3 else None
-        state = replace(self._step.state, positions=x, velocities=v)
+        state = State(x, v, self._step.state.frame, *more[3:])
         return self._outputs(
             replace(self._step, state=state, collider=bodies, pin_positions=pins, skinned_motion=motion)
         )
 
     def _outputs(self, step: TimeStep) -> Outputs:
-        rooms, search = self.timeline.colliders.rooms, self.method.search
+        rooms = self.timeline.colliders.rooms
         assert rooms is not None
         with torch.no_grad():
-            *_, after = predictions(step, self.method, rooms)
+            *_, prediction = predictions(step, self.method, rooms)
         self._names, wanted = rooms.taken()
-        return (after.positions, after.velocities, wanted, *([] if search.last is None else [search.last]))
+        after = prediction.state
+        return (after.positions, after.velocities, wanted, *([] if after.last_move is None else [after.last_move]))

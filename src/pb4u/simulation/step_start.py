@@ -65,10 +65,11 @@ def start_of(network: GraphNetwork) -> BodyMotionWarmStart | None:
     Args:
         network: the network.
     """
-    return BodyMotionWarmStart(network.warm_start_shares) if network.warm_start_shares else None
+    shares = network.configuration.warm_start_shares
+    return BodyMotionWarmStart(shares) if shares else None
 
 
-def begun(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:
+def start_accelerations(start: BodyMotionWarmStart | None, step: TimeStep) -> Tensor:
     """Accelerations (vertices, 3) [m per step^2] from free flight to where `step` starts.
 
     Args:

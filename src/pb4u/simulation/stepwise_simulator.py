@@ -73,7 +73,7 @@ class StepwiseSimulator(Simulator):
         """
 
     def refinement(self, record: RunRecord) -> SafeguardedRefinement | None:
-        """What refines a prediction; None where nothing does.
+        """Refinement of predictions by the solver; None for none.
 
         Args:
             record: counts the steps that are retried.
@@ -223,12 +223,12 @@ class NetworkSimulator(StepwiseSimulator):
         network = checkpoint.model.network
         if propagation_steps is not None and network.propagates:
             require_propagation_steps(propagation_steps)
-        self.passes = network.passes if passes is None else passes
+        self.passes = network.configuration.passes if passes is None else passes
         # Who names a number of passes gets that number.
-        self.further = network.further_passes if passes is None else 0
+        self.further = network.configuration.further_passes if passes is None else 0
         if self.passes < 1:
             raise InputError(f"A network takes at least 1 pass a step, not {self.passes}.")
-        if self.passes > 1 and ADVANCE not in network.layout.extra:
+        if self.passes > 1 and ADVANCE not in network.configuration.layout.extra:
             raise InputError(
                 f"The network {checkpoint.name} was made for one pass a step; leave --passes out, or give 1."
             )
@@ -335,7 +335,6 @@ class NetworkSimulator(StepwiseSimulator):
         first = self.first_frame.start(timeline, method)
         while rooms.grow(*rooms.taken()):
             # Searches were short of room.
-            method.search.last = None
             first = self.first_frame.start(timeline, method)
         yield first
         yield from self.steps(timeline, method, first, frames)

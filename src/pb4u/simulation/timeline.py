@@ -15,7 +15,7 @@ from pb4u.scene.colliders import ColliderFrame, ColliderPose, PackedColliders, p
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import Scene
 from pb4u.scene.state import State
-from pb4u.threads import sent
+from pb4u.threads import to_device
 
 SETTLING_DT = 1.0 / 3.0
 """Length of a settling step [s]: inertia weighs a hundredth of what it does at 30 fps (reference 1.8)."""
@@ -148,7 +148,7 @@ class Timeline:
 
         def moved(frames: Frames) -> Frames:
             def block(start: int, stop: int) -> Tensor:
-                return sent(torch.stack([frames[frame] for frame in range(start, stop)]), device)
+                return to_device(torch.stack([frames[frame] for frame in range(start, stop)]), device)
 
             return BlockedFrames(block, len(frames))
 

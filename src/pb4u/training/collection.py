@@ -84,7 +84,7 @@ def _bodies(selection: DataSelection, rng: np.random.Generator) -> list[ShapedBo
 
 
 def _garment(selection: DataSelection, name: str, body: ShapedBody, triangles: int, seed: tuple[int, ...]) -> Garment:
-    """A garment of the selection; its draws follow from its place in it, so that one does not move the others."""
+    """A garment of the selection. Its random draws depend on its index alone, so a change of one leaves the others."""
     if _is_file(name):
         loaded = load_garment(WornGarment(name, triangles=triangles), body)
         if loaded.rest_uv is not None:

@@ -71,7 +71,7 @@ class Learner:
             self.model.parameters(), lr=configuration.curriculum.learning_rate, fused=True
         )
         self.average = MovingAverage(self.model, configuration.ema_decay)
-        self.longest = configuration.gradient_norm
+        self.max_gradient_norm = configuration.gradient_norm
 
     def begin_with(self, weights: Mapping[str, Tensor]) -> None:
         """Take over weights and statistics, each (...) as in the model, by name; the average begins with them too.
@@ -90,7 +90,7 @@ class Learner:
         """
         self.optimiser.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        return torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.longest)
+        return torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.max_gradient_norm)
 
     def step(self, rate: float, number: int, unless: Tensor | None = None) -> None:
         """Take an optimiser step.

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from pb4u.errors import InputError, on_disk
 from pb4u.io.atomic_file import locked, replace_file
-from pb4u.io.reading_limits import parse_json, read_json, told_error
+from pb4u.io.reading_limits import error_text, parse_json, read_json
 
 FORMAT_VERSION = 1
 CONFIGURATION, DATA, METRICS = "configuration.json", "data.npz", "metrics.jsonl"
@@ -129,7 +129,7 @@ class RunFolder:
             record = read_json(path)
             version = int(record["format_version"])
         except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
-            raise InputError(f"{path} is not the configuration of a training: {told_error(error)}.") from error
+            raise InputError(f"{path} is not the configuration of a training: {error_text(error)}.") from error
         if version > FORMAT_VERSION:
             raise InputError(f"{path} is of a newer format; upgrade pb4u.")
         return dict(record)
@@ -177,7 +177,7 @@ class RunFolder:
                 counters = parse_json(metadata["counters"])
                 return {key: file.get_tensor(key) for key in file.keys()}, counters  # noqa: SIM118
         except (SafetensorError, OSError, KeyError, ValueError) as error:
-            raise InputError(f"{path} is no checkpoint of a training ({told_error(error)}).") from error
+            raise InputError(f"{path} is no checkpoint of a training ({error_text(error)}).") from error
 
     def append_metrics(self, record: dict[str, Any]) -> None:
         """Add a line to the metrics.

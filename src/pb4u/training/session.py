@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from pkgutil import resolve_name
 from types import FrameType
@@ -27,6 +27,7 @@ from pb4u.training.distribution import Workers, workers
 from pb4u.training.journal import Reporter, draw_curve, reporter
 from pb4u.training.objective import PROGRESS
 from pb4u.training.packed_data import TrainingData, load_training_data, save_training_data
+from pb4u.training.request import TrainingRequest
 from pb4u.training.run_folder import CURVE, RunFolder
 from pb4u.training.trainer import Trainer
 
@@ -38,36 +39,7 @@ BUILT_IN = "built in"
 """Origin of the data of a run whose configuration alone makes them again."""
 
 
-@dataclass(frozen=True)
-class Request:
-    """Options of a training, as the user gives them.
-
-    Args:
-        preset: name of a training.
-        steps: optimiser steps of its budget; the preset's own where neither these nor minutes are given.
-        minutes: wall time of its budget [min].
-        out: new folder to keep it in.
-        resume: folder to go on with, instead.
-        pack: file of training data; collected from the built-in assets without it.
-        recordings: folder of recordings to train on as well, as `collect` takes it.
-        settings: KEY=VALUE changes of the preset.
-        device: "auto", "cpu" or "cuda".
-        weights: built-in name or file of the weights to begin with, and of their network; drawn without it.
-    """
-
-    preset: str | None = None
-    steps: int | None = None
-    minutes: float | None = None
-    out: Path | None = None
-    resume: Path | None = None
-    pack: Path | None = None
-    recordings: Path | None = None
-    settings: Sequence[str] = ()
-    device: str = "auto"
-    weights: str | None = None
-
-
-def train(request: Request) -> dict[str, Any]:
+def train(request: TrainingRequest) -> dict[str, Any]:
     """Train a network as the request says; returns a summary: how it ended, its steps, seconds, rollbacks and best
     validation.
 
@@ -80,7 +52,7 @@ def train(request: Request) -> dict[str, Any]:
     if (request.resume is None) == (request.out is None):
         raise InputError("Give --out FOLDER for a new training, or --resume FOLDER to go on with one.")
     if request.resume is not None and (
-        request.preset or request.settings or request.pack or request.recordings or request.weights
+        request.preset or request.set or request.pack or request.recordings or request.weights
     ):
         raise InputError(
             "A training goes on as it began: leave out --preset, --set, --pack, --recordings and --weights."
@@ -102,16 +74,16 @@ def train(request: Request) -> dict[str, Any]:
         return _summary(trainer, folder, ending)
 
 
-def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
+def _configured(request: TrainingRequest) -> tuple[TrainingConfiguration, Budget]:
     preset = request.preset or "small"
     configuration: TrainingConfiguration = resolve_name("pb4u.paper.training_presets:training_preset")(preset)
     if request.weights is not None:
-        keys = {setting.partition("=")[0].strip() for setting in request.settings}
+        keys = {setting.partition("=")[0].strip() for setting in request.set}
         if any(key.split(".")[0] == "network" for key in keys - INFERENCE_ONLY):
             free = " and ".join(sorted(INFERENCE_ONLY))
             raise InputError(f"--weights bring their own network: of its settings {free} alone can be given.")
         configuration = replace(configuration, network=from_pretrained(request.weights).configuration)
-    configuration = with_settings(configuration, request.settings)
+    configuration = with_settings(configuration, request.set)
     if configuration.loss_weight == PROGRESS and not configuration.network.conjugate:
         raise InputError(
             "loss_weight=progress goes by what the search of conjugate passes frees: add --set network.conjugate=True "
@@ -129,7 +101,7 @@ def _configured(request: Request) -> tuple[TrainingConfiguration, Budget]:
 
 
 def _created(
-    request: Request, configuration: TrainingConfiguration, budget: Budget, mine: Workers
+    request: TrainingRequest, configuration: TrainingConfiguration, budget: Budget, mine: Workers
 ) -> tuple[RunFolder, TrainingConfiguration, Budget, TrainingData]:
     """A new run. Other processes wait for the leading one's data."""
     mine.share(configuration.batch)
@@ -157,7 +129,7 @@ def _created(
 
 
 def _origin(name: str | None) -> dict[str, Any] | None:
-    """What a training begins with: built-in name, or file so that it is found from any folder; licence and record."""
+    """Weights that a training begins with: built-in name or absolute path, licence and record."""
     if name is None:
         return None
     where = name if name in built_in_models() else str(Path(name).resolve())
@@ -165,7 +137,7 @@ def _origin(name: str | None) -> dict[str, Any] | None:
     return {"weights": where, "licence": begun.licence, "record": asdict(begun.record)}
 
 
-def _data(request: Request, configuration: TrainingConfiguration) -> TrainingData:
+def _data(request: TrainingRequest, configuration: TrainingConfiguration) -> TrainingData:
     if request.pack is not None:
         return load_training_data(request.pack)
     return _collected(configuration, request.recordings)
@@ -178,7 +150,7 @@ def _collected(configuration: TrainingConfiguration, recordings: Path | None) ->
         return collect(configuration.data, recordings, configuration.seed, progress)
 
 
-def _opened(request: Request) -> tuple[RunFolder, TrainingConfiguration, Budget, TrainingData]:
+def _opened(request: TrainingRequest) -> tuple[RunFolder, TrainingConfiguration, Budget, TrainingData]:
     """A run to go on with; its budget may be a new one."""
     assert request.resume is not None
     folder = RunFolder.open(request.resume)
@@ -239,7 +211,7 @@ def _summary(trainer: Trainer, folder: RunFolder, ending: str) -> dict[str, Any]
 
 
 class _Silent(Reporter):
-    """Of a process that does not lead."""
+    """Reporter of a process that does not lead."""
 
     def said(self, sentence: str) -> None:
         pass

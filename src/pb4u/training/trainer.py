@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict, astuple, dataclass, fields
+from dataclasses import asdict, astuple, fields, replace
 from enum import Enum, auto
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pb4u import __version__
 from pb4u.errors import InputError
 from pb4u.measures.metrics import strain_percentile
 from pb4u.network.acceleration_model import PreparedGarments
@@ -24,9 +23,9 @@ from pb4u.scene.state import State
 from pb4u.simulation.checkpoint import Checkpoint, TrainingRecord, save_checkpoint
 from pb4u.simulation.device_steps import bytes_a_vertex, require_memory
 from pb4u.simulation.network_pass import NetworkPass, StepFeatures
-from pb4u.simulation.pass_search import PassSearch, search_of
-from pb4u.simulation.step import StepMethod, predictions
-from pb4u.simulation.step_start import begun, start_of
+from pb4u.simulation.pass_search import search_of
+from pb4u.simulation.step import Prediction, StepMethod, predictions
+from pb4u.simulation.step_start import start_accelerations, start_of
 from pb4u.simulation.timeline import SETTLING_DT
 from pb4u.training.budget import Budget, Counters
 from pb4u.training.configuration import TrainingConfiguration
@@ -43,9 +42,11 @@ from pb4u.training.objective import (
     step_energies,
     strain_energy,
 )
+from pb4u.training.outcome import Outcome
 from pb4u.training.packed_data import TrainingData
 from pb4u.training.recovery import Recovery
 from pb4u.training.run_folder import RunFolder
+from pb4u.training.training_record import training_record
 from pb4u.training.validation import Score, Validation
 from pb4u.training.wardrobe import Wardrobe
 from pb4u.training.windows import Rollout, Sampler, WindowLoader
@@ -62,46 +63,6 @@ class RoundEnd(Enum):
     LEARNT = auto()
     CAME_APART = auto()
     STOPPED = auto()
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of an optimiser step, which on an accelerator the processor hears of later.
-
-    Args:
-        names: of the losses [J].
-        values: (names + 3,) the losses, then 1 or 0: the pass was not worth its time, its garments are lost or a search
-            was short of room, the positions are not finite.
-        settings: learning rate and weight of collisions.
-        watch: of the garments, or None.
-    """
-
-    names: tuple[str, ...]
-    values: Tensor
-    settings: dict[str, float]
-    watch: GarmentWatch | None
-
-    def changes_nothing(self) -> Tensor:
-        """1 () float32 where the weights are to stay as they are, else 0."""
-        return ((self.values[-3:] > 0.0).any() | ~torch.isfinite(self.values).all()).to(torch.float32)
-
-    def finite(self, row: list[float]) -> bool:
-        """Whether the step with the values `row` is finite.
-
-        Args:
-            row: values of the step, as they were collected.
-        """
-        return row[-1] == 0.0 and all(math.isfinite(value) for value in row)
-
-    def skipped(self, row: list[float]) -> bool:
-        """Whether the step with the values `row` was left out; notes for its window where garments are lost.
-
-        Args:
-            row: values of the step, as they were collected.
-        """
-        if self.watch is not None and row[-2] > 0.0:
-            self.watch.seen_lost = True
-        return row[-3] > 0.0 or row[-2] > 0.0
 
 
 class Trainer:
@@ -252,12 +213,12 @@ class Trainer:
     def gather_statistics(self) -> None:
         """Normalise by what skinned garments look like; nothing is learnt yet."""
         for number in range(self.configuration.statistics_windows):
-            course = self.begin(number, length=1, settle=bool(number % 2))
-            step, network = course.next_step(), NetworkPass(self.network, course.prepared, features=course.features)
-            graph = network.graph(step, begun(self.start, step))
+            rollout = self.begin(number, length=1, settle=bool(number % 2))
+            step, network = rollout.next_step(), NetworkPass(self.network, rollout.prepared, features=rollout.features)
+            graph = network.graph(step, start_accelerations(self.start, step))
             while self.rooms is not None and self.rooms.grow(*self.rooms.taken()):
-                graph = network.graph(step, begun(self.start, step))
-            self.model.gather_statistics(graph, course.window.timeline.skinned_acceleration(1))
+                graph = network.graph(step, start_accelerations(self.start, step))
+            self.model.gather_statistics(graph, rollout.window.timeline.skinned_acceleration(1))
             self.counters.window += 1
         self.workers.reduce_statistics(self.model)
         self.model.freeze_statistics()
@@ -275,8 +236,7 @@ class Trainer:
         settles = self.sampler.settles(number, length) if settle is None else settle
         state = window.start(self.configuration.noise, self.configuration.clearance)
         prepared = self.model.prepare(window.timeline.garments)
-        features, search = StepFeatures(prepared), search_of(self.model.network)
-        return Rollout(number, window, state, prepared, features, search, GarmentWatch(), settles, length)
+        return Rollout(number, window, state, prepared, StepFeatures(prepared), GarmentWatch(), settles, length)
 
     def _indices(self, number: int) -> range:
         """This process's samples of window `number`."""
@@ -289,82 +249,81 @@ class Trainer:
         A window whose garment is lost leaves the round: nothing that follows would be worth learning.
         """
         length = self.configuration.curriculum.window_length(self.progress)
-        together, network = self.configuration.interleaved, self.model.network
+        together, network = self.configuration.interleaved, self.configuration.network
         if self.budget.steps is not None:
             left = math.ceil((self.budget.steps - self.counters.step) / (network.passes + network.further_passes))
             together = min(together, left)
             length = min(length, math.ceil(left / together))
         first = self.counters.window
-        courses = [self.begin(number, length) for number in range(first, first + together)]
-        while courses:
-            for course in courses:
-                if not self.advance(course):
+        rollouts = [self.begin(number, length) for number in range(first, first + together)]
+        while rollouts:
+            for rollout in rollouts:
+                if not self.advance(rollout):
                     return RoundEnd.CAME_APART
-            courses = [course for course in courses if course.left and not course.watch.seen_lost]
-            ending = self._ending() if courses else None
+            rollouts = [rollout for rollout in rollouts if rollout.left and not rollout.watch.seen_lost]
+            ending = self._ending() if rollouts else None
             if ending == "stopped":
                 return RoundEnd.STOPPED
             if ending == "finished":
                 break
         return RoundEnd.LEARNT if self.look_at_outcomes() else RoundEnd.CAME_APART
 
-    def advance(self, course: Rollout) -> bool:
+    def advance(self, rollout: Rollout) -> bool:
         """Learn from the next step of a window, and take it; whether all went well.
 
         Args:
-            course: the window, and how far it has come; changed.
+            rollout: the window, and how far it has come; changed.
         """
-        taken = course.window.length - course.left
+        taken = rollout.window.length - rollout.left
         steps = [
             self.sampler.propagation_steps(index, taken, ruled)
-            for index, ruled in zip(self._indices(course.number), course.prepared.steps, strict=True)
+            for index, ruled in zip(self._indices(rollout.number), rollout.prepared.steps, strict=True)
         ]
-        step, prepared = course.next_step(), course.prepared.with_steps(steps)
-        passes, further = self.model.network.passes, self.model.network.further_passes
-        network = NetworkPass(self.network, prepared, passes, course.features, nullcontext, further)
-        method = StepMethod(self.start, network, search=course.search)
-        states = predictions(step, method, self.rooms)
+        step, prepared = rollout.next_step(), rollout.prepared.with_steps(steps)
+        passes, further = self.configuration.network.passes, self.configuration.network.further_passes
+        network = NetworkPass(self.network, prepared, passes, rollout.features, nullcontext, further)
+        made = predictions(step, StepMethod(self.start, network, search=search_of(self.model.network)), self.rooms)
         # The network has no part in the first, which the start alone leads to.
-        after = next(states)
-        for after in states:
-            if not self.learn(prepared, step, after, course.search, course.watch):
+        latest = next(made)
+        for latest in made:
+            if not self.learn(prepared, step, latest, rollout.watch):
                 return False
-        state = State(after.positions.detach(), after.velocities.detach(), after.frame)
-        course.state = self.with_initial_velocity(course, state) if course.settles else state
-        course.settles, course.left = False, course.left - 1
-        timeline, positions = course.window.timeline, course.state.positions
+        after = latest.state
+        state = replace(after, positions=after.positions.detach(), velocities=after.velocities.detach())
+        rollout.state = self.with_initial_velocity(rollout, state) if rollout.settles else state
+        rollout.settles, rollout.left = False, rollout.left - 1
+        timeline, positions = rollout.window.timeline, rollout.state.positions
         strain = strain_percentile(timeline.garments, positions)
-        drift = drift_from(timeline.skinned(course.state.frame), timeline.garments, positions)
-        lost = course.watch.is_lost(strain, drift, self.latest_collision)
+        drift = drift_from(timeline.skinned(rollout.state.frame), timeline.garments, positions)
+        lost = rollout.watch.is_lost(strain, drift, self.latest_collision)
         # On an accelerator nothing more is learnt from them; the processor hears of it with the next line of the log.
         if self.rooms is None and self.workers.agreed(bool(lost)):
-            course.left = 0
+            rollout.left = 0
         return True
 
-    def with_initial_velocity(self, course: Rollout, settled: State) -> State:
+    def with_initial_velocity(self, rollout: Rollout, settled: State) -> State:
         """State of settled garments, still in the frame where they settled, with the velocity that they set off with.
 
         Args:
-            course: window that they are of.
+            rollout: window that they are of.
             settled: after the settling step.
         """
-        timeline, frame = course.window.timeline, settled.frame - 1
+        timeline, frame = rollout.window.timeline, settled.frame - 1
         skinned = timeline.skinned_velocity(frame)
         velocities = {
             "skinned": skinned,
-            "slowed": self.sampler.slowing(course.number) * skinned,
+            "slowed": self.sampler.slowing(rollout.number) * skinned,
             "zero": torch.zeros_like(settled.velocities),
             # The released code counts the settling displacement as one of an ordinary step (reference 1.8).
             "carried": settled.velocities * (SETTLING_DT / timeline.dt),
         }
-        return State(settled.positions, velocities[self.configuration.after_settling], frame)
+        return replace(settled, velocities=velocities[self.configuration.after_settling], frame=frame)
 
     def learn(
         self,
         prepared: PreparedGarments,
         step: TimeStep,
-        after: State,
-        search: PassSearch | None = None,
+        prediction: Prediction,
         watch: GarmentWatch | None = None,
     ) -> bool:
         """One optimiser step on the energies of `step`; False where they or their gradient are not finite.
@@ -375,24 +334,23 @@ class Trainer:
         Args:
             prepared: what the network derived once from the garments.
             step: that was taken.
-            after: where it led, differentiable.
-            search: that the pass went along, where its energy decrease weighs the loss.
+            prediction: where it led, differentiable, and what its last pass was worth.
             watch: sees whether the garments are lost.
         """
         weight = self.configuration.curriculum.collision(self.progress)
         rate = self.configuration.curriculum.rate(self.progress) * self.counters.rate_factor
-        finite = torch.isfinite(after.positions)
-        positions = torch.where(finite, after.positions, step.state.positions)
+        finite = torch.isfinite(prediction.state.positions)
+        positions = torch.where(finite, prediction.state.positions, step.state.positions)
         energies = step_energies(step, positions, weight, self.configuration.inside_weight)
         further = further_losses(prepared, step, positions, self.progress)
         each = torch.stack([energies.per_garment, *further.values()]).sum(0)
         if self.configuration.loss_weight == PROGRESS:
-            each = progress_weights(step.garments, None if search is None else search.decrease).to(each) * each
+            each = progress_weights(step.garments, prediction.decrease).to(each) * each
         gradient = self.learner.gradient(each.mean())
         terms = mean_energies(energies) | {name: value.mean() for name, value in further.items()}
         self.latest_collision = terms["collision"].detach().double() / weight
         none = finite.new_zeros(())
-        idle = none if search is None or search.worth is None else ~search.worth.any()
+        idle = none if prediction.worth is None else ~prediction.worth.any()
         lost = none if self.rooms is None else self.rooms.too_little()
         if self.rooms is not None and watch is not None:
             # What a search short of room gave is not worth going on from.
@@ -469,35 +427,14 @@ class Trainer:
         if self.folder is None or not self.workers.leads:
             return
         path: Path = getattr(self.folder, which)
+        network, device = self.model.network, self.workers.device
+        record = training_record(self.configuration, self.data, network, self.counters, score, device)
+        record = record if self.origin is None else record.after(self.origin)
         with self.learner.averaged():
             try:
-                save_checkpoint(path, self.model, self.configuration.network, self.record(score), self.licence)
+                save_checkpoint(path, self.model, self.configuration.network, record, self.licence)
             except InputError as error:
                 self.journal.say(f"{error} The training goes on.")
-
-    def record(self, score: dict[str, Any]) -> TrainingRecord:
-        """Record of how the present weights were trained; `score` is that of their validation.
-
-        Args:
-            score: plain JSON data of the validation.
-        """
-        c, clip = self.configuration, self.data.clips[0]
-        ruled = [self.model.network.propagation_steps(o.garment.mean_edge_length) for o in self.data.outfits]
-        steps = (1, c.most_propagation_steps) if c.most_propagation_steps else (min(ruled), max(ruled))
-        details = {
-            "garments": sorted({outfit.garment.name for outfit in self.data.outfits}),
-            "triangles": sorted({outfit.garment.triangle_count for outfit in self.data.outfits}),
-            "bodies": sorted({body.name for body in self.data.bodies}),
-            "clips": len(self.data.clips),
-            "batch": c.batch,
-            "seed": c.seed,
-            "hours": round(self.counters.seconds / 3600.0, 3),
-            "device": str(self.workers.device),
-            "validation": {name: value if math.isfinite(value) else None for name, value in score.items()},
-            "versions": {"pb4u": __version__, "torch": torch.__version__},
-        }
-        seen = TrainingRecord(1.0 / clip.poses.fps, self.data.edge_lengths, steps, self.counters.step, details)
-        return seen if self.origin is None else seen.after(self.origin)
 
     def resume(self, tensors: dict[str, Tensor], counters: dict[str, Any]) -> None:
         """Go on from a checkpoint.

@@ -151,7 +151,7 @@ class Validation:
                 return len(kept), sum(row[1] for row in kept), sum(row[2] for row in kept)
 
     def _frames(self, model: AccelerationModel, window: Window) -> Iterator[Tensor]:
-        """Of each frame (3,) float64 whether its garment is not lost, its energy without gravity [J] and its strain.
+        """For each frame (3,) float64: 1 if its garment is not lost, its energy without gravity [J], and its strain.
 
         A processor ends where it is lost; an accelerator goes on, as it waits for no decision.
         """
@@ -160,11 +160,12 @@ class Validation:
         method = _method(model, garments)
         for frame in range(self.frames):
             step = timeline.step_from(state) if frame else timeline.settling_from(state)
-            *_, after = predictions(step, method, rooms)
+            *_, prediction = predictions(step, method, rooms)
+            after = prediction.state
             finite = torch.isfinite(after.positions)
             positions = torch.where(finite, after.positions, state.positions)
             velocities = after.velocities if frame else timeline.skinned_velocity(state.frame)
-            state = State(positions, velocities, after.frame if frame else state.frame)
+            state = State(positions, velocities, after.frame if frame else state.frame, after.last_move)
             terms = step_energies(step, positions, REFERENCE_WEIGHT).terms
             energy = sum(term.sum().double() for name, term in terms.items() if name != "gravity")
             strain = strain_percentile(garments, positions)
@@ -178,8 +179,9 @@ class Validation:
 
 def _method(model: AccelerationModel, garments: PackedGarments) -> StepMethod:
     """A step by `model` alone; K follows the resolution."""
-    network = NetworkPass(model, model.prepare(garments), model.network.passes, further=model.network.further_passes)
-    return StepMethod(start_of(model.network), network, search=search_of(model.network))
+    network, c = model.network, model.network.configuration
+    passes = NetworkPass(model, model.prepare(garments), c.passes, further=c.further_passes)
+    return StepMethod(start_of(network), passes, search=search_of(network))
 
 
 def _spread(data: TrainingData, count: int) -> list[int]:

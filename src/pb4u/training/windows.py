@@ -1,4 +1,4 @@
-"""Training windows: drawn by number, so that any can be drawn again, and laid out as situations to step through."""
+"""Training windows: drawn by number, so that any can be drawn again, and packed as scenes to step through."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.scene import STANDARD_GRAVITY
 from pb4u.scene.state import State
 from pb4u.simulation.network_pass import StepFeatures
-from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.timeline import Timeline
-from pb4u.threads import sent
+from pb4u.threads import to_device
 from pb4u.training.configuration import MaterialSampling, TrainingConfiguration
 from pb4u.training.lost_garment import GarmentWatch
 from pb4u.training.packed_data import TrainingData
@@ -166,7 +165,7 @@ class Window:
                 np.random.default_rng(sample.noise_seed).standard_normal((2, count, 3))
                 for sample, count in zip(self.samples, np.diff(garments.vertex_offsets).tolist(), strict=True)
             ]
-            shifts = noise * sent(torch.as_tensor(np.concatenate(draws, axis=1)).to(now.dtype), now.device)
+            shifts = noise * to_device(torch.as_tensor(np.concatenate(draws, axis=1)).to(now.dtype), now.device)
             now = now + torch.where(garments.pinned[:, None], 0.0, shifts[0])
             before = before + shifts[1]
         planes = nearest_planes(self.timeline.pose(1), garments, now)
@@ -185,7 +184,6 @@ class Rollout:
         state: of the garments.
         prepared: what the network derived once from the garments.
         features: node features of them.
-        search: how far a step goes along a pass.
         watch: sees whether they are lost.
         settles: whether the next step is the settling one.
         left: steps to go.
@@ -196,7 +194,6 @@ class Rollout:
     state: State
     prepared: PreparedGarments
     features: StepFeatures
-    search: PassSearch
     watch: GarmentWatch
     settles: bool
     left: int
@@ -233,8 +230,8 @@ class WindowLoader:
             poses = _frames(clip.poses, sample.start - 1, length + 2)
             transforms = _turned(wardrobe.transforms(clip.body, poses), sample.yaw)
             ground = poses.root_positions[1] * np.array([1.0, 0.0, 1.0])
-            shift = sent(_turn(sample.yaw, transforms) @ torch.as_tensor(ground).to(transforms), wardrobe.device)
-            transforms = sent(transforms, wardrobe.device)
+            shift = to_device(_turn(sample.yaw, transforms) @ torch.as_tensor(ground).to(transforms), wardrobe.device)
+            transforms = to_device(transforms, wardrobe.device)
             bodies.append(wardrobe.body_positions(clip.body, transforms) - shift)
             skins.append(wardrobe.outfit_positions(sample.outfit, transforms) - shift)
         clips = [self.data.clips[sample.clip] for sample in samples]
@@ -245,7 +242,7 @@ class WindowLoader:
             body,
             torch.cat(skins, dim=1),
             1.0 / clips[0].poses.fps,
-            sent(torch.tensor((0.0, -STANDARD_GRAVITY, 0.0), dtype=body.dtype), body.device),
+            to_device(torch.tensor((0.0, -STANDARD_GRAVITY, 0.0), dtype=body.dtype), body.device),
         )
         return Window(tuple(samples), timeline, length)
 

@@ -15,7 +15,7 @@ from pb4u.viewer.display import Display
 from pb4u.viewer.export_panel import ExportPanel, deliver, pack_scene
 from pb4u.viewer.film import Film, take_picture
 from pb4u.viewer.live_simulation import Ending, LiveSimulation, require_offered
-from pb4u.viewer.panel import Requests, Tone, notice
+from pb4u.viewer.panel import Tone, notice
 from pb4u.viewer.plot_panel import Measurement, PlotPanel
 from pb4u.viewer.simulation_panel import SimulationPanel
 from pb4u.viewer.uploads import Uploads, bound_uploads
@@ -36,7 +36,7 @@ _AFTER_FAILURE = 0.5
 """Seconds until a page that could not be drawn is tried again, so that its user can read why."""
 
 
-class BrowserWindow(Requests):
+class BrowserWindow:
     """One browser window: answers the requests of its panels, takes in frames of its simulation, and draws its page.
 
     Args:
@@ -83,13 +83,19 @@ class BrowserWindow(Requests):
         with tabs.add_tab("Export"):
             self.export_panel = ExportPanel(gui, self)
 
-    # What its panels ask for (`Requests`), from threads of the server.
+    # What its panels ask for, from threads of the server.
 
     @property
     def closed(self) -> bool:
+        """Whether the window is gone."""
         return self._closed.is_set()
 
     def say(self, sentence: str) -> None:
+        """Tell the user what went wrong.
+
+        Args:
+            sentence: what went wrong.
+        """
         if not self.closed:
             self._client.add_notification(
                 "pb4u", sentence, color="red", auto_close_seconds=12.0, with_close_button=True
@@ -98,29 +104,65 @@ class BrowserWindow(Requests):
             self._notice.content, self._notice.visible = notice(sentence, Tone.bad), True
 
     def change(self, action: Callable[[ViewState], None]) -> None:
+        """Do something to the state, and show it.
+
+        Args:
+            action: changes the state.
+        """
         with self._lock:
             self._watching_live = False
             action(self.state)
         self._wake.set()
 
     def reset_camera(self) -> None:
+        """Point the camera at all clips again."""
         with self._lock:
             self._camera_due = True
         self._wake.set()
 
     def keep(self, kind: str, name: str, content: bytes) -> str:
+        """Keep a file of the user's own; its name from now on.
+
+        Args:
+            kind: one of `pb4u.viewer.uploads.KINDS`.
+            name: of the file.
+            content: all of its bytes.
+
+        Raises:
+            InputError: it cannot be used.
+        """
         return self._uploads.keep(kind, name, content)
 
     def find(self, kind: str, name: str) -> Path | None:
+        """The file of that kind and name that the user handed over; None where there is none.
+
+        Args:
+            kind: "garment", "body" or "motion".
+            name: its name.
+        """
         return self._uploads.find(kind, name)
 
     def save_scene(self, run: Run) -> str:
+        """Hand the user a scene file, packed with the files it names; returns a sentence that says so.
+
+        Args:
+            run: what it describes.
+        """
         require_offered(run, self._uploads.files)
         name, content = pack_scene(run, self._uploads.folder)
         self._client.send_file_download(name, content, save_immediately=True)
         return f"{name} was handed to the browser; run it with `pb4u simulate scene.toml`."
 
     def film(self, suffix: str) -> None:
+        """Begin to take pictures of the view as it is.
+
+        Args:
+            suffix: ".png" for the frame that is shown, ".gif" or ".mp4" for all of them.
+
+        Raises:
+            InputError: there is nothing to see, or pictures are being taken.
+            MissingExtraError: the format needs an extra.
+        """
         with self._lock:
             if not self.state.clips:
                 raise InputError("There is nothing to see yet; simulate something first.")
@@ -131,11 +173,20 @@ class BrowserWindow(Requests):
         self._wake.set()
 
     def stop_filming(self) -> None:
+        """Take no more pictures, and throw away what is there."""
         with self._lock:
             if self._film is not None:
                 self._film.stopped = True
 
     def simulate(self, run: Run) -> None:
+        """Begin a simulation.
+
+        Args:
+            run: what is simulated, and how.
+
+        Raises:
+            InputError: another one runs, or the page does not offer what is requested.
+        """
         require_offered(run, self._uploads.files)
         with self._lock:
             if self.simulation is not None and self.simulation.running:
@@ -145,12 +196,23 @@ class BrowserWindow(Requests):
             self.simulation.start()
 
     def cancel(self) -> None:
+        """End the simulation before its next step."""
         with self._lock:
             if self.simulation is not None and self.simulation.running:
                 self.simulation_panel.stopping()
                 self.simulation.cancel()
 
     def export(self, suffix: str, which: int) -> str:
+        """Hand the user a clip as a file; returns a sentence that says so.
+
+        Args:
+            suffix: one of `pb4u.export.registry.WRITERS`.
+            which: number of the clip, from 0.
+
+        Raises:
+            InputError: the clip cannot be written.
+            MissingExtraError: the format needs an extra.
+        """
         with self._lock:
             clips = self.state.clips
         if not clips:

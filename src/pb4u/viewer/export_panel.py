@@ -40,16 +40,16 @@ class ExportPanel(Panel):
             self._film = gui.add_button("Video of all frames")
             self._stop = gui.add_button("Stop", visible=False)
             self._film_status = gui.add_html("")
-        self._still.on_click(self._answer(lambda: self._requests.film(".png")))
-        self._film.on_click(self._answer(lambda: self._requests.film(self._film_format.value)))
-        self._stop.on_click(self._answer(self._requests.stop_filming))
+        self._still.on_click(self._answer(lambda: self._window.film(".png")))
+        self._film.on_click(self._answer(lambda: self._window.film(self._film_format.value)))
+        self._stop.on_click(self._answer(self._window.stop_filming))
 
     def _export(self) -> None:
         self._go.disabled = True
         self._status.content = notice(f"Writing {self._format.value}.")
         done = ""
         try:
-            done = self._requests.export(self._format.value, ("left", "right").index(self._which.value))
+            done = self._window.export(self._format.value, ("left", "right").index(self._which.value))
         finally:
             self._status.content = notice(done, Tone.good)
             self._go.disabled = False

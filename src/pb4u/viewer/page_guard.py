@@ -1,4 +1,4 @@
-"""Whom the studio answers: the page that it served itself, and on a network only who has its token.
+"""Access to the studio: its own page only, and on a network only with its token.
 
 Any page that a browser shows may send requests to this machine and open a websocket to it. A browser tells where such a
 request comes from (`Origin`) and which name it was sent to (`Host`): a foreign page has another origin, and a name that
@@ -56,7 +56,7 @@ class PageGuard:
         return None
 
     def cookie(self, path: str) -> str | None:
-        """Cookie to set for who came by the address with the token; the page's own requests show it from then on.
+        """Cookie for a browser that opened the address with the token; its later requests carry it.
 
         Args:
             path: path and query of the request.

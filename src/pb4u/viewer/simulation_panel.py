@@ -1,4 +1,4 @@
-"""What to simulate, and how far it is."""
+"""Panel of the options, start, progress and end of a simulation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from pb4u.garment.library import LEVELS, garment_names
 from pb4u.garment.material import material_names
 from pb4u.garment.pins import NAMES as PIN_NAMES
 from pb4u.motion.library import motion_names
-from pb4u.run import MOST_GARMENTS, Run, WornGarment, described
+from pb4u.options import described
+from pb4u.run import MOST_GARMENTS, Run, WornGarment
 from pb4u.scene.loaded_garments import DEFAULT_MATERIAL
 from pb4u.scene.moving_body import DEFAULT_FRAMES, DEFAULT_MOTION
 from pb4u.simulation.models import default_model, model_descriptions
@@ -108,7 +109,7 @@ class SimulationPanel(Panel):
         self._more.on_click(self._answer(self._add_garment))
         self._fewer.on_click(self._answer(self._take_off))
         self._start.on_click(self._answer(self._simulate))
-        self._stop.on_click(self._answer(self._requests.cancel))
+        self._stop.on_click(self._answer(self._window.cancel))
         self._save.on_click(self._answer(self._save_scene))
 
     def _add_garment(self) -> None:
@@ -131,8 +132,8 @@ class SimulationPanel(Panel):
 
     def _take(self, kind: str, button: GuiUploadButtonHandle) -> None:
         """Keep the file of a button, offer it and choose it: for the last garment, the body or the motion."""
-        name = self._requests.keep(kind, button.value.name, button.value.content)
-        if self._requests.find(kind, name) is None or Path(name).suffix.lower() in KINDS[kind].companions:
+        name = self._window.keep(kind, button.value.name, button.value.content)
+        if self._window.find(kind, name) is None or Path(name).suffix.lower() in KINDS[kind].companions:
             self._status.content = notice(f"{name} is here; it is read with the file that it belongs to.")
             return
         self._offered[kind] = tuple(dict.fromkeys((*self._offered[kind], name)))
@@ -154,7 +155,7 @@ class SimulationPanel(Panel):
         Raises:
             InputError: that cannot be a run.
         """
-        find = self._requests.find
+        find = self._window.find
         return Run(
             tuple(each.specification(find) for each in self._worn),
             find("body", self._body.value) or self._body.value,
@@ -166,11 +167,11 @@ class SimulationPanel(Panel):
         )
 
     def _save_scene(self) -> None:
-        self._status.content = notice(self._requests.save_scene(self.run()), Tone.good)
+        self._status.content = notice(self._window.save_scene(self.run()), Tone.good)
 
     def _simulate(self) -> None:
         try:
-            self._requests.simulate(self.run())
+            self._window.simulate(self.run())
         except Exception as error:
             self._status.content = notice(plain_sentence(error), Tone.warning)
             raise

@@ -30,7 +30,7 @@ class TimelinePanel(Panel):
         self._sets(self._slider, lambda state, frame: state.clock.pause_at(int(frame)))
         self._sets(speed, lambda state, text: setattr(state.clock, "speed", float(text.split()[0])))
         self._sets(loop, lambda state, wanted: setattr(state.clock, "loop", bool(wanted)))
-        self._play.on_click(self._answer(lambda: self._requests.change(lambda state: state.clock.toggle())))
+        self._play.on_click(self._answer(lambda: self._window.change(lambda state: state.clock.toggle())))
         self._step.on_click(self._stepped)
 
     async def _stepped(self, event: Any) -> None:
@@ -40,11 +40,11 @@ class TimelinePanel(Panel):
     def _go(self, wanted: str) -> None:
         match wanted:
             case "first":
-                self._requests.change(lambda state: state.clock.pause_at(0))
+                self._window.change(lambda state: state.clock.pause_at(0))
             case "last":
-                self._requests.change(lambda state: state.clock.pause_at(state.clock.frame_count))
+                self._window.change(lambda state: state.clock.pause_at(state.clock.frame_count))
             case step:
-                self._requests.change(lambda state: state.clock.step(1 if step == "+ 1" else -1))
+                self._window.change(lambda state: state.clock.step(1 if step == "+ 1" else -1))
 
     def refresh(self, state: ViewState) -> None:
         """Bring caption, slider and button up to the frame that is shown.
@@ -96,11 +96,9 @@ class LookPanel(Panel):
         self._sets(overlay, lambda state, name: setattr(state, "overlay", name if name in OVERLAYS else SHADED))
         self._sets(body, lambda state, shown: setattr(state, "body", bool(shown)))
         # The camera has to be moved as well, since the scene is elsewhere when the view follows.
-        self._sets(
-            follow, lambda state, wanted: setattr(state, "follow", bool(wanted)), then=self._requests.reset_camera
-        )
+        self._sets(follow, lambda state, wanted: setattr(state, "follow", bool(wanted)), then=self._window.reset_camera)
         self._sets(shadows, lambda state, cast: setattr(state, "shadows", bool(cast)))
-        camera.on_click(self._answer(self._requests.reset_camera))
+        camera.on_click(self._answer(self._window.reset_camera))
 
     def explain(self, looks: tuple[Overlay, ...]) -> None:
         """Write the legend of what is painted.

@@ -1,4 +1,4 @@
-"""What one page shows, without the page: clips on one timeline, which frame when, and how they are looked at."""
+"""State of one page: its clips, the timeline and the overlay; without the page itself."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class Worker(ABC):
 
     @abstractmethod
     def _work(self) -> None:
-        """What the thread does, which looks at `_cancelled` between two frames."""
+        """Work of the thread; it checks `_cancelled` between two frames."""
 
 
 _HEARING: ContextVar[list[str] | None] = ContextVar("hearing", default=None)

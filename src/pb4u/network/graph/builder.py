@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Protocol, TypeAlias
@@ -150,7 +150,6 @@ class GraphBuilder:
     ) -> NodeSet:
         static = self.static
         columns = {
-            **_repeated(duration, len(positions)),
             "velocity": velocities,
             "velocity_ahead": velocities,
             "normal": vertex_normals(positions, static.faces),
@@ -159,7 +158,7 @@ class GraphBuilder:
             "mass": static.mass,
             "material": static.node_material,
         }
-        chosen = [columns[name] for name in self.layout.node]
+        chosen = _chosen(self.layout.node, columns, duration)
         for feature in self.layout.extra:
             given = extra.get(feature.name)
             if given is None or given.shape != (len(positions), feature.width):
@@ -174,7 +173,6 @@ class GraphBuilder:
         vector = positions.index_select(0, edges.senders.index) - positions.index_select(0, edges.receivers.index)
         length = vector.norm(dim=1, keepdim=True)
         columns = {
-            **_repeated(duration, len(vector)),
             "direction": vector / length.clamp_min(torch.finfo(self.dtype).eps),
             "rest_direction": edges.rest_direction,
             "length_ratio": length * edges.inverse_rest_length,
@@ -184,7 +182,7 @@ class GraphBuilder:
             "rest_relative_position": edges.rest_vector,
             "rest_length": edges.rest_length,
         }
-        features = torch.cat([columns[name] for name in self.layout.mesh_edge], dim=1)
+        features = torch.cat(_chosen(self.layout.mesh_edge, columns, duration), dim=1)
         return EdgeSet(kind, GARMENT, GARMENT, edges.senders, edges.receivers, features)
 
     def _found_edges(
@@ -195,7 +193,6 @@ class GraphBuilder:
         vector = positions.index_select(0, sender) - positions.index_select(0, receiver)
         velocity = velocities.index_select(0, sender) - velocities.index_select(0, receiver)
         columns = {
-            **_repeated(duration, len(vector)),
             "relative_position": vector,
             "length": vector.norm(dim=1, keepdim=True),
             "previous_relative_position": vector - velocity,
@@ -205,7 +202,7 @@ class GraphBuilder:
             "future_pinned": vector.new_zeros(len(vector), 1) if found.future is None else found.future,
             "material": 0.5 * (material.index_select(0, sender) + material.index_select(0, receiver)),
         }
-        features = torch.cat([columns[name] for name in self.layout.found_edge], dim=1)
+        features = torch.cat(_chosen(self.layout.found_edge, columns, duration), dim=1)
         return EdgeSet(kind, GARMENT, GARMENT, senders, receivers, features, "found_edge")
 
     def _add_body(
@@ -263,7 +260,6 @@ class GraphBuilder:
     ) -> NodeSet:
         count, absent = len(velocity), velocity.new_full((1,), -1.0)
         columns = {
-            **_repeated(duration, count),
             "velocity": velocity,
             "velocity_ahead": velocity_ahead,
             "normal": normal,
@@ -272,7 +268,7 @@ class GraphBuilder:
             "mass": absent.expand(count, 1),
             "material": absent.expand(count, 3),
         }
-        chosen = [columns[name] for name in self.layout.node]
+        chosen = _chosen(self.layout.node, columns, duration)
         chosen += [velocity.new_zeros(count, feature.width) for feature in self.layout.extra]
         types = torch.full((count,), int(NodeType.BODY), device=velocity.device)
         return NodeSet(torch.cat(chosen, dim=1), types, world)
@@ -305,7 +301,6 @@ class GraphBuilder:
     ) -> Tensor:
         distance_now = relative_now.norm(dim=1, keepdim=True)
         columns = {
-            **_repeated(duration, len(relative_now)),
             "direction": -relative_now / distance_now.clamp_min(torch.finfo(self.dtype).eps),
             "relative_distance": distance_now / self.world_edges.radius,
             "relative_now": relative_now,
@@ -315,9 +310,10 @@ class GraphBuilder:
             "relative_velocity": approach,
             "relative_speed": approach.norm(dim=1, keepdim=True),
         }
-        return torch.cat([columns[name] for name in self.layout.world_edge], dim=1)
+        return torch.cat(_chosen(self.layout.world_edge, columns, duration), dim=1)
 
 
-def _repeated(duration: Columns, rows: int) -> dict[str, Tensor]:
-    """The length of the step (rows, 1) as every table names it."""
-    return {name: value.expand(rows, 1) for name, value in duration.items()}
+def _chosen(names: Sequence[str], columns: Columns, duration: Columns) -> list[Tensor]:
+    """Columns (rows, width) of the given names, in order; those of `duration` are the same in every row."""
+    rows = len(next(iter(columns.values())))
+    return [columns[name] if name in columns else duration[name].expand(rows, 1) for name in names]

@@ -32,7 +32,7 @@ class PinRule(Protocol):
     """A rule for what is seen of pinned vertices."""
 
     def seen(self, positions: Tensor, velocities: Tensor, pinned: Tensor, targets: Tensor) -> SeenGarments:
-        """What is seen at the start of a step.
+        """Positions and velocities that the network reads at the start of a step.
 
         Args:
             positions: (vertices, 3) at the start of the step [m].

@@ -100,10 +100,11 @@ class ContourCraft(EncodeProcessDecode):
         configuration: width, columns, level and blocks.
     """
 
+    configuration: ContourCraftConfiguration
+
     def __init__(self, configuration: ContourCraftConfiguration) -> None:
         found = (REPULSION, ATTRACTION) if configuration.radius > 0 else ()
         super().__init__(configuration, ("mesh", COARSE), found, levels=configuration.level + 2)
-        self.configuration = configuration
         self._levels = MeshMemory(coarse_levels, REMEMBERED)
         width, kinds = configuration.width, ("mesh", COARSE, *found, "world")
         self.decoder = MLP(width, width, 3, norm=False)

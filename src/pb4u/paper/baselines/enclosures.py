@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Enclosures:
-    """What intersection contours cut off, column by column.
+    """Vertices that intersection contours enclose, a column a contour.
 
     Args:
         enclosed: (vertices, columns) bool, vertices on the smaller side of where the surface is cut apart.

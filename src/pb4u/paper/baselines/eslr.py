@@ -76,9 +76,10 @@ class Eslr(EncodeProcessDecode):
         configuration: width, columns, layers and attention.
     """
 
+    configuration: EslrConfiguration
+
     def __init__(self, configuration: EslrConfiguration) -> None:
         super().__init__(configuration)
-        self.configuration = configuration
         self._landmarks = MeshMemory(geodesic_landmarks, _REMEMBERED)
         self.decoder = MLP(configuration.width, configuration.width, 3, norm=False)
         self.layers = nn.ModuleList(_Layer(configuration) for _ in range(configuration.layers))

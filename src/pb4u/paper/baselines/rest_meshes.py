@@ -53,13 +53,13 @@ class MeshMemory(Generic[T]):
 def levels_of(
     garments: PackedGarments, garment: int, count: int, made: MeshMemory[list[np.ndarray]]
 ) -> list[np.ndarray]:
-    """Edges (edges, 2) int64 of the first `count` coarse levels of a garment: of its file where that has so many.
+    """Edges (edges, 2) int64 of the first `count` coarse levels of a garment: from its file if it has them.
 
     Args:
         garments: the pack.
         garment: index of the garment.
         count: number of levels.
-        made: makes those of garments whose file has too few.
+        made: computes them for garments whose file has too few.
     """
     given = garments.garments[garment].coarse_edges
     return list(given[:count]) if len(given) >= count else made.of(garments, garment, count)

@@ -112,7 +112,7 @@ class SelfProximity:
         return FacingPairs(vertex[kept], face[kept], height[kept], passed[kept])
 
     def enclosures(self, vertices: np.ndarray) -> Enclosures:
-        """What has passed through at `vertices` (vertices, 3) [m].
+        """Vertices that have passed through the cloth, at positions `vertices` (vertices, 3) [m].
 
         Args:
             vertices: (vertices, 3) [m].

@@ -66,7 +66,7 @@ class EnergyTerm(ABC):
         return None
 
     def compiled(self, step: TimeStep, contacts: ContactSet) -> EnergyTerm:
-        """What the solver evaluates in the place of this term: faster, for one step, and without autograd.
+        """This term as the solver evaluates it: compiled for one step, without autograd.
 
         Args:
             step: the time step, its garments in float64 on the CPU.

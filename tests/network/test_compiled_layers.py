@@ -9,7 +9,7 @@ import torch
 from tests.network.test_pb4u_gnet import TINY, model_of, weights_gradients
 from tests.network_scenes import DT, moment, prepared_for, sheet
 
-from pb4u.network import interaction_block, mlp, propagation, recorded_passes
+from pb4u.network import interaction_block, layer_loops, mlp, propagation
 from pb4u.network.graph.world_edges import WorldEdgeRule
 
 USERS = (interaction_block, mlp, propagation)
@@ -23,19 +23,19 @@ def test_gradients_are_those_of_the_plain_layers(monkeypatch, dtype, tolerance):
     at = moment([sheet(14, 16), sheet(7, 6, edge=0.02, seed=3)])
     prepared = prepared_for(model, at, steps=(5, 2), dtype=dtype)
     graph = prepared.graph(at.state, at.collider, DT)
-    assert all(edges.edge_count > recorded_passes._ROWS for edges in graph.edges.values())
+    assert all(edges.edge_count > layer_loops.ROWS for edges in graph.edges.values())
 
     calls = []
     for user in USERS:
-        records = user.records
-        monkeypatch.setattr(user, "records", lambda *given, of=records: calls.append(of(*given)) or calls[-1])
+        known = user.are_compiled
+        monkeypatch.setattr(user, "are_compiled", lambda *given, of=known: calls.append(of(*given)) or calls[-1])
     weighting = torch.randn(at.garments.vertex_count, 3, generator=torch.Generator().manual_seed(1)).to(dtype)
     result = model(graph, prepared)
     found = weights_gradients(model, (result * weighting).sum())
     assert calls
     assert all(calls), "the compiled passes were taken"
     for user in USERS:
-        monkeypatch.setattr(user, "records", lambda *given: False)
+        monkeypatch.setattr(user, "are_compiled", lambda *given: False)
     plain = model(graph, prepared)
     expected = weights_gradients(model, (plain * weighting).sum())
 

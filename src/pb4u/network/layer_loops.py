@@ -1,268 +1,29 @@
-"""Perceptrons, edges and propagation while gradients are recorded on a processor, each with its derivative by hand.
+"""Loops over the rows of perceptrons, edges and messages, and their derivatives by hand, compiled for a processor.
 
-Some hundred rows at a time go through all layers and stay in cache: with all rows at once, a product waited for memory
-two thirds of its time. The same layers in torch's operations, which accelerators take, are the slow form that tests
-compare with.
+Arrays are float32 or float64. `between` are the hidden layers and the norm's output (rows, width) each, and the norm's
+factors (rows,), which the derivative reads again; `layers` are weights and biases of three layers, in order, and scale
+and shift of the norm; `further` are the derivatives by them, in the same order, to which is added.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor, nn
-from torch.autograd.function import once_differentiable
 
 from pb4u.collision.jit import compiled_with_free_sums
-from pb4u.network.graph.incidence import Incidence
 
-Gradients: TypeAlias = tuple[Tensor | None, ...]
-Layers: TypeAlias = tuple[nn.Linear, nn.Linear, nn.LayerNorm]
-
-_ROWS = 256
+ROWS = 256
 """Rows at a time: five arrays of 64 columns take 320 kB, and products of fewer rows are slower."""
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Ends:
-    """Both ends of edges in ascending order of receiver.
-
-    Args:
-        senders: node at the start of each edge; None where its share of the first layer is in the edge's own.
-        receivers: node at the end of each.
-    """
-
-    senders: Incidence | None
-    receivers: Incidence
-
-    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sender (edges,) int64 of each edge, 0 where there is none, and first edge (nodes + 1,) of each receiver."""
-        index = self.receivers.index
-        senders = torch.zeros_like(index) if self.senders is None else self.senders.index
-        return senders.numpy(), self.receivers.offsets.numpy()
-
-
-def records(values: Tensor, weight: Tensor, *receivers: Incidence) -> bool:
-    """Whether these passes take `values`: gradients are recorded, and a processor computes in float32 or float64.
-
-    Args:
-        values: (rows, columns) that enter.
-        weight: of the layers that they meet, of any shape.
-        receivers: of the edges that they pass over; the kernels have no row for edges that are only room.
-    """
-    return (
-        torch.is_grad_enabled()
-        and not any(end.spare for end in receivers)
-        and values.device.type == "cpu"
-        and values.dtype == weight.dtype
-        and values.dtype in (torch.float32, torch.float64)
-    )
-
-
-def normed_perceptron(values: Tensor, weight: Tensor | None, bias: Tensor, layers: Layers) -> Tensor:
-    """Output (rows, width) [1] of a perceptron.
-
-    Args:
-        values: (rows, inputs) [1] that enter; (rows, width) the first layer's sum without its bias where no `weight` is
-            given.
-        weight: (width, inputs) [1] of the first layer.
-        bias: (width,) [1] of it.
-        layers: the second layer, the last and the norm, all `width` wide.
-    """
-    output: Tensor = _Perceptron.apply(layers[2].eps, values, weight, bias, *_weights(layers))  # type: ignore[no-untyped-call]
-    return output
-
-
-def passed_edges(
-    latents: Tensor,
-    from_senders: Tensor,
-    from_receivers: Tensor,
-    weight: Tensor,
-    bias: Tensor,
-    layers: Layers,
-    ends: Ends,
-) -> tuple[Tensor, Tensor]:
-    """New latents (edges, width) of edges, and sums (receivers, width) of what was added to them, all [1].
-
-    Args:
-        latents: (edges, width) [1] before.
-        from_senders: (nodes, width) [1] shares of senders in the first layer's sum.
-        from_receivers: (receivers, width) [1] shares of receivers.
-        weight: (width, width) [1] columns of the first layer that meet the latents.
-        bias: (width,) [1] of that layer.
-        layers: the second, the last and the norm.
-        ends: of the edges.
-    """
-    given = (latents, from_senders, from_receivers, weight, bias, *_weights(layers))
-    new, sums = _EdgePass.apply(layers[2].eps, ends, *given)  # type: ignore[no-untyped-call]
-    return new, sums
-
-
-def propagated(
-    steps: int,
-    state: Tensor,
-    constants: Sequence[Tensor],
-    weights: tuple[Tensor, Tensor],
-    layers: Layers,
-    decay: float,
-    inflows: Sequence[Ends],
-) -> Tensor:
-    """State (vertices, width) [1] after steps h <- gamma h + LayerNorm(sum of messages).
-
-    Args:
-        steps: how many.
-        state: (vertices, width) [1] before.
-        constants: (edges, width) [1] for each set of edges, the part of the first layer's sum that stays the same.
-        weights: (width, width) [1] each, columns of the first layer that meet senders and receivers.
-        layers: the second and the last of a message, and the norm of a step.
-        decay: gamma.
-        inflows: ends of each set of edges.
-    """
-    given = (state, *weights, *_weights(layers), *constants)
-    after: Tensor = _Propagation.apply(steps, decay, layers[2].eps, inflows, *given)  # type: ignore[no-untyped-call]
-    return after
-
-
-def _weights(layers: Layers) -> tuple[Tensor, ...]:
-    second, last, norm = layers
-    return second.weight, second.bias, last.weight, last.bias, norm.weight, norm.bias
-
-
-class _Perceptron(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, eps: float, values: Tensor, weight: Tensor | None, *rest: Tensor) -> Tensor:
-        values = values.contiguous()
-        ctx.weighted = weight is not None
-        weights = (values if weight is None else weight, *rest)
-        between, out = _between(values, len(rest[0])), values.new_empty(len(values), len(rest[0]))
-        ctx.save_for_backward(values, *weights, *between)
-        given, *layers = _arrays(values, *weights)
-        eps = layers[0].dtype.type(eps)
-        _perceptron(given, ctx.weighted, tuple(layers), eps, tuple(_arrays(*between)), _array(out))
-        return out
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> Gradients:
-        values, *saved = ctx.saved_tensors
-        further, on_values = [torch.zeros_like(weight) for weight in saved[:-4]], torch.empty_like(values)
-        on, given, *arrays = _arrays(gradients[0].contiguous(), values, *saved)
-        layers, between, wanted = tuple(arrays[:-4]), tuple(arrays[-4:]), ctx.needs_input_grad[1]
-        _perceptron_derivative(
-            on, given, ctx.weighted, layers, between, tuple(_arrays(*further)), wanted, _array(on_values)
-        )
-        return None, on_values if wanted else None, further[0] if ctx.weighted else None, *further[1:]
-
-
-class _EdgePass(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, eps: float, ends: Ends, *given: Tensor) -> Any:
-        tensors = [each.contiguous() for each in given]
-        between = _between(tensors[0], tensors[0].shape[1])
-        ctx.save_for_backward(*tensors, *between)
-        ctx.ends = ends
-        ctx.set_materialize_grads(False)
-        latents, at_sender, at_receiver, *layers = _arrays(*tensors)
-        new, sums = torch.empty_like(tensors[0]), torch.empty_like(tensors[2])
-        shares, eps = (at_sender, at_receiver, *ends.arrays()), latents.dtype.type(eps)
-        _pass_edges(latents, shares, tuple(layers), eps, tuple(_arrays(*between)), *_arrays(new, sums))
-        return new, sums
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor | None) -> Gradients:
-        tensors, between = ctx.saved_tensors[:-4], tuple(_arrays(*ctx.saved_tensors[-4:]))
-        latents, _, _, *layers = _arrays(*tensors)
-        further, on_latents = [torch.zeros_like(each) for each in tensors[1:]], torch.empty_like(tensors[0])
-        of_new, of_sums = gradients
-        on_sums = torch.zeros_like(tensors[2]) if of_sums is None else of_sums.contiguous()
-        # Where nothing reads the new latents any more, any array stands for their derivative.
-        on_new = on_latents if of_new is None else of_new.contiguous()
-        on = (*_arrays(on_new, on_sums), of_new is not None)
-        changed = tuple(_arrays(*further)), _array(on_latents)
-        given = (*on, latents, *ctx.ends.arrays(), tuple(layers), between, *changed)
-        _pass_edges_derivative(*given)
-        return None, None, on_latents, *further
-
-
-class _Propagation(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, steps: int, decay: float, eps: float, inflows: Sequence[Ends], *given: Tensor) -> Tensor:
-        state, *tensors = [each.contiguous() for each in given]
-        of_sender, of_receiver, second, second_bias, last, last_bias, scale, shift, *constants = tensors
-        degrees = torch.stack([ends.receivers.offsets.diff() for ends in inflows]).sum(0).to(state)[:, None]
-        nothing, small, taken = _array(torch.zeros_like(scale)), _array(state).dtype.type(eps), []
-        for _ in range(steps):
-            shares = _arrays(state.mm(of_sender.t()), state.mm(of_receiver.t()))
-            sums = torch.zeros_like(state)
-            messages = []
-            for ends, constant in zip(inflows, constants, strict=True):
-                between, sent = (torch.empty_like(constant), torch.empty_like(constant)), ends.senders is not None
-                kept = (*_arrays(second, second_bias, *between, sums), sent)
-                _message(_array(constant), (*shares, *ends.arrays()), *kept)  # type: ignore[arg-type]
-                messages.append(between)
-            values = torch.addmm(degrees * last_bias, sums, last.t())
-            inverse, after = values.new_empty(len(values)), torch.empty_like(values)
-            normed = (*_arrays(scale, shift), small, *_arrays(inverse, after))
-            _norm(_array(values), nothing, *normed)
-            taken.append((state, messages, sums, values, inverse))
-            state = after.add_(state, alpha=decay)
-        ctx.save_for_backward(*tensors)
-        ctx.taken, ctx.inflows, ctx.decay, ctx.degrees = taken, inflows, decay, degrees
-        return state
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor) -> Gradients:
-        of_sender, of_receiver, second, _, last, _, scale, *_ = ctx.saved_tensors
-        further = [torch.zeros_like(each) for each in ctx.saved_tensors]
-        d_sender, d_receiver, d_second, d_second_bias, d_last, d_last_bias, d_scale, d_shift, *d_constants = further
-        on, unused = gradients[0].contiguous(), torch.zeros_like(scale)
-        for state, messages, sums, values, inverse in reversed(ctx.taken):
-            of_total = torch.empty_like(values)
-            _norm_derivative(*_arrays(on, values, inverse, scale, d_scale, d_shift, unused, of_total))
-            d_last.addmm_(of_total.t(), sums)
-            d_last_bias += (ctx.degrees * of_total).sum(0)
-            of_sums = of_total.mm(last)
-            on_ends = torch.zeros_like(state), torch.zeros_like(state)
-            for ends, between, d_constant in zip(ctx.inflows, messages, d_constants, strict=True):
-                changed = _arrays(d_second, d_second_bias, d_constant, *on_ends)
-                given = (*_arrays(of_sums, *between, second), *ends.arrays(), *changed, ends.senders is not None)
-                _message_derivative(*given)
-            on = on * ctx.decay
-            for share, of_end, d_end in zip(on_ends, (of_sender, of_receiver), (d_sender, d_receiver), strict=True):
-                d_end.addmm_(share.t(), state)
-                on.addmm_(share, of_end)
-        # What the steps left is large, and a second derivative is not for these passes.
-        ctx.taken = None
-        return None, None, None, None, on, *further
-
-
-def _between(values: Tensor, width: int) -> tuple[Tensor, ...]:
-    """What the derivative reads again: hidden layers and output of the norm (rows, width), its (rows,) factors."""
-    rows = len(values)
-    return (*(values.new_empty(rows, width) for _ in range(3)), values.new_empty(rows))
-
-
-def _array(values: Tensor) -> np.ndarray:
-    array: np.ndarray = values.detach().numpy()
-    return array
-
-
-def _arrays(*values: Tensor) -> list[np.ndarray]:
-    return [_array(each) for each in values]
-
-
 @compiled_with_free_sums
 def _next_nodes(offsets: np.ndarray, first: int) -> int:
-    """End of the nodes from `first` whose edges are `_ROWS` at most, or of one node alone."""
+    """End of the nodes from `first` whose edges are `ROWS` at most, or of one node alone."""
     last = first + 1
-    while last < len(offsets) - 1 and offsets[last + 1] - offsets[first] <= _ROWS:
+    while last < len(offsets) - 1 and offsets[last + 1] - offsets[first] <= ROWS:
         last += 1
     return last
 
@@ -270,7 +31,7 @@ def _next_nodes(offsets: np.ndarray, first: int) -> int:
 @compiled_with_free_sums
 def _most_rows(offsets: np.ndarray) -> int:
     """Rows that the edges of `_next_nodes` need."""
-    most = _ROWS
+    most = ROWS
     for node in range(len(offsets) - 1):
         most = max(most, offsets[node + 1] - offsets[node])
     return most
@@ -304,7 +65,7 @@ def _through_layers(
     `square` (width, width) are written over.
     """
     first, hidden, normed, inverse = between
-    _norm_derivative(on, normed[rows], inverse[rows], layers[6], further[6], further[7], further[5], out)
+    layer_norm_derivative(on, normed[rows], inverse[rows], layers[6], further[6], further[7], further[5], out)
     np.dot(out.T, hidden[rows], square)
     _add(square, further[4])
     np.dot(out, layers[4], spare)
@@ -316,22 +77,22 @@ def _through_layers(
 
 
 @compiled_with_free_sums
-def _perceptron(values: np.ndarray, weighted: bool, layers: tuple, eps: Any, between: tuple, out: np.ndarray) -> None:
+def perceptron(values: np.ndarray, weighted: bool, layers: tuple, eps: Any, between: tuple, out: np.ndarray) -> None:
     """Fill `between` and `out` (rows, width) for `values` (rows, inputs), the first layer's sums unless `weighted`."""
     first, hidden, normed, inverse = between
-    for start in range(0, len(values), _ROWS):
-        rows = slice(start, min(start + _ROWS, len(values)))
+    for start in range(0, len(values), ROWS):
+        rows = slice(start, min(start + ROWS, len(values)))
         if weighted:
             np.dot(values[rows], layers[0].T, first[rows])
         else:
             first[rows] = values[rows]
         _rectify(first[rows], layers[1])
         _later_layers(first[rows], layers, hidden[rows], normed[rows])
-        _norm(normed[rows], layers[5], layers[6], layers[7], eps, inverse[rows], out[rows])
+        layer_norm(normed[rows], layers[5], layers[6], layers[7], eps, inverse[rows], out[rows])
 
 
 @compiled_with_free_sums
-def _perceptron_derivative(
+def perceptron_derivative(
     on: np.ndarray,
     values: np.ndarray,
     weighted: bool,
@@ -343,10 +104,10 @@ def _perceptron_derivative(
 ) -> None:
     """Add the derivatives by `layers` to `further`, and fill `on_values` with that by `values` where it is `wanted`."""
     width = on.shape[1]
-    spare, out = np.empty((_ROWS, width), on.dtype), np.empty((_ROWS, width), on.dtype)
+    spare, out = np.empty((ROWS, width), on.dtype), np.empty((ROWS, width), on.dtype)
     square, entering = np.empty((width, width), on.dtype), np.empty(layers[0].shape, on.dtype)
-    for start in range(0, len(values), _ROWS):
-        rows = slice(start, min(start + _ROWS, len(values)))
+    for start in range(0, len(values), ROWS):
+        rows = slice(start, min(start + ROWS, len(values)))
         n = rows.stop - start
         _through_layers(on[rows], rows, between, layers, further, spare[:n], square, out[:n])
         if weighted:
@@ -359,7 +120,7 @@ def _perceptron_derivative(
 
 
 @compiled_with_free_sums
-def _pass_edges(
+def edge_pass(
     latents: np.ndarray, shares: tuple, layers: tuple, eps: Any, between: tuple, new: np.ndarray, sums: np.ndarray
 ) -> None:
     """Fill `between`, `new` (edges, width) and `sums` (receivers, width); see `passed_edges`.
@@ -376,13 +137,13 @@ def _pass_edges(
             np.dot(latents[rows], layers[0].T, first[rows])
             _join(first[rows], layers[1], from_senders, senders[rows], from_receivers[node:last], ends, True)
             _later_layers(first[rows], layers, hidden[rows], normed[rows])
-            _norm(normed[rows], layers[5], layers[6], layers[7], eps, inverse[rows], new[rows])
+            layer_norm(normed[rows], layers[5], layers[6], layers[7], eps, inverse[rows], new[rows])
         _sum_and_add(latents[rows], ends, new[rows], sums[node:last])
         node = last
 
 
 @compiled_with_free_sums
-def _pass_edges_derivative(
+def edge_pass_derivative(
     on_new: np.ndarray,
     on_sums: np.ndarray,
     kept: bool,
@@ -417,7 +178,7 @@ def _pass_edges_derivative(
 
 
 @compiled_with_free_sums
-def _message(
+def message(
     constants: np.ndarray,
     shares: tuple,
     second: np.ndarray,
@@ -427,7 +188,7 @@ def _message(
     sums: np.ndarray,
     sent: bool,
 ) -> None:
-    """Add what enters the last layer of messages to its `sums` (receivers, width); `shares` as in `_pass_edges`.
+    """Add what enters the last layer of messages to its `sums` (receivers, width); `shares` as in `edge_pass`.
 
     `constants` (edges, width) enter the first layer; those of senders do too where they are `sent`. Both layers,
     `first` and `hidden` (edges, width), are filled.
@@ -447,7 +208,7 @@ def _message(
 
 
 @compiled_with_free_sums
-def _message_derivative(
+def message_derivative(
     of_sums: np.ndarray,
     first: np.ndarray,
     hidden: np.ndarray,
@@ -461,7 +222,7 @@ def _message_derivative(
     on_receivers: np.ndarray,
     sent: bool,
 ) -> None:
-    """Add the derivatives of what `_message` computes to the last five arrays, given that by its sums."""
+    """Add the derivatives of what `message` computes to the last five arrays, given that by its sums."""
     width, most, unused = first.shape[1], _most_rows(offsets), np.zeros_like(d_bias)
     on, out = np.empty((most, width), first.dtype), np.empty((most, width), first.dtype)
     square = np.empty((width, width), first.dtype)
@@ -571,7 +332,7 @@ def _add(values: np.ndarray, total: np.ndarray) -> None:
 
 
 @compiled_with_free_sums
-def _norm(
+def layer_norm(
     values: np.ndarray,
     bias: np.ndarray,
     scale: np.ndarray,
@@ -601,7 +362,7 @@ def _norm(
 
 
 @compiled_with_free_sums
-def _norm_derivative(
+def layer_norm_derivative(
     on: np.ndarray,
     normed: np.ndarray,
     inverse: np.ndarray,

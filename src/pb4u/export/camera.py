@@ -1,0 +1,96 @@
+"""Where the camera of a picture stands: at a distance from which the whole figure is in every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pb4u.export.view import View
+from pb4u.scene.trajectory import Trajectory
+
+_MARGIN = 1.06
+"""Of the distance at which the figure touches the picture's edge."""
+
+_REACH, _TOP = 3.0, 6.0
+"""What lies farther aside, or higher [m], may be cut off: a garment that flew away would make the figure a dot."""
+
+FIELD_OF_VIEW = 24.0
+"""Of the picture's height [deg]: a long lens, which draws near limbs little larger."""
+
+_NEAREST = 0.5
+"""Distance of the camera [m] from a figure of no size."""
+
+
+class Camera:
+    """A camera that follows the figure of a trajectory.
+
+    Args:
+        trajectory: what is drawn.
+        view: the angles that it is seen from, and the size of the picture.
+        frames: numbers of the frames that will be drawn.
+
+    Attributes:
+        middle: height [m] at which it looks: halfway from the ground to the highest point of all frames.
+        distance: from what it looks at [m].
+    """
+
+    def __init__(self, trajectory: Trajectory, view: View, frames: Sequence[int]) -> None:
+        self._trajectory, self._view = trajectory, view
+        self.middle = 0.5 * max((float(self._visible(t)[:, 1].max(initial=0.0)) for t in frames), default=0.0)
+        self.distance = max((self._needed_distance(t) for t in frames), default=0.0) * _MARGIN
+
+    def _visible(self, t: int) -> np.ndarray:
+        """Points (vertices, 3) [m] that the picture of frame t should hold, as seen from its `foot`."""
+        points = np.concatenate([self._trajectory.positions[t], self._trajectory.body_positions[t]])
+        points = points[np.isfinite(points).all(axis=1)] - self.foot(t)
+        near = (np.linalg.norm(points[:, [0, 2]], axis=1) < _REACH) & (points[:, 1] < _TOP)
+        return np.asarray(points[near])
+
+    def wearer(self, t: int) -> np.ndarray:
+        """Points (vertices, 3) [m] of the body, or of the cloth where there is none.
+
+        Args:
+            t: number of the frame.
+        """
+        body = self._trajectory.body_positions[t]
+        points = body if len(body) else self._trajectory.positions[t]
+        points = points[np.isfinite(points).all(axis=1)]
+        return np.asarray(points) if len(points) else np.zeros((1, 3))
+
+    def foot(self, t: int) -> np.ndarray:
+        """(3,) point of the ground [m] below the middle of the figure.
+
+        Args:
+            t: number of the frame.
+        """
+        x, _, z = np.median(self.wearer(t), axis=0)
+        return np.array([x, 0.0, z])
+
+    def _needed_distance(self, t: int) -> float:
+        """Distance of the camera [m] from which all of frame t lies within the picture."""
+        points = self._visible(t) - np.array([0.0, self.middle, 0.0])
+        aside, upward, towards = (points @ axis for axis in self.axes(t))
+        spread = np.maximum(np.abs(upward), np.abs(aside) * self._view.height / self._view.width)
+        return float((towards + spread / np.tan(np.deg2rad(FIELD_OF_VIEW / 2))).max(initial=_NEAREST))
+
+    def axes(self, t: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Unit vectors (3,) of the picture of frame t: to its right, to its top, and towards the camera.
+
+        Args:
+            t: number of the frame.
+        """
+        turn = self._view.turntable * t / max(self._trajectory.frame_count - 1, 1)
+        azimuth = self.heading() + np.deg2rad(self._view.azimuth + turn)
+        elevation = np.deg2rad(self._view.elevation)
+        level = np.array([np.sin(azimuth), 0.0, np.cos(azimuth)])
+        up = np.array([0.0, 1.0, 0.0])
+        return (
+            np.array([np.cos(azimuth), 0.0, -np.sin(azimuth)]),
+            np.cos(elevation) * up - np.sin(elevation) * level,
+            np.cos(elevation) * level + np.sin(elevation) * up,
+        )
+
+    def heading(self) -> float:
+        """Angle about the vertical [rad] of the direction the body faces at the start; 0 is +Z."""
+        return float(self._trajectory.metadata.get("heading", 0.0))

@@ -1,0 +1,259 @@
+"""Off-screen rendering of single frames of a trajectory."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from pb4u.errors import Pb4uError
+from pb4u.export.camera import FIELD_OF_VIEW, Camera
+from pb4u.export.finite_frames import held_frames
+from pb4u.export.sewing_lines import ABOVE, SewingLines, sewn_parts
+from pb4u.export.shading import SKIN, ClothPart
+from pb4u.export.view import View
+from pb4u.geometry.triangle_mesh import vertex_normals
+from pb4u.scene.author_mesh import split_seams
+from pb4u.scene.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import pyvista
+
+_FOOT_HEIGHT = 0.12
+"""Of an adult's foot, ankle included [m]: what lies that low shades the ground."""
+
+
+class StillRenderer:
+    """Renderer of single frames: a lit scene with garment and body, whose positions are replaced frame by frame.
+
+    Args:
+        trajectory: what is drawn.
+        view: camera, size and colours.
+        frames: numbers of the frames that will be drawn; the camera stands so that the figure is whole in each.
+    """
+
+    def __init__(self, trajectory: Trajectory, view: View, frames: Sequence[int]) -> None:
+        import pyvista
+
+        self._trajectory = trajectory
+        self._view, self._camera = view, Camera(trajectory, view, frames)
+        self._plotter = pyvista.Plotter(off_screen=True, window_size=[view.width, view.height], lighting="none")
+        parts, lines = sewn_parts(trajectory.header, view.cloths)
+        self._cloth = self._add_cloth(trajectory, parts)
+        self._held = frozenset(held_frames(trajectory))
+        self._body = None
+        faces = trajectory.header.body_faces
+        if view.show_body and len(faces):
+            self._body = self._add(trajectory.body_positions[0], faces, np.tile(SKIN, (len(faces), 1)), specular=0.12)
+        self._light()
+        self._add_ground()
+        self._lines = [self._add_lines(lines.at(lines.width == width), parts) for width in np.unique(lines.width)]
+
+    def _add_cloth(self, trajectory: Trajectory, parts: list[ClothPart]) -> list[tuple[pyvista.PolyData, np.ndarray]]:
+        """Surfaces of the garments, each with the vertex behind each of its points: one of plain colours, one an image.
+
+        Vertices at UV seams are copied for an image.
+        """
+        header, first = trajectory.header, trajectory.positions[0]
+        plain = [part for part in parts if part.image is None or header.uvs is None]
+        added = []
+        if plain:
+            rows = np.sort(np.concatenate([part.faces for part in plain]))
+            colours = np.empty((len(header.faces), 3))
+            for part in plain:
+                colours[part.faces] = part.colour
+            whole = np.arange(len(first))
+            added.append((self._add(first, header.faces[rows], colours[rows], specular=0.06), whole))
+        of_vertex, corners, uvs = split_seams(len(first), header.faces, header.uvs, header.uv_faces)
+        for part in parts:
+            if part.image is not None and uvs is not None:
+                colours = np.tile(part.colour, (len(part.faces), 1))
+                drawn = self._add(first[of_vertex], corners[part.faces], colours, 0.06, (part.image, uvs))
+                added.append((drawn, of_vertex))
+        return added
+
+    def _add(
+        self,
+        points: np.ndarray,
+        faces: np.ndarray,
+        colours: np.ndarray,
+        specular: float,
+        texture: tuple[bytes, np.ndarray] | None = None,
+    ) -> pyvista.PolyData:
+        """A surface in the picture; `colours` (faces, 3) sRGB [0 to 1], or those times an image by UVs (points, 2)."""
+        import pyvista
+
+        cells = np.column_stack([np.full(len(faces), 3), faces]).ravel()
+        mesh = pyvista.PolyData(np.array(points, dtype=np.float32), cells)
+        mesh.cell_data["colours"] = (255 * colours).round().astype(np.uint8)
+        mesh.point_data["Normals"] = np.zeros_like(mesh.points)
+        mesh.point_data.active_normals_name = "Normals"
+        shown: dict[str, Any] = {"scalars": "colours", "rgb": True}
+        if texture is not None:
+            mesh.active_texture_coordinates = texture[1]
+            shown = {"texture": _texture(texture[0], colours[0])}
+        self._plotter.add_mesh(
+            mesh, **shown, ambient=0.16, diffuse=0.9, specular=specular, specular_power=12, interpolation="Phong"
+        )
+        return mesh
+
+    def _add_lines(self, lines: SewingLines, parts: list[ClothPart]) -> tuple[pyvista.PolyData, SewingLines]:
+        """Lines of one width on the cloth."""
+        import pyvista
+
+        count = len(lines.face)
+        cells = np.column_stack([np.full(count, 2), np.arange(2 * count).reshape(-1, 2)]).ravel()
+        mesh = pyvista.PolyData(np.zeros((2 * count, 3), dtype=np.float32), lines=cells)
+        mesh.cell_data["colours"] = lines.colours(parts)
+        pixels = self._view.height / (2.0 * self._camera.distance * np.tan(np.deg2rad(FIELD_OF_VIEW / 2)))
+        width = max(lines.width[0] * pixels, 1.0)
+        mesh.point_data["Normals"] = np.zeros_like(mesh.points)
+        mesh.point_data.active_normals_name = "Normals"
+        self._plotter.add_mesh(
+            mesh, scalars="colours", rgb=True, line_width=width, ambient=0.16, diffuse=0.9, specular=0.06,
+            interpolation="Phong",
+        )  # fmt: skip
+        return mesh, lines
+
+    def _light(self) -> None:
+        import pyvista
+
+        # A low key light from the side makes wrinkles cast shading; fill and rim keep the rest readable.
+        turn = self._camera.heading() + np.deg2rad(self._view.azimuth - View.azimuth)
+        for (x, y, z), intensity in (((4.0, 4.5, 5.0), 0.72), ((-5.0, 3.0, 3.0), 0.34), ((0.0, 5.0, -6.0), 0.35)):
+            position = x * np.cos(turn) + z * np.sin(turn), y, z * np.cos(turn) - x * np.sin(turn)
+            light = pyvista.Light(
+                position=position, focal_point=(0, 1, 0), intensity=intensity, light_type="scene light"
+            )
+            self._plotter.add_light(light)
+        self._plotter.renderer.set_background(self._view.background)
+
+    def _add_ground(self) -> None:
+        import pyvista
+
+        ground = pyvista.Plane(center=(0, -2e-3, 0), direction=(0, 1, 0), i_size=400, j_size=400)
+        self._plotter.add_mesh(ground, color=self._view.background, lighting=False)
+        self._shadow = pyvista.Disc(center=(0, 0, 0), inner=0.0, outer=1.0, normal=(0, 1, 0), r_res=24, c_res=48)
+        radius = np.linalg.norm(self._shadow.points, axis=1)
+        self._shadow_shape = self._shadow.points.copy()
+        shade = 1.0 - 0.30 * np.clip(1.0 - radius, 0.0, 1.0) ** 1.5
+        colours = (255 * shade[:, None] * np.array(self._view.background)).astype(np.uint8)
+        self._plotter.add_mesh(self._shadow, scalars=colours, rgb=True, lighting=False)
+
+    def draw(self, t: int) -> np.ndarray:
+        """Picture of frame t, (height, width, 3) uint8 sRGB [0 to 255].
+
+        Args:
+            t: number of the frame.
+
+        Raises:
+            Pb4uError: the renderer returns no picture.
+        """
+        trajectory = self._trajectory
+        normals = _normals(trajectory.positions[t], trajectory.faces)
+        for mesh, of_vertex in self._cloth:
+            _move(mesh, trajectory.positions[t][of_vertex], normals[of_vertex])
+        for mesh, lines in self._lines:
+            on_lines = lines.of(normals)
+            _move(mesh, lines.of(_finite(trajectory.positions[t])) + ABOVE * on_lines, on_lines)
+        if self._body is not None:
+            points = trajectory.body_positions[t]
+            _move(self._body, points, _normals(points, trajectory.header.body_faces))
+        self._cast_shadow(t)
+        self._mark_held(t)
+        self._aim(t)
+        self._plotter.render()
+        image = self._plotter.screenshot(return_img=True)
+        if image is None:
+            raise Pb4uError("The off-screen renderer returned no picture.")
+        return np.asarray(image)
+
+    def _mark_held(self, t: int) -> None:
+        """Say so in the picture where a frame only stands in for one that is not finite."""
+        if self._held:
+            text = f"frame {t} is not finite" if t in self._held else ""
+            self._plotter.add_text(text, name="held", font_size=10, color="red")
+
+    def _cast_shadow(self, t: int) -> None:
+        """A soft patch under the body, without which feet seem to float."""
+        points = self._camera.wearer(t)
+        low = points[points[:, 1] < points[:, 1].min() + _FOOT_HEIGHT]
+        size = np.maximum(np.ptp(low[:, [0, 2]], axis=0), 0.25) * 0.9
+        centre = (low.max(axis=0) + low.min(axis=0)) / 2
+        scaled = self._shadow_shape * np.array([size[0], 0.0, size[1]])
+        self._shadow.points = scaled + np.array([centre[0], 0.0, centre[2]])
+
+    def _aim(self, t: int) -> None:
+        target = self._camera.foot(t) + np.array([0.0, self._camera.middle, 0.0])
+        _, upward, towards = self._camera.axes(t)
+        camera = self._plotter.camera
+        camera.focal_point = target
+        camera.position = target + self._camera.distance * towards
+        camera.up = upward
+        camera.view_angle = FIELD_OF_VIEW
+        self._plotter.renderer.ResetCameraClippingRange()
+
+    def close(self) -> None:
+        """Free the window."""
+        self._plotter.close()
+
+
+def _move(mesh: pyvista.PolyData, points: np.ndarray, normals: np.ndarray) -> None:
+    mesh.points = _finite(points)
+    mesh.point_data["Normals"] = normals
+
+
+def _normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    return vertex_normals(torch.from_numpy(_finite(points)), torch.from_numpy(np.array(faces))).numpy()
+
+
+def _finite(points: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(np.array(points, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _texture(image: bytes, colour: np.ndarray) -> pyvista.Texture:
+    """An image times an sRGB colour [0 to 1]."""
+    import pyvista
+    from PIL import Image
+
+    with Image.open(io.BytesIO(image)) as opened:
+        pixels = (np.asarray(opened.convert("RGB")) * colour).round().astype(np.uint8)
+    texture: pyvista.Texture = pyvista.Texture(pixels)  # type: ignore[no-untyped-call]
+    texture.repeat, texture.interpolate, texture.mipmap = True, True, True
+    return texture
+
+
+def render(trajectory: Trajectory, frames: Sequence[int], view: View | None = None) -> Iterator[np.ndarray]:
+    """Pictures of the given frames, one after the other, each (height, width, 3) uint8 sRGB [0 to 255].
+
+    Args:
+        trajectory: what is drawn.
+        frames: numbers of the frames.
+        view: camera, size and colours.
+
+    Raises:
+        Pb4uError: this machine has no off-screen OpenGL.
+    """
+    renderer = _open_renderer(trajectory, view or View(), frames)
+    try:
+        for t in frames:
+            yield renderer.draw(t)
+    finally:
+        renderer.close()
+
+
+def _open_renderer(trajectory: Trajectory, view: View, frames: Sequence[int]) -> StillRenderer:
+    try:
+        from vtkmodules.vtkCommonCore import vtkLogger
+
+        # Without a display VTK tries X first and logs its failure before it falls back to off-screen drawing.
+        vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+        return StillRenderer(trajectory, view, frames)
+    except (ImportError, RuntimeError, OSError) as error:
+        raise Pb4uError(
+            f"Pictures need off-screen OpenGL, which this machine lacks ({error}); on Debian or Ubuntu install libegl1 "
+            "and libgl1-mesa-dri. The trajectory itself does not need it."
+        ) from error

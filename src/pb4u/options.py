@@ -1,0 +1,146 @@
+"""Fields of records that users fill in: each is told, offered and checked by what stands beside it in the record.
+
+The text of a field in the docstring of its record is its help; its `Flag` says how it is offered and in what range.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from functools import lru_cache
+from numbers import Integral, Real
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from pb4u.errors import InputError, unknown_name
+
+
+@dataclass(frozen=True)
+class Flag:
+    """How a field is offered beyond Python, and in what range.
+
+    Args:
+        panel: heading of the help under which it stands.
+        metavar: what the help writes for its value; by default its type.
+        names: spelling of the flag, where that is more than the name of the field.
+        least: smallest value.
+        most: largest value.
+        is_file: whether a text may name a file, which scene files hold relative to themselves.
+        section: section of a scene file in which it stands.
+    """
+
+    panel: str | None = None
+    metavar: str | None = None
+    names: tuple[str, ...] = ()
+    least: float | None = None
+    most: float | None = None
+    is_file: bool = False
+    section: str = "scene"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One field as all that is derived from it sees it.
+
+    Args:
+        name: of the field.
+        kind: "switch", "whole", "number", "choice", "name", "file", "names", "counts" or "files"; "other" where its
+            record checks it.
+        optional: whether None may stand for its value.
+        choices: values of a choice.
+        default: its value where none is given.
+        flag: how it is offered.
+        help: its text.
+    """
+
+    name: str
+    kind: str
+    optional: bool
+    choices: tuple[str, ...]
+    default: Any
+    flag: Flag
+    help: str
+
+
+@lru_cache
+def described(record: type) -> Mapping[str, Entry]:
+    """The fields of a record that have a flag, by name.
+
+    Args:
+        record: a dataclass whose docstring says what each field is.
+    """
+    texts, hints = _texts(record), get_type_hints(record, include_extras=True)
+    found = {}
+    for each in fields(record):
+        hint = hints[each.name]
+        if get_origin(hint) is not Annotated:
+            continue
+        kinds, flag = get_args(hint)[0], get_args(hint)[1]
+        parts = get_args(kinds) if isinstance(kinds, UnionType) or get_origin(kinds) is Union else (kinds,)
+        choices = next((get_args(part) for part in parts if get_origin(part) is Literal), ())
+        kind = "choice" if choices else next((name for of, name in _KINDS.items() if of in parts), "other")
+        default = each.default if each.default is not MISSING else None
+        found[each.name] = Entry(each.name, kind, type(None) in parts, choices, default, flag, texts[each.name])
+    return found
+
+
+_KINDS: dict[Any, str] = {
+    bool: "switch", int: "whole", float: "number", str: "name", Path: "file",
+    tuple[str, ...]: "names", tuple[int, ...]: "counts", tuple[Path, ...]: "files",
+}  # fmt: skip
+
+
+def _texts(record: type) -> dict[str, str]:
+    """The text of each argument in the docstring of a record."""
+    part = re.search(r"^Args:\n(.*?)(?:^\w|\Z)", inspect.getdoc(record) or "", re.MULTILINE | re.DOTALL)
+    found = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", part[1] if part else "", re.MULTILINE | re.DOTALL)
+    return {name: " ".join(text.split()) for name, text in found}
+
+
+def require_fitting(record: Any) -> None:
+    """Refuse values of a wrong kind or out of range.
+
+    Args:
+        record: an instance of a dataclass that `described` describes.
+
+    Raises:
+        InputError: a value does not fit its field.
+    """
+    kind: type = type(record)
+    for entry in described(kind).values():
+        value = getattr(record, entry.name)
+        if not (value is None and entry.optional) and not _fits(entry, value):
+            raise InputError(f"{entry.name} must be {_wanted(entry)}, not {value!r}.")
+
+
+def _fits(entry: Entry, value: object) -> bool:
+    if entry.kind == "choice":
+        if value not in entry.choices:
+            raise unknown_name(entry.name.replace("_", " "), str(value), entry.choices)
+        return True
+    if entry.kind == "switch":
+        return isinstance(value, bool)
+    if entry.kind == "name":
+        return value != "" and not isinstance(value, Real | Mapping | list | set) and value is not None
+    if entry.kind in ("other", "file", "names", "counts", "files"):
+        return True
+    kind = Integral if entry.kind == "whole" else Real
+    if isinstance(value, bool) or not isinstance(value, kind):
+        return False
+    least, most = entry.flag.least, entry.flag.most
+    return (least is None or value >= least) and (most is None or value <= most)  # type: ignore[operator]
+
+
+def _wanted(entry: Entry) -> str:
+    """What the value of an entry has to be, in words."""
+    if entry.kind == "switch":
+        return "true or false"
+    if entry.kind == "name":
+        return "a name, a path or a loaded object"
+    number, least, most = "a whole number" if entry.kind == "whole" else "a number", entry.flag.least, entry.flag.most
+    if least is None:
+        return number
+    return f"{number} from {least:,g} to {most:,g}" if most is not None else f"{number}, {least:,g} or more"
