@@ -1,9 +1,11 @@
 """Trains every network of the comparison alike, one after the other: `pb4u train --preset comparison` with each.
 
 python tools/comparison.py --out FOLDER [--only pb4u,mgn] [--seed 0] [--steps 8000] [--ship]
+python tools/comparison.py --out FOLDER --only wide,wide-half-width --steps 4000    # `pb4u-wide` and its departures
 
-The weights of the end are compared, so that all have had the same budget. Killed at any instant, the same command goes
-on where it was; several may share the folder, each with its own --only.
+The weights of the end are compared, so that all have had the same budget. Those of the departures are also written
+beside their folders, with the further passes that the shipped network takes. Killed at any instant, the same command
+goes on where it was; several may share the folder, each with its own --only.
 --ship copies the finished weights to where the package looks for them, under the names that `pb4u evaluate` compares.
 """
 
@@ -14,10 +16,20 @@ import json
 import os
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
+
+from pb4u.paper.network_presets import pb4u_small_conjugate
+from pb4u.simulation.checkpoint import load_checkpoint, save_checkpoint
 
 LAW_OF_K = ("most_propagation_steps=0",)
 """K in training is the network's own: by the rule, or five without control; else drawn, for the table of depths."""
+
+WIDE = (
+    *("network=pb4u_small_conjugate", "network.further_passes=0", *LAW_OF_K, "loss_weight=progress"),
+    *("inside_weight=1e5", "gradient_norm=20.", "curriculum.collision_weight=((0.0, 5e3),)"),
+)
+"""The shipped network's losses and size. Its further passes are not learnt from: they are taken in use alone."""
 
 COMPARED = {
     "pb4u": ("network=pb4u_small_carried",),
@@ -29,8 +41,19 @@ COMPARED = {
     "pb4u-without-control": ("network=small_without_propagation_control", *LAW_OF_K),
     "pb4u-without-scaling": ("network=small_without_update_scaling", *LAW_OF_K),
     "pb4u-without-both": ("network=small_without_both", *LAW_OF_K),
+    "wide": WIDE,
+    "wide-without-gradient": ("network=conjugate_without_gradient", *WIDE[1:]),
+    "wide-without-warm-start": (*WIDE, "network.warm_start_shares=()"),
+    "wide-without-search": (*WIDE, "network.conjugate=False"),
+    "wide-without-feature-size": (*WIDE, "network.descent_size=0."),
+    "wide-without-inside-term": (*WIDE, "inside_weight=0."),
+    "wide-without-control": ("network=conjugate_without_propagation_control", *WIDE[1:]),
+    "wide-without-scaling": ("network=conjugate_without_update_scaling", *WIDE[1:]),
+    "wide-without-both": ("network=conjugate_without_both", *WIDE[1:]),
+    "wide-half-width": (*WIDE, "network.width=32"),
+    "wide-half-depth": (*WIDE, "network.blocks=2"),
 }
-"""The comparison and its ablations, by the name each gets."""
+"""The comparison, its ablations, and the shipped network less each of its departures, by the name each gets."""
 
 WEIGHTS = Path(__file__).parents[1] / "src" / "pb4u" / "simulation" / "weights"
 
@@ -54,6 +77,14 @@ def train(name: str, folder: Path, pack: Path, steps: int, seed: int) -> None:
         os.replace(folder.with_suffix(".json"), folder / "ended.json")
 
 
+def write_as_used(folder: Path) -> None:
+    """Write FOLDER.safetensors: the weights with further passes, where a search tells whether one pays."""
+    final = load_checkpoint(folder / "final.safetensors")
+    further = pb4u_small_conjugate.further_passes if final.configuration.conjugate else 0
+    configuration = replace(final.configuration, further_passes=further)
+    save_checkpoint(f"{folder}.safetensors", final.model, configuration, final.record, final.licence)
+
+
 def main() -> None:
     """Train what is missing."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -73,6 +104,8 @@ def main() -> None:
     for name in names:
         folder = options.out / (name if options.seed == 0 else f"{name}-seed{options.seed}")
         train(name, folder, pack, options.steps, options.seed)
+        if name.startswith("wide") and (folder / "ended.json").exists():
+            write_as_used(folder)
         if options.ship and (folder / "ended.json").exists():
             shutil.copy(folder / "final.safetensors", WEIGHTS / f"comparison-{folder.name}.safetensors")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,8 +14,9 @@ from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.errors import InputWarning
 from pb4u.geometry.rotation import angle_between
 from pb4u.motion.arm_clearance import eased, reach
-from pb4u.motion.lead_in import arms_held_off, lead_in
+from pb4u.motion.lead_in import lead_in
 from pb4u.motion.library import load_motion
+from pb4u.motion.retargeting import RecordedMotion
 
 HANGING = {"LeftArm": {"Z": -90.0}, "RightArm": {"Z": 90.0}}
 
@@ -91,17 +94,15 @@ def test_recorded_walks_and_runs_have_their_arms_outside(test_data, woman, trial
 def test_a_lead_in_has_its_arms_held_off_as_the_motion_has(bvh, woman):
     """Arms that fly out at the first frame come from inside the hips, where the way there is thought back."""
     hanging, out = (
-        load_motion(bvh(20, angles={"LeftArm": {"Z": -angle}, "RightArm": {"Z": angle}})).poses(woman, 30.0, count)
-        for angle, count in ((78.0, 1), (70.0, 11))
+        load_motion(bvh(20, angles={"LeftArm": {"Z": -angle}, "RightArm": {"Z": angle}})).recording
+        for angle in (78.0, 70.0)
     )
-    motion = PoseSequence(
-        np.concatenate([hanging.rotations, out.rotations]),
-        np.concatenate([hanging.root_positions, out.root_positions]),
-        30.0,
-    )
-    led = lead_in(motion, woman, 12)
+    rotations = np.concatenate([hanging.poses.rotations[:1], out.poses.rotations[1:]])
+    motion = RecordedMotion(replace(out, poses=replace(out.poses, rotations=rotations)))
+    poses = motion.poses(woman, 30.0, 12)
+    led = lead_in(poses, woman, 12)
     assert wrist_depth(woman, led).max() > 0.02
-    held = arms_held_off(led, woman, 12)
+    held = pb4u.make_scene("tanktop", woman, motion, triangles=700, frames=12, lead_in=12).colliders[0].poses
     assert wrist_depth(woman, held).max() < 0.0
-    np.testing.assert_array_equal(held.rotations[12 + reach(30.0) :], motion.rotations[reach(30.0) :])
+    np.testing.assert_array_equal(held.rotations[12 + reach(30.0) :], poses.rotations[reach(30.0) :])
     np.testing.assert_array_equal(held.rotations[0], led.rotations[0])

@@ -49,7 +49,9 @@ pb4u_small_two_passes = replace(pb4u_small_carried, passes=2)
 # Descents are shown three times as large as they are on the solver's own states: smaller or larger, weights that knew
 # nothing of it left more of a step.
 pb4u_small_conjugate = replace(pb4u_small_two_passes, conjugate=True, further_passes=8, descent_size=0.03)
-_small_without_control = replace(pb4u_small_carried, control=FixedSteps(5))
+_small_without_gradient = replace(
+    pb4u_small_conjugate, layout=replace(pb4u_small_carried.layout, extra=(ADVANCE,)), descent_size=0.0
+)
 
 # What the paper names and nothing else; docs/network.md says where its release differs. On a training level of 1,200
 # triangles edges are 45 mm in the mean, and D = 0.225 m gives 5 steps there.
@@ -65,7 +67,6 @@ literal = replace(
     world_edges=WorldEdgeRule(radius=0.03, neighbours=64),
 )
 literal_small = replace(literal, width=64, blocks=4)
-_literal_small_fixed = replace(literal_small, control=FixedSteps(5))
 
 mgn = MeshGraphNetConfiguration()
 hood = HoodConfiguration()
@@ -131,6 +132,18 @@ release_contourcraft = ContourCraftConfiguration(
     self_edges=DirectedSelfEdges(),
 )  # fmt: skip
 
+
+def _ablations(prefix: str, whole: Pb4uConfiguration, steps: int) -> dict[str, tuple[NetworkConfiguration, str]]:
+    """The network without propagation control, without update scaling, and without both."""
+    fixed = replace(whole, control=FixedSteps(steps))
+    unscaled = "updates as predicted at every resolution"
+    return {
+        f"{prefix}without_propagation_control": (fixed, f"{steps} steps at every resolution"),
+        f"{prefix}without_update_scaling": (replace(whole, scaling=NoScaling()), unscaled),
+        f"{prefix}without_both": (replace(fixed, scaling=NoScaling()), f"{steps} steps, {unscaled}"),
+    }
+
+
 PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
     "pb4u_paper": (pb4u_paper, "the paper's network"),
     "release_pb4u": (release_pb4u, "the released network to the last digit, for its checkpoints"),
@@ -141,15 +154,7 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
     "release_contourcraft": (release_contourcraft, "the released ContourCraft"),
     "literal": (literal, "the features that the paper names and nothing else, free flight, one pass"),
     "literal_small": (literal_small, "the same, 64 wide with 4 blocks, for a processor"),
-    "literal_small_without_propagation_control": (_literal_small_fixed, "the same with 5 steps at every resolution"),
-    "literal_small_without_update_scaling": (
-        replace(literal_small, scaling=NoScaling()),
-        "the same with updates as predicted at every resolution",
-    ),
-    "literal_small_without_both": (
-        replace(_literal_small_fixed, scaling=NoScaling()),
-        "the same with 5 steps and updates as predicted",
-    ),
+    **_ablations("literal_small_", literal_small, 5),
     "pb4u_small": (pb4u_small, "64 wide with 4 blocks, for a processor"),
     "pb4u_small_carried": (pb4u_small_carried, "the small one, each step started part of the way with the body"),
     "pb4u_small_two_passes": (pb4u_small_two_passes, "that one, evaluated twice a step"),
@@ -157,18 +162,11 @@ PRESETS: dict[str, tuple[NetworkConfiguration, str]] = {
         pb4u_small_conjugate,
         "that one, its passes joined and asked for where a step needs them, the descent shown at one size",
     ),
-    "without_propagation_control": (replace(pb4u_paper, control=FixedSteps(15)), "15 steps at every resolution"),
-    "without_update_scaling": (replace(pb4u_paper, scaling=NoScaling()), "updates as predicted at every resolution"),
-    "without_both": (replace(pb4u_paper, control=FixedSteps(15), scaling=NoScaling()), "neither of the two"),
-    "small_without_propagation_control": (
-        _small_without_control,
-        "5 steps: the paper's rule for a T-shirt of 1,200 triangles, the finest that `comparison` trains on",
-    ),
-    "small_without_update_scaling": (
-        replace(pb4u_small_carried, scaling=NoScaling()),
-        "the small one with updates as predicted",
-    ),
-    "small_without_both": (replace(_small_without_control, scaling=NoScaling()), "5 steps, updates as predicted"),
+    "conjugate_without_gradient": (_small_without_gradient, "that one, blind to the gradient of the energies"),
+    **_ablations("", pb4u_paper, 15),
+    # The paper's rule gives a T-shirt of 1,200 triangles 5 steps, the finest that `comparison` trains on.
+    **_ablations("small_", pb4u_small_carried, 5),
+    **_ablations("conjugate_", pb4u_small_conjugate, 5),
     "mgn": (mgn, "MeshGraphNet, 15 blocks"),
     "hood": (hood, "HOOD, two coarse levels"),
     "eslr": (eslr, "ESLR, a reconstruction"),

@@ -158,7 +158,7 @@ class GraphBuilder:
             "mass": static.mass,
             "material": static.node_material,
         }
-        chosen = [_features(self.layout.node, columns, duration)]
+        chosen = _chosen(self.layout.node, columns, duration)
         for feature in self.layout.extra:
             given = extra.get(feature.name)
             if given is None or given.shape != (len(positions), feature.width):
@@ -182,7 +182,7 @@ class GraphBuilder:
             "rest_relative_position": edges.rest_vector,
             "rest_length": edges.rest_length,
         }
-        features = _features(self.layout.mesh_edge, columns, duration)
+        features = torch.cat(_chosen(self.layout.mesh_edge, columns, duration), dim=1)
         return EdgeSet(kind, GARMENT, GARMENT, edges.senders, edges.receivers, features)
 
     def _found_edges(
@@ -202,7 +202,7 @@ class GraphBuilder:
             "future_pinned": vector.new_zeros(len(vector), 1) if found.future is None else found.future,
             "material": 0.5 * (material.index_select(0, sender) + material.index_select(0, receiver)),
         }
-        features = _features(self.layout.found_edge, columns, duration)
+        features = torch.cat(_chosen(self.layout.found_edge, columns, duration), dim=1)
         return EdgeSet(kind, GARMENT, GARMENT, senders, receivers, features, "found_edge")
 
     def _add_body(
@@ -268,7 +268,7 @@ class GraphBuilder:
             "mass": absent.expand(count, 1),
             "material": absent.expand(count, 3),
         }
-        chosen = [_features(self.layout.node, columns, duration)]
+        chosen = _chosen(self.layout.node, columns, duration)
         chosen += [velocity.new_zeros(count, feature.width) for feature in self.layout.extra]
         types = torch.full((count,), int(NodeType.BODY), device=velocity.device)
         return NodeSet(torch.cat(chosen, dim=1), types, world)
@@ -310,10 +310,10 @@ class GraphBuilder:
             "relative_velocity": approach,
             "relative_speed": approach.norm(dim=1, keepdim=True),
         }
-        return _features(self.layout.world_edge, columns, duration)
+        return torch.cat(_chosen(self.layout.world_edge, columns, duration), dim=1)
 
 
-def _features(names: Sequence[str], columns: Columns, duration: Columns) -> Tensor:
-    """Features (rows, width) of the given names, in order; those of `duration` are the same in every row."""
+def _chosen(names: Sequence[str], columns: Columns, duration: Columns) -> list[Tensor]:
+    """Columns (rows, width) of the given names, in order; those of `duration` are the same in every row."""
     rows = len(next(iter(columns.values())))
-    return torch.cat([columns[n] if n in columns else duration[n].expand(rows, 1) for n in names], dim=1)
+    return [columns[name] if name in columns else duration[name].expand(rows, 1) for name in names]
