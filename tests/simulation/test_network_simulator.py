@@ -16,10 +16,11 @@ from pb4u.measures.metrics import measure
 from pb4u.network.acceleration_model import AccelerationModel, PreparedGarments
 from pb4u.network.graph.graph import Graph
 from pb4u.network.pb4u_gnet import Pb4uConfiguration
+from pb4u.physics.time_step import TimeStep
 from pb4u.simulation.checkpoint import TrainingRecord, load_checkpoint, save_checkpoint
 from pb4u.simulation.first_frame import FirstFrame, OneLongStep, Settled
 from pb4u.simulation.models import load_simulator
-from pb4u.simulation.network_pass import local_origins
+from pb4u.simulation.network_pass import NetworkPass, local_origins
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.simulator import RunRecord
 from pb4u.simulation.stepwise_simulator import NetworkSimulator
@@ -45,6 +46,22 @@ def test_untrained_network_with_solver_and_contact_does_not_diverge(weights: Pat
     assert not measured["diverged"]
     assert measured["metrics"]["strain_p95"]["max"] < 0.2
     assert measured["metrics"]["penetration_depth_max"]["max"] < 2e-3
+
+
+@pytest.mark.parametrize(("refine", "expected"), [(2, 2), (0, 4)])
+def test_where_a_solver_refines_it_leads_in_alone(
+    weights: Path, monkeypatch: pytest.MonkeyPatch, refine: int, expected: int
+) -> None:
+    asked: list[int] = []
+    correction = NetworkPass.correction
+
+    def counted(own: NetworkPass, step: TimeStep, accelerations: torch.Tensor) -> torch.Tensor:
+        asked.append(1)
+        return correction(own, step, accelerations)
+
+    monkeypatch.setattr(NetworkPass, "correction", counted)
+    load_simulator(weights, refine=refine).simulate(ball_scene(frames=2, lead_in=3))
+    assert len(asked) == expected
 
 
 def test_k_follows_the_resolution_and_can_be_overridden(weights: Path) -> None:
