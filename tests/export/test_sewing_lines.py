@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from tests.export.conftest import AROUND, UP
 
-from pb4u.export import picture
+from pb4u.export import picture, still_renderer
 from pb4u.export.registry import export
 from pb4u.export.sewing_lines import HEM, sewing_lines
 from pb4u.export.shading import cloth_parts
@@ -52,7 +52,7 @@ def test_a_picture_shows_them(trajectory: Trajectory, monkeypatch: pytest.Monkey
 
     shown, nothing = drawn(), np.zeros(8 * AROUND, dtype=bool)
     monkeypatch.setattr(
-        picture, "sewn_parts", lambda header, _: (cloth_parts(header), sewing_lines(header).at(nothing))
+        still_renderer, "sewn_parts", lambda header, _: (cloth_parts(header), sewing_lines(header).at(nothing))
     )
     plain = drawn()
     darker = (plain - shown).sum(axis=2) > 8

@@ -65,8 +65,8 @@ def test_each_network_runs_alone_and_as_it_comes_each_beside_its_own_floor() -> 
     [
         ({"contact": True}, "leave out --contact, --refine and"),
         ({"refine": 3}, "leave out --contact, --refine and"),
-        ({"scenes": 0}, "must be 1 or more"),
-        ({"seed": -1}, "seed must be 0 or more"),
+        ({"scenes": 0}, "scenes must be a whole number, 1 or more"),
+        ({"seed": -1}, "seed must be a whole number, 0 or more"),
         ({"protocol": "unseen"}, "--scenes are of protocols that draw their scenes: robustness"),
     ],
 )
