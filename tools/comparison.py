@@ -44,7 +44,8 @@ COMPARED = {
     "wide": WIDE,
     "wide-without-gradient": ("network=conjugate_without_gradient", *WIDE[1:]),
     "wide-without-warm-start": (*WIDE, "network.warm_start_shares=()"),
-    "wide-without-search": (*WIDE, "network.conjugate=False"),
+    # Progress is what the search frees.
+    "wide-without-search": (*WIDE, "network.conjugate=False", "loss_weight=joule"),
     "wide-without-feature-size": (*WIDE, "network.descent_size=0."),
     "wide-without-inside-term": (*WIDE, "inside_weight=0."),
     "wide-without-control": ("network=conjugate_without_propagation_control", *WIDE[1:]),
