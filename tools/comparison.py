@@ -25,11 +25,12 @@ from pb4u.simulation.checkpoint import load_checkpoint, save_checkpoint
 LAW_OF_K = ("most_propagation_steps=0",)
 """K in training is the network's own: by the rule, or five without control; else drawn, for the table of depths."""
 
-WIDE = (
-    *("network=pb4u_small_conjugate", "network.further_passes=0", *LAW_OF_K, "loss_weight=progress"),
-    *("inside_weight=1e5", "gradient_norm=20.", "curriculum.collision_weight=((0.0, 5e3),)"),
-)
-"""The shipped network's losses and size. Its further passes are not learnt from: they are taken in use alone."""
+AS_SHIPPED = (
+    *LAW_OF_K, "network.further_passes=0", "loss_weight=progress", "inside_weight=1e5", "gradient_norm=20.",
+    "curriculum.collision_weight=((0.0, 5e3),)",
+)  # fmt: skip
+"""The shipped network's losses. Its further passes are not learnt from: they are taken in use alone."""
+WIDE = ("network=pb4u_small_conjugate", *AS_SHIPPED)
 
 COMPARED = {
     "pb4u": ("network=pb4u_small_carried",),
@@ -42,15 +43,15 @@ COMPARED = {
     "pb4u-without-scaling": ("network=small_without_update_scaling", *LAW_OF_K),
     "pb4u-without-both": ("network=small_without_both", *LAW_OF_K),
     "wide": WIDE,
-    "wide-without-gradient": ("network=conjugate_without_gradient", *WIDE[1:]),
+    "wide-without-gradient": ("network=conjugate_without_gradient", *AS_SHIPPED),
     "wide-without-warm-start": (*WIDE, "network.warm_start_shares=()"),
     # Progress is what the search frees.
     "wide-without-search": (*WIDE, "network.conjugate=False", "loss_weight=joule"),
     "wide-without-feature-size": (*WIDE, "network.descent_size=0."),
     "wide-without-inside-term": (*WIDE, "inside_weight=0."),
-    "wide-without-control": ("network=conjugate_without_propagation_control", *WIDE[1:]),
-    "wide-without-scaling": ("network=conjugate_without_update_scaling", *WIDE[1:]),
-    "wide-without-both": ("network=conjugate_without_both", *WIDE[1:]),
+    "wide-without-control": ("network=conjugate_without_propagation_control", *AS_SHIPPED),
+    "wide-without-scaling": ("network=conjugate_without_update_scaling", *AS_SHIPPED),
+    "wide-without-both": ("network=conjugate_without_both", *AS_SHIPPED),
     "wide-half-width": (*WIDE, "network.width=32"),
     "wide-half-depth": (*WIDE, "network.blocks=2"),
 }

@@ -1,4 +1,4 @@
-"""Parts of a step on several threads: searches and tiles of networks, which do not hold the interpreter's lock.
+"""Parts of a step on several threads: searches and rows of networks, which do not hold the interpreter's lock.
 
 Torch's own threads share out every operation of a step, which are small, and wait for one another after each; while
 they wait they keep the processors busy. So a step is taken with one of them, and in parts.
@@ -47,10 +47,11 @@ def to_device(values: torch.Tensor, device: torch.device) -> torch.Tensor:
 
 
 @contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Hold the operations of torch to the thread that makes them, for this thread alone, and products of numpy for all.
+def without_library_threads() -> Iterator[None]:
+    """Keep operations of torch, and products of numpy and scipy, on the thread that asks for them.
 
-    Torch's own setting would be that of every thread begun meanwhile, for good.
+    Of torch that holds for this thread alone, of numpy and scipy for the whole process. Torch's own setting would be
+    that of every thread begun meanwhile, for good.
     """
     with _controller().limit(limits=1):
         yield
@@ -85,7 +86,7 @@ def parallel_map(function: Callable[[Part], Result], parts: Sequence[Part]) -> l
 
     def work() -> None:
         try:
-            with one_torch_thread():
+            with without_library_threads():
                 while not failures and (number := next(numbers)) < len(parts):
                     results[number] = function(parts[number])
         except BaseException as failure:  # raised again below, by the thread that asked
@@ -119,7 +120,7 @@ def prefetch(function: Callable[[Item], Result], items: Iterable[Item]) -> Itera
     with ThreadPoolExecutor(1) as thread:
         try:
             for item in items:
-                behind.append(thread.submit(_with_one_torch_thread, function, item))
+                behind.append(thread.submit(_on_one_thread, function, item))
                 if len(behind) > 1:
                     result = behind[0].result()
                     behind.popleft()
@@ -134,6 +135,6 @@ def prefetch(function: Callable[[Item], Result], items: Iterable[Item]) -> Itera
             yield behind.popleft().result()
 
 
-def _with_one_torch_thread(function: Callable[[Item], Result], item: Item) -> Result:
-    with one_torch_thread():
+def _on_one_thread(function: Callable[[Item], Result], item: Item) -> Result:
+    with without_library_threads():
         return function(item)

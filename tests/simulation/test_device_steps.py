@@ -77,8 +77,19 @@ def on_device(model: AccelerationModel, steps: int, rooms: Rooms, replays: bool 
     return [state.positions for state in states]
 
 
-@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 7)])
-def test_both_ways_lead_to_the_same_states(dtype: torch.dtype, near: float, steps: int, in_tensors: None) -> None:
+def take_torch_layers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take the layers that a card takes, which launches no compiled ones."""
+    for user in ("interaction_block", "mlp", "propagation"):
+        monkeypatch.setattr(f"pb4u.network.{user}.are_compiled", lambda *given: False)
+
+
+@pytest.mark.parametrize(("dtype", "near", "steps"), [(torch.float64, 1e-8, 20), (torch.float32, 1e-5, 20)])
+def test_both_ways_lead_to_the_same_states(
+    monkeypatch: pytest.MonkeyPatch, dtype: torch.dtype, near: float, steps: int, in_tensors: None
+) -> None:
+    if dtype == torch.float32:
+        # Cloth that buckles triples another rounding of the layers in each step.
+        take_torch_layers(monkeypatch)
     model = from_pretrained("pb4u-wide").model.to(dtype)
     expected = on_host(model, steps)
     found = on_device(model, steps, Rooms())
@@ -127,9 +138,7 @@ def test_steps_are_replayed_where_their_shapes_stay(
     small = replace(NETWORKS["literal"] if spoilt else searched, width=8, blocks=1)
     model = AccelerationModel(small.network()).double()
     monkeypatch.setattr("pb4u.simulation.step_graph.captured", noted)
-    for user in ("interaction_block", "mlp", "propagation"):
-        # A card launches no compiled passes.
-        monkeypatch.setattr(f"pb4u.network.{user}.are_compiled", lambda *given: False)
+    take_torch_layers(monkeypatch)
     plain, replayed = (on_device(model, 7, Rooms(), replays) for replays in (False, True))
     for one, other in zip(plain, replayed, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-12)

@@ -9,7 +9,6 @@ from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import InputError
 from pb4u.geometry.rotation import conjugate, from_axis_angle, multiply, rotate, slerp
 from pb4u.motion.arm_clearance import ArmClearance, eased, held_off
-from pb4u.motion.humanoid import humanoid_of
 from pb4u.motion.retargeting import heading, lowest_heights
 
 # How long the motion is thought to have gone on before its first frame, slowing down backwards in time [s].
@@ -56,24 +55,21 @@ def lead_in(poses: PoseSequence, body: ShapedBody, frames: int) -> PoseSequence:
     )
 
 
-def arms_held_off(poses: PoseSequence, body: ShapedBody, frames: int) -> PoseSequence:
+def arms_held_off(poses: PoseSequence, arms: ArmClearance, frames: int) -> PoseSequence:
     """Poses whose lead-in has its arms swung out of the body, by a turn that fades out within the motion.
 
     A motion that begins with arms on their way out would have them inside the body before.
 
     Args:
         poses: that begin with a lead-in; the arms of the motion after it are clear of the body.
-        body: who performs them.
+        arms: where those of the body may be.
         frames: how many frames lead in.
     """
-    humanoid = humanoid_of(body)
-    turns = ArmClearance(humanoid).turns(
-        PoseSequence(poses.rotations[:frames], poses.root_positions[:frames], poses.fps)
-    )
+    turns = arms.turns(PoseSequence(poses.rotations[:frames], poses.root_positions[:frames], poses.fps))
     if not turns.any():
         return poses
     turns = np.concatenate([turns, np.zeros((len(turns), len(poses) - frames, 3))], axis=1)
-    return held_off(humanoid, poses, np.stack([eased(each, poses.fps) for each in turns]))
+    return held_off(arms.humanoid, poses, np.stack([eased(each, poses.fps) for each in turns]))
 
 
 def _run_up(poses: PoseSequence, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

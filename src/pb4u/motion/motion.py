@@ -10,6 +10,7 @@ import numpy as np
 from pb4u.body.body_model import ShapedBody
 from pb4u.body.skeleton import PoseSequence
 from pb4u.errors import InputError
+from pb4u.motion.arm_clearance import ArmClearance
 from pb4u.motion.humanoid import humanoid_of
 
 
@@ -81,13 +82,13 @@ class Motion(ABC):
         swung = humanoid_of(body).arms_swung_out(performed.poses, self.arms_away_degrees)
         return performed._replace(poses=swung)
 
-    def holds_arms_off(self, body: ShapedBody) -> bool:
-        """Whether arms that would go into a body are swung out of it, by as much as they have to be.
+    def arm_clearance(self, body: ShapedBody) -> ArmClearance | None:
+        """Where the arms of a body may be that are swung out of it; None where they stay as the motion has them.
 
         Args:
             body: who performs.
         """
-        return False
+        return None
 
     def available_frames(self, fps: float) -> int | None:
         """Number of frames at `fps` frames per second; None where the motion has no end.

@@ -157,28 +157,30 @@ class RecordedMotion(Motion):
 
     def _perform(self, body: ShapedBody, fps: float, frames: np.ndarray) -> Performed:
         retargeting = self._retargeting(body)
-        if not self.holds_arms_off(body):
+        arms = self.arm_clearance(body)
+        if arms is None:
             return Performed(replace(retargeting.poses(frames / fps), fps=fps))
         # With some frames around them, so that a frame does not depend on which others are computed.
         end = self.available_frames(fps) or int(frames[-1]) + 1
         around = np.arange(max(frames[0] - reach(fps), 0), min(frames[-1] + 1 + reach(fps), end))
-        return self._held_off(retargeting, replace(retargeting.poses(around / fps), fps=fps), frames - around[0])
+        return self._held_off(arms, replace(retargeting.poses(around / fps), fps=fps), frames - around[0])
 
-    def holds_arms_off(self, body: ShapedBody) -> bool:
-        as_measured = self._retargeting(body).direct and not self.recording.from_video
-        return not as_measured and self.arms_away_degrees is None
+    def arm_clearance(self, body: ShapedBody) -> ArmClearance | None:
+        retargeting = self._retargeting(body)
+        as_measured = retargeting.direct and not self.recording.from_video
+        return None if as_measured or self.arms_away_degrees is not None else retargeting.arm_clearance
 
-    def _held_off(self, retargeting: Retargeting, poses: PoseSequence, kept: np.ndarray) -> Performed:
+    def _held_off(self, arms: ArmClearance, poses: PoseSequence, kept: np.ndarray) -> Performed:
         """Some frames of the poses with the arms swung out of the body."""
-        turns = retargeting.arm_clearance.turns(poses)
+        turns = arms.turns(poses)
         turns = np.stack([eased(each, poses.fps)[kept] for each in turns])
         poses = replace(poses, rotations=poses.rotations[kept], root_positions=poses.root_positions[kept])
         angles = np.rad2deg(np.linalg.norm(turns, axis=-1))
         if angles.max() < _LEAST_TOLD:
-            return Performed(held_off(retargeting.humanoid, poses, turns))
+            return Performed(held_off(arms.humanoid, poses, turns))
         frames = int((angles >= _LEAST_TOLD).any(axis=0).sum())
         note = (
             f"{self.name}: arms are swung out by up to {angles.max():.0f} degrees in {frames} of {len(kept)} frames, "
             "where they would go into the body; --arms-away 0 leaves them as recorded."
         )
-        return Performed(held_off(retargeting.humanoid, poses, turns), (note,))
+        return Performed(held_off(arms.humanoid, poses, turns), (note,))

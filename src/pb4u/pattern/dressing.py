@@ -43,7 +43,7 @@ from pb4u.scene.colliders import ColliderFrame, ColliderPose, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import STANDARD_GRAVITY, UP
 from pb4u.scene.state import State
-from pb4u.threads import one_torch_thread
+from pb4u.threads import without_library_threads
 
 DEFAULT_TRIANGLES = 5000
 """Triangles of a garment that is dressed: enough for seams, darts and gathers to be seen."""
@@ -365,7 +365,7 @@ class _Sewing:
         gravity = x.new_tensor(UP) * (-STANDARD_GRAVITY if hangs else 0.0)
         state = State(x, share[:, None] * moved / dt, 0)
         step = TimeStep(packed, state, collider, dt, gravity, pin_positions=x)
-        with one_torch_thread():
+        with without_library_threads():
             state, _ = implicit_steps(potential, solver, step, _ITERATIONS)
         if self.watch:
             self.watch(state.positions.numpy(), after.positions.numpy())

@@ -116,8 +116,8 @@ def _perform(body: ShapedBody, run: Run) -> Performance:
     for note in notes:
         warn(note)
     led = prepend_lead_in(poses, body, run.lead_in)
-    if clip.holds_arms_off(body):
-        led = arms_held_off(led, body, run.lead_in)
+    if (arms := clip.arm_clearance(body)) is not None:
+        led = arms_held_off(led, arms, run.lead_in)
     return Performance(body.posed(led), frames, name, notes)
 
 

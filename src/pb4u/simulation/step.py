@@ -20,7 +20,7 @@ from pb4u.simulation.pass_search import PassSearch
 from pb4u.simulation.penetration_response import ContactResponse
 from pb4u.simulation.refinement import SolverRefinement, collision_free_move, past_bodies
 from pb4u.simulation.step_start import BodyMotionWarmStart, start_accelerations
-from pb4u.threads import one_torch_thread
+from pb4u.threads import without_library_threads
 
 LARGE_DECREASE = 1.5e-3
 """Energy decrease of a pass, as the height [m] to which it would lift the garments, from which on another pass is made.
@@ -81,7 +81,7 @@ def take(step: TimeStep, method: StepMethod) -> State:
         DivergedError: it is not finite.
     """
     refinement, contact, cloth = method.refinement, method.contact, method.self_contact
-    with one_torch_thread():
+    with without_library_threads():
         if contact is not None:
             step = contact.with_pins_clear(step)
         # Where the garments would be: led there by the start of the step, corrected by every pass of the network.

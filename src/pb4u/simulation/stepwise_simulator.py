@@ -100,22 +100,22 @@ class StepwiseSimulator(Simulator):
         """The states of a run with the bodies of each frame; where a state is not finite, it adds a note and ends."""
         made = 0
         try:
-            moved = self._moved(timeline, method, scene.total_frames, scene.lead_in)
+            moved = self._moved(timeline, method, scene)
             for state in islice(moved, scene.total_frames):
                 yield require_finite(state), timeline.pose(state.frame).apart()
                 made += 1
         except DivergedError:
             record.failed_at = made - scene.lead_in
 
-    def _moved(self, timeline: Timeline, method: StepMethod, frames: int, lead_in: int = 0) -> Iterator[State]:
+    def _moved(self, timeline: Timeline, method: StepMethod, scene: Scene) -> Iterator[State]:
         for state in self.first_frame.states(timeline, method):
             yield state
         if method.network is not None and method.refinement is not None:
             # The solver alone leads to the same drape in half of the time; the network takes over with the first frame.
-            for led in self.steps(timeline, replace(method, network=None), state, lead_in):
+            for led in self.steps(timeline, replace(method, network=None), state, scene.lead_in):
                 state = led
                 yield state
-        yield from self.steps(timeline, method, state, frames)
+        yield from self.steps(timeline, method, state, scene.total_frames)
 
     def timeline(self, *scenes: Scene) -> Timeline:
         """Frames of scenes, each in a world of its own, on the device that takes their steps.
@@ -332,9 +332,9 @@ class NetworkSimulator(StepwiseSimulator):
             ruled = self.checkpoint.model.network.propagation_steps(worn.garment.mean_edge_length)
             self.checkpoint.warn_of(worn.garment, self.override if ruled and self.override else ruled)
 
-    def _moved(self, timeline: Timeline, method: StepMethod, frames: int, lead_in: int = 0) -> Iterator[State]:
+    def _moved(self, timeline: Timeline, method: StepMethod, scene: Scene) -> Iterator[State]:
         if not self.on_card:
-            yield from super()._moved(timeline, method, frames, lead_in)
+            yield from super()._moved(timeline, method, scene)
             return
         rooms = timeline.colliders.rooms
         assert rooms is not None
@@ -343,7 +343,7 @@ class NetworkSimulator(StepwiseSimulator):
             # Searches were short of room.
             first = self.first_frame.start(timeline, method)
         yield first
-        yield from self.steps(timeline, method, first, frames)
+        yield from self.steps(timeline, method, first, scene.total_frames)
 
     def steps(self, timeline: Timeline, method: StepMethod, state: State, frames: int) -> Iterator[State]:
         return (states_after if self.on_card else super().steps)(timeline, method, state, frames)

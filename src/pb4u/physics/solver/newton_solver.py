@@ -27,7 +27,7 @@ from pb4u.physics.terms.stiffness_matrix import StiffnessPattern
 from pb4u.physics.time_step import DivergedError
 from pb4u.scene.packed import PackedGarments
 from pb4u.scene.scene import STANDARD_GRAVITY
-from pb4u.threads import one_torch_thread
+from pb4u.threads import without_library_threads
 
 _SUFFICIENT_DECREASE = 1e-4
 """Share of the decrease that the slope promises with which a line search is content (Nocedal and Wright, 3.1)."""
@@ -138,7 +138,7 @@ class Solver:
             DivergedError: `start` or its energy is not finite.
         """
         self._prepare(potential)
-        with one_torch_thread():
+        with without_library_threads():
             return self._minimise(potential, start, iterations, watch)
 
     def _minimise(
