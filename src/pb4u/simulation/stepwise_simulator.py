@@ -305,7 +305,7 @@ class NetworkSimulator(StepwiseSimulator):
         made: list[tuple[list[State], RunRecord]] = [([], RunRecord()) for _ in scenes]
         spans, going = list(pairwise(timeline.garments.world_offsets)), set(range(len(scenes)))
         began = time.perf_counter()
-        for state in self._moved(timeline, method, max(scene.total_frames for scene in scenes)):
+        for state in self._moved(timeline, method, max(scenes, key=lambda scene: scene.total_frames)):
             x, v, seconds = state.positions.cpu(), state.velocities.cpu(), time.perf_counter() - began
             share = seconds / len(going)
             for world in sorted(going):
