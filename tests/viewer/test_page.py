@@ -129,6 +129,8 @@ def test_it_opens_and_plays(window: Window, session: Any) -> None:
     window.button("last")
     wait_for(lambda: window.says("Frame 19 of tube is not finite"), "the lost frame is marked")
     window.button("first")
+    # The server answers each click on a thread of its own.
+    wait_for(lambda: window.says("frame 0 of 19"), "it is at the first frame")
     window.button("+ 1")
     wait_for(lambda: window.says("frame 1 of 19"), "it has gone one frame on")
     window.click("//label[normalize-space()='Body']/following::input[@type='checkbox'][1]")
