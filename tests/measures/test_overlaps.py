@@ -15,7 +15,7 @@ def joined(*parts: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(whole.vertices, dtype=np.float64), np.asarray(whole.faces, dtype=np.int64)
 
 
-def test_skin_inside_another_part_is_buried_and_that_beside_it_is_not() -> None:
+def test_what_is_inside_another_part_is_buried_and_what_is_beside_it_is_not() -> None:
     one, other = (trimesh.creation.icosphere(subdivisions=3, radius=0.2) for _ in range(2))
     other.apply_translation([0.31, 0.02, 0.01])
     vertices, faces = joined(one, other)
@@ -26,6 +26,8 @@ def test_skin_inside_another_part_is_buried_and_that_beside_it_is_not() -> None:
             0.2 - np.linalg.norm(vertices[642:], axis=1),
         ]
     )
+    assert overlapping_faces(vertices, faces)[(depths > 2e-3)[faces].all(axis=1)].all()
+    assert not overlapping_faces(vertices, faces)[(depths < -0.03)[faces].all(axis=1)].any()
     found = buried(np.ones(len(vertices), dtype=bool), vertices, faces, folds)
     # The balls' faces lie a millimetre within them.
     assert found[depths > 2e-3].all()

@@ -29,7 +29,8 @@ def overlapping_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     for number in np.setdiff1d(piece, np.bincount(piece).argmax()):
         own = free[piece == number]
         middle = own[np.argsort(face_areas(vertices, faces[own]))[len(own) // 2]]
-        overlapping[own] = winding_number(vertices[faces[middle]].mean(axis=0), vertices, faces) > _TWICE
+        # At a corner the faces around it count for nothing; within a face that face would, by half, on either side.
+        overlapping[own] = winding_number(vertices[faces[middle, 0]], vertices, faces) > _TWICE
     return overlapping
 
 
