@@ -1,7 +1,7 @@
 """One garment at several triangle counts: what changes, and what a frame costs.
 
     python examples/03_choose_a_resolution.py
-    python examples/03_choose_a_resolution.py --model pb4u-wide
+    python examples/03_choose_a_resolution.py --model pb4u-light
     python examples/03_choose_a_resolution.py --garment dress --triangles 2500 11000 25000
 
 A Pb4U network takes K propagation steps, K = D / mean edge length: a finer mesh gets more of them, so that a push

@@ -28,7 +28,7 @@ def timed(simulator: Simulator, scene: pb4u.Scene) -> tuple[Trajectory, float]:
 def main() -> None:
     """Simulate one scene twice and print the two side by side."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--model", default="pb4u-wide")
+    parser.add_argument("--model", default="pb4u-light")
     parser.add_argument("--garment", default="tshirt")
     parser.add_argument("--motion", default="walk")
     parser.add_argument("--triangles", type=int, default=2500)
@@ -40,7 +40,7 @@ def main() -> None:
     # Bare, so that the model itself is judged: by default a few solver iterations polish every step of a network.
     model, solver = pb4u.load_simulator(options.model, refine=0), pb4u.load_simulator("solver")
     if model.name == solver.name:
-        print("This compares the solver with itself; try --model pb4u-wide or --model skinning.")
+        print("This compares the solver with itself; try --model pb4u-light or --model skinning.")
     scene = pb4u.make_scene(
         options.garment,
         motion=options.motion,

@@ -130,8 +130,8 @@ class Run:
         fps: Frames per second; a network runs at its own, and the result is resampled.
         seed: Seed of everything random.
         model: solver, quick-solver (its first iterations alone: fastest for most garments on a processor), skinning, or
-            a network by name, .safetensors file or .pth of the released code. Default: pb4u-wide, which is not the
-            paper's network (`pb4u info --model pb4u-wide`).
+            a network by name, .safetensors file or .pth of the released code. Default: pb4u-light, or pb4u-wide
+            with --refine 0; neither is the paper's network (`pb4u info --model pb4u-light`).
         refine: Most solver iterations after each step of a network, 0 for the network only; or of the quick solver. A
             step that they leave failed is retried.
         contact: Push the garment out of the body after each step; with self_contact also no face or edge of the body

@@ -420,4 +420,4 @@ def test_a_network_without_weights_says_how_to_train_it_and_which_is_the_papers(
     ended = pb4u(*verb, "--model", name)
     assert ended.code == 1
     assert ended.err.startswith(f"pb4u: There is no model {name!r} with weights: {how}")
-    assert "pb4u-wide" in ended.err
+    assert "pb4u-light" in ended.err

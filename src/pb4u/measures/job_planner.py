@@ -127,7 +127,7 @@ def _has_bones(body: str) -> bool:
 
 def _resolved(run: Run) -> Model:
     simulator = simulator_of(run)
-    name = default_model() if str(run.model) == "auto" else str(run.model)
+    name = default_model(run.refine) if str(run.model) == "auto" else str(run.model)
     device = "cuda" if str(simulator.settings().get("device")) == "cuda" else "cpu"
     if not isinstance(simulator, NetworkSimulator):
         return Model(name, device, fps=simulator.fps)

@@ -129,7 +129,7 @@ PROTOCOLS = {
         Protocol(
             name="controls",
             reproduces="What the network is worth: beside it its start alone, gradient descent and the solver.",
-            models=("pb4u-wide", "warm-start", "gradient-descent", "quick-solver", "solver"),
+            models=("pb4u-light", "pb4u-wide", "warm-start", "gradient-descent", "quick-solver", "solver"),
             garments=("tshirt", "dress", "skirt", "trousers"),
             motions=tuple(f"{name}-{seed}" for name in ("walk", "dance", "jump") for seed in (2000, 2001, 2002)),
             recordings=(),
@@ -144,7 +144,7 @@ PROTOCOLS = {
                 "What happens in the hands of others: garments, body shapes, motions, materials and levels drawn by "
                 "seed, each network alone and by default."
             ),
-            models=("pb4u-wide", "quick-solver", "solver"),
+            models=("pb4u-light", "quick-solver", "solver"),
             garments=tuple(PATTERNS),
             motions=MOTIONS["train"],
             bodies=("woman", "man"),

@@ -53,14 +53,24 @@ def model_descriptions() -> dict[str, str]:
 def _network_line(name: str) -> str:
     if name.startswith("comparison-"):
         return "small network that `pb4u evaluate` compares methods with"
-    return f"{'the default' if name == default_model() else 'a'} network; `pb4u info --model {name}` says what it is"
+    role = "the default network"
+    if name != default_model():
+        role = "the default network with --refine 0" if name == default_model(0) else "a network"
+    return f"{role}; `pb4u info --model {name}` says what it is"
 
 
-def default_model() -> str:
-    """Name of the best network that is shipped: paper-size, else of the widest training; without any, the solver."""
+def default_model(refine: int = Run.refine) -> str:
+    """Name of the network that "auto" stands for; without any shipped, the solver.
+
+    Where the solver refines a prediction, the light network leaves it as little to do as the wide one does.
+
+    Args:
+        refine: solver iterations after each of its steps.
+    """
     from pb4u.simulation.checkpoint import built_in_models
 
-    return next((name for name in ("pb4u", "pb4u-wide", "pb4u-small") if name in built_in_models()), "solver")
+    order = ("pb4u", *(("pb4u-light",) if refine else ()), "pb4u-wide", "pb4u-small")
+    return next((name for name in order if name in built_in_models()), "solver")
 
 
 def looks_at(model: str | Path, option: str) -> bool:
@@ -106,7 +116,7 @@ def simulator_of(run: Run) -> Simulator:
     from pb4u.simulation.stepwise_simulator import NetworkSimulator, QuickSolver, SolverSimulator
 
     keep_freed_memory()
-    model = default_model() if str(run.model) == "auto" else str(run.model)
+    model = default_model(run.refine) if str(run.model) == "auto" else str(run.model)
     _require_possible(run, model)
     potential = IncrementalPotential()
     if run.self_contact is not False:
