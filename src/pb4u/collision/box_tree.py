@@ -270,12 +270,39 @@ def boxes_meet(ones: np.ndarray, one: int, others: np.ndarray, other: int) -> bo
 
 
 @compiled
+def boxes_within(boxes: np.ndarray, one: int, other: int, within: float) -> bool:
+    """Whether no point of one box is further than `within` [m] from one of the other, at both ends of their moves.
+
+    Args:
+        boxes: (boxes, 12) [m].
+        one: row of them.
+        other: row of them.
+        within: distance [m]; below 0 for no.
+    """
+    if within < 0.0:
+        return False
+    begun, ended = 0.0, 0.0
+    for axis in range(3):
+        begun += max(boxes[one, 3 + axis] - boxes[other, axis], boxes[other, 3 + axis] - boxes[one, axis]) ** 2
+        ended += max(boxes[one, 9 + axis] - boxes[other, 6 + axis], boxes[other, 9 + axis] - boxes[one, 6 + axis]) ** 2
+    return begun <= within**2 and ended <= within**2
+
+
+@compiled
 def meeting_leaves(
-    node_boxes: np.ndarray, children: np.ndarray, ranges: np.ndarray, asked: np.ndarray, parts: np.ndarray, most: int
+    node_boxes: np.ndarray,
+    children: np.ndarray,
+    ranges: np.ndarray,
+    asked: np.ndarray,
+    parts: np.ndarray,
+    most: int,
+    strayed: np.ndarray,
+    within: float,
 ) -> np.ndarray:
     """Pairs (pairs, 2) of leaves whose boxes (nodes, 12) meet, of which one is `asked` (nodes,) for; each once.
 
-    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2). None where there are over `most`.
+    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2), but those that `boxes_within` tells
+    of. None where there are over `most`.
 
     Args:
         node_boxes: (nodes, 12) [m].
@@ -284,6 +311,8 @@ def meeting_leaves(
         asked: (nodes,) bool.
         parts: (parts, 2) int64 pairs of nodes to begin with.
         most: number of pairs above which none are returned.
+        strayed: (nodes, 12) [m] boxes that `boxes_within` compares.
+        within: distance [m] up to which these leave a pair out; below 0 to leave out none.
     """
     found, count = np.empty((1024, 2), dtype=np.int64), 0
     stack = np.empty((_DEEPEST, 2), dtype=np.int64)
@@ -296,6 +325,8 @@ def meeting_leaves(
             if not (asked[a] or asked[b]):
                 continue
             inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
+            if boxes_within(strayed, a, b, within):
+                continue
             if a == b:
                 if inner_a:
                     left, right = children[a, 0], children[a, 1]

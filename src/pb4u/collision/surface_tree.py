@@ -19,6 +19,7 @@ from pb4u.collision.box_tree import (
     BoxTree,
     boxes_meet,
     boxes_of,
+    boxes_within,
     copy_row,
     fill_boxes,
     fit_nodes,
@@ -31,16 +32,17 @@ from pb4u.collision.element_pairs import (
     lasting_pairs,
     may_meet,
     rest_distances,
+    together,
 )
 from pb4u.collision.jit import compiled
 from pb4u.geometry.topology import Topology
 from pb4u.threads import parallel_map
 
 _ROOM = 0.08
-"""How far a vertex may go, in mean edge lengths at rest, before what is near it is searched again."""
+"""Half of how far apart two vertices may stray, in mean edge lengths at rest, before what is near is searched again."""
 
-_MOST_LEAVING = 0.3
-"""Share of the vertices that may leave their room before the whole surface is searched again."""
+_MOST_STRAYING = 0.3
+"""Share of the vertices that may stray from those around them before the whole surface is searched again."""
 
 _FEW = 4096
 """Vertices up to which one thread searches: 6 ms, beside which it takes long to wake another processor."""
@@ -76,6 +78,35 @@ class _Fitted(NamedTuple):
         """Whether what is kept of the obstacles holds for a search; arguments as those of the record."""
         wide = margin <= self.margin and room <= self.room
         return wide and np.array_equal(obstacles, self.obstacles) and np.array_equal(moves, self.moves)
+
+
+class _Strayed(NamedTuple):
+    """How far vertices strayed from where pairs were known, as a move begins and as it ends.
+
+    Args:
+        ends: (vertices, 6) [m].
+        boxes: (.., 12) [m] of that of nodes and faces.
+        calm: (vertices,) bool whether all around a vertex strayed together.
+        within: distance [m] up to which two vertices do.
+    """
+
+    ends: np.ndarray
+    boxes: Boxes
+    calm: np.ndarray
+    within: float
+
+    @staticmethod
+    def over(tree: SurfaceTree, known: Neighbourhood, vertices: np.ndarray, moves: np.ndarray) -> _Strayed:
+        """Those of a move (vertices, 3) [m] of the surface of a `tree` from `vertices` (vertices, 3) [m]."""
+        begun, way = known.strayed(vertices, moves)
+        ends, within, faces = np.concatenate([begun, begun + way], axis=1), 2.0 * known.room, tree.faces
+        calm = _calm(ends, tree.edges, within)
+        if tree.first_obstacle < len(vertices):
+            # Cloth that slides over a body strays from that, however much it does so as one.
+            calm &= (ends[:, :3] ** 2).sum(axis=1) <= known.room**2
+            calm &= (ends[:, 3:] ** 2).sum(axis=1) <= known.room**2
+        straying = boxes_of(begun, way, faces, 0.0)
+        return _Strayed(ends, (tree.boxes.fitted(straying), straying), calm, within)
 
 
 class SurfaceTree:
@@ -159,11 +190,11 @@ class SurfaceTree:
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
         neighbourhood = None if known is None else known.neighbourhood
         if neighbourhood is not None and neighbourhood.reach >= reach:
-            away, left = neighbourhood.left(vertices, moving)
-            if np.count_nonzero(left) <= _MOST_LEAVING * self.first_obstacle:
-                stayed = neighbourhood.near(vertices, moving, away, left, reach)
-                found = _near(self._search(vertices, moving, 0.5 * reach, left), vertices, moving, reach)
-                return self._pairs((stayed, found), neighbourhood)
+            strayed = _Strayed.over(self, neighbourhood, vertices, moving)
+            if np.count_nonzero(~strayed.calm[: self.first_obstacle]) <= _MOST_STRAYING * self.first_obstacle:
+                stayed = neighbourhood.near(vertices, moving, strayed.ends, reach)
+                candidates = self._search(vertices, moving, 0.5 * reach, self._everywhere, strayed=strayed)
+                return self._pairs((stayed, _near(candidates, vertices, moving, reach)), neighbourhood)
         if not lasting:
             asked = self._everywhere if among is None else among
             candidates = self._search(vertices, moving, 0.5 * reach, asked)
@@ -198,10 +229,12 @@ class SurfaceTree:
         margin: float,
         among: np.ndarray,
         room: float = 0.0,
+        strayed: _Strayed | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
 
         Whose boxes meet that are wider by `margin` [m] on every side, and at the end of the move by `room` [m] more.
+        Those that `strayed` together are left out.
         """
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
@@ -215,13 +248,14 @@ class SurfaceTree:
         begun, ended = 2.0 * margin, 2.0 * (margin + room)
         ends = np.concatenate([vertices, vertices + moves], axis=1)
         way = vertices, moves, begun, ended, self.first_obstacle, ends
+        apart = strayed or _Strayed(ends, boxes, np.zeros(len(vertices), dtype=np.bool_), -1.0)
         searches: list[Callable[[], Any]] = [
-            partial(_search, boxes, tree, elements, asked, part, way) for part in parts
+            partial(_search, boxes, tree, elements, asked, part, way, tuple(apart)) for part in parts
         ]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = _PIECES if whole else 1
         around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
-        searches += [partial(_near_around, ends, among, *piece, begun, ended) for piece in around]
+        searches += [partial(_near_around, ends, among, *piece, begun, ended, tuple(apart)) for piece in around]
         found = parallel_map(lambda search: search(), searches)
         vertex_faces, edge_edges = (
             np.concatenate(
@@ -322,12 +356,13 @@ def _pairs_around(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of a vertex and a face, and of two edges, without a common vertex, whose faces have one.
 
-    Their corners (pairs, 4) int32 each; each pair once.
+    Their corners, and the common vertex (pairs, 5) int32 each; each pair once.
     """
     starts, ring = Topology(faces, vertex_count).vertex_faces
     near_faces, near_edges = _listed_around(faces, edges, owned_vertices, owned_edges, ring, starts)
-    sides = edges[near_edges].reshape(-1, 4)
-    return np.column_stack([near_faces[:, 0], faces[near_faces[:, 1]]]).astype(np.int32), sides.astype(np.int32)
+    vertex_faces = np.column_stack([near_faces[:, 0], faces[near_faces[:, 1]], near_faces[:, 2]])
+    sides = np.column_stack([edges[near_edges[:, 0]], edges[near_edges[:, 1]], near_edges[:, 2]])
+    return vertex_faces.astype(np.int32), sides.astype(np.int32)
 
 
 @compiled
@@ -352,11 +387,11 @@ def _listed_around(
     ring: np.ndarray,
     starts: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `_pairs_around`, the elements (pairs, 2) int64 by their numbers.
+    """As `_pairs_around`, the elements by their numbers, and the common vertex (pairs, 3) int64.
 
     `ring` holds the faces around each vertex, from `starts` (vertices + 1,) of it on.
     """
-    near_faces, near_edges = np.empty((1024, 2), dtype=np.int64), np.empty((1024, 2), dtype=np.int64)
+    near_faces, near_edges = np.empty((1024, 3), dtype=np.int64), np.empty((1024, 3), dtype=np.int64)
     face_count, edge_count = 0, 0
     met = np.full(len(faces), -1)
     for f in range(len(faces)):
@@ -371,6 +406,7 @@ def _listed_around(
                     if v >= 0 and v != faces[g, 0] and v != faces[g, 1] and v != faces[g, 2]:
                         near_faces = with_room(near_faces, face_count)
                         near_faces[face_count, 0], near_faces[face_count, 1] = v, g
+                        near_faces[face_count, 2] = faces[f, corner]
                         face_count += 1
                     p = owned_edges[f, k]
                     if p < 0 or g < f:
@@ -383,27 +419,62 @@ def _listed_around(
                             continue
                         near_edges = with_room(near_edges, edge_count)
                         near_edges[edge_count, 0], near_edges[edge_count, 1] = p, q
+                        near_edges[edge_count, 2] = faces[f, corner]
                         edge_count += 1
     return near_faces[:face_count].copy(), near_edges[:edge_count].copy()
 
 
 @compiled
+def _calm(ends: np.ndarray, edges: np.ndarray, within: float) -> np.ndarray:
+    """Whether around each vertex (vertices,) `ends` (vertices, 6) [m] are no further than `within` [m] apart."""
+    low, high = ends.copy(), ends.copy()
+    for edge in range(len(edges)):
+        a, b = edges[edge, 0], edges[edge, 1]
+        for k in range(6):
+            low[a, k], high[a, k] = min(low[a, k], ends[b, k]), max(high[a, k], ends[b, k])
+            low[b, k], high[b, k] = min(low[b, k], ends[a, k]), max(high[b, k], ends[a, k])
+    calm = np.empty(len(ends), dtype=np.bool_)
+    for v in range(len(ends)):
+        begun, ended = 0.0, 0.0
+        for axis in range(3):
+            begun += (high[v, axis] - low[v, axis]) ** 2
+            ended += (high[v, 3 + axis] - low[v, 3 + axis]) ** 2
+        calm[v] = begun <= within**2 and ended <= within**2
+    return calm
+
+
+@compiled
 def _near_around(
-    ends: np.ndarray, among: np.ndarray, corners: np.ndarray, vertex_face: bool, begun: float, ended: float
+    ends: np.ndarray,
+    among: np.ndarray,
+    listed: np.ndarray,
+    vertex_face: bool,
+    begun: float,
+    ended: float,
+    strayed: tuple,
 ) -> np.ndarray:
-    """Those of the `corners` (pairs, 4) that `_pairs_around` lists with one `among` (vertices,), unless `_apart`."""
+    """Corners (pairs, 4) of what `_pairs_around` lists with one `among` (vertices,), unless `_apart`.
+
+    Those that `strayed` together are left out.
+    """
     near, count = np.empty((64, 4), dtype=np.int64), 0
-    for pair in range(len(corners)):
-        a, b, c, d = corners[pair, 0], corners[pair, 1], corners[pair, 2], corners[pair, 3]
+    straying, _, calm, within = strayed
+    for pair in range(len(listed)):
+        if calm[listed[pair, 4]]:
+            continue
+        corners = listed[pair, :4]
+        a, b, c, d = corners[0], corners[1], corners[2], corners[3]
         if not (among[a] or among[b] or among[c] or among[d]):
             continue
         if vertex_face:
-            apart = _apart(ends, (a,), (b, c, d), begun, ended)
+            known = together(straying, (a,), (b, c, d), within)
+            apart = known or _apart(ends, (a,), (b, c, d), begun, ended)
         else:
-            apart = _apart(ends, (a, b), (c, d), begun, ended)
+            known = together(straying, (a, b), (c, d), within)
+            apart = known or _apart(ends, (a, b), (c, d), begun, ended)
         if not apart:
             near = with_room(near, count)
-            copy_row(corners[pair], near[count])
+            copy_row(corners, near[count])
             count += 1
     return near[:count]
 
@@ -433,12 +504,12 @@ def asked_for(tree: tuple, faces: np.ndarray, among: np.ndarray) -> tuple[np.nda
 
 @compiled
 def _search(
-    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray, way: tuple
+    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray, way: tuple, strayed: tuple
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corners (pairs, 4) of vertex and face, and of two edges, with one `asked` for and boxes that meet.
 
     Of the elements in the pairs of nodes `parts` (parts, 2), of faces that share no vertex. Those of obstacles that
-    `_beside` tells of, on the `way`, are left out.
+    `_beside` tells of, on the `way`, are left out, and those that `strayed` together.
     """
     order, children, ranges = tree
     faces, edges, owned_vertices, owned_edges = elements
@@ -447,7 +518,8 @@ def _search(
     begun, ended, ends = way[2], way[3], way[5]
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
-    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY)
+    straying, straying_boxes, _, within = strayed
+    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY, straying_boxes[0], within)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):
@@ -456,7 +528,7 @@ def _search(
                 g = order[j]
                 if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes, f, face_boxes, g):
                     continue
-                if _share_a_vertex(faces, f, g):
+                if _share_a_vertex(faces, f, g) or boxes_within(straying_boxes[1], f, g, within):
                     continue
                 one, other = (faces[f, 0], faces[f, 1], faces[f, 2]), (faces[g, 0], faces[g, 1], faces[g, 2])
                 if one[0] >= way[4] and _beside(other, one, way):
@@ -469,6 +541,8 @@ def _search(
                     for k in range(3):
                         v = owned_vertices[first, k]
                         if v < 0 or not (among[v] or asked_faces[second]):
+                            continue
+                        if together(straying, (v,), corners, within):
                             continue
                         if not _apart(ends, (v,), corners, begun, ended):
                             near_faces = with_room(near_faces, face_count)
@@ -488,7 +562,10 @@ def _search(
                             continue
                         if not (among[side[0]] or among[side[1]] or among[edges[q, 0]] or among[edges[q, 1]]):
                             continue
-                        if not _apart(ends, side, (edges[q, 0], edges[q, 1]), begun, ended):
+                        across = edges[q, 0], edges[q, 1]
+                        if together(straying, side, across, within):
+                            continue
+                        if not _apart(ends, side, across, begun, ended):
                             near_edges = with_room(near_edges, edge_count)
                             copy_row(edges[p], near_edges[edge_count, :2])
                             copy_row(edges[q], near_edges[edge_count, 2:])
