@@ -277,10 +277,8 @@ def boxes_within(boxes: np.ndarray, one: int, other: int, within: float) -> bool
         boxes: (boxes, 12) [m].
         one: row of them.
         other: row of them.
-        within: distance [m]; below 0 for no.
+        within: distance [m].
     """
-    if within < 0.0:
-        return False
     begun, ended = 0.0, 0.0
     for axis in range(3):
         begun += max(boxes[one, 3 + axis] - boxes[other, axis], boxes[other, 3 + axis] - boxes[one, axis]) ** 2
@@ -296,8 +294,7 @@ def meeting_leaves(
     asked: np.ndarray,
     parts: np.ndarray,
     most: int,
-    strayed: np.ndarray,
-    within: float,
+    strayed: tuple | None,
 ) -> np.ndarray:
     """Pairs (pairs, 2) of leaves whose boxes (nodes, 12) meet, of which one is `asked` (nodes,) for; each once.
 
@@ -311,8 +308,7 @@ def meeting_leaves(
         asked: (nodes,) bool.
         parts: (parts, 2) int64 pairs of nodes to begin with.
         most: number of pairs above which none are returned.
-        strayed: (nodes, 12) [m] boxes that `boxes_within` compares.
-        within: distance [m] up to which these leave a pair out; below 0 to leave out none.
+        strayed: the fields of what a search leaves out, of `SurfaceTree`; None for nothing.
     """
     found, count = np.empty((1024, 2), dtype=np.int64), 0
     stack = np.empty((_DEEPEST, 2), dtype=np.int64)
@@ -325,9 +321,9 @@ def meeting_leaves(
             if not (asked[a] or asked[b]):
                 continue
             inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
-            if boxes_within(strayed, a, b, within):
-                continue
             if a == b:
+                if strayed is not None and boxes_within(strayed[1][0], a, b, strayed[3]):
+                    continue
                 if inner_a:
                     left, right = children[a, 0], children[a, 1]
                     stack[depth, 0], stack[depth, 1] = left, left
@@ -338,6 +334,8 @@ def meeting_leaves(
             elif not boxes_meet(node_boxes, a, node_boxes, b):
                 continue
             elif inner_a or inner_b:
+                if strayed is not None and boxes_within(strayed[1][0], a, b, strayed[3]):
+                    continue
                 if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
                     stack[depth, 0], stack[depth, 1] = children[a, 0], b
                     stack[depth + 1, 0], stack[depth + 1, 1] = children[a, 1], b

@@ -194,10 +194,8 @@ def together(strayed: np.ndarray, one: tuple, other: tuple, within: float) -> bo
         strayed: (vertices, 6) [m] how far, as a move begins and as it ends.
         one: corners of an element.
         other: corners of another.
-        within: distance [m]; below 0 for no.
+        within: distance [m].
     """
-    if within < 0.0:
-        return False
     for v in one:
         for w in other:
             begun, ended = 0.0, 0.0

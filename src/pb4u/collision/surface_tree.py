@@ -38,7 +38,7 @@ from pb4u.collision.jit import compiled
 from pb4u.geometry.topology import Topology
 from pb4u.threads import parallel_map
 
-_ROOM = 0.08
+_ROOM = 0.12
 """Half of how far apart two vertices may stray, in mean edge lengths at rest, before what is near is searched again."""
 
 _MOST_STRAYING = 0.3
@@ -248,14 +248,14 @@ class SurfaceTree:
         begun, ended = 2.0 * margin, 2.0 * (margin + room)
         ends = np.concatenate([vertices, vertices + moves], axis=1)
         way = vertices, moves, begun, ended, self.first_obstacle, ends
-        apart = strayed or _Strayed(ends, boxes, np.zeros(len(vertices), dtype=np.bool_), -1.0)
+        known = None if strayed is None else tuple(strayed)
         searches: list[Callable[[], Any]] = [
-            partial(_search, boxes, tree, elements, asked, part, way, tuple(apart)) for part in parts
+            partial(_search, boxes, tree, elements, asked, part, way, known) for part in parts
         ]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = _PIECES if whole else 1
         around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
-        searches += [partial(_near_around, ends, among, *piece, begun, ended, tuple(apart)) for piece in around]
+        searches += [partial(_near_around, ends, among, *piece, begun, ended, known) for piece in around]
         found = parallel_map(lambda search: search(), searches)
         vertex_faces, edge_edges = (
             np.concatenate(
@@ -451,30 +451,30 @@ def _near_around(
     vertex_face: bool,
     begun: float,
     ended: float,
-    strayed: tuple,
+    strayed: tuple | None,
 ) -> np.ndarray:
     """Corners (pairs, 4) of what `_pairs_around` lists with one `among` (vertices,), unless `_apart`.
 
     Those that `strayed` together are left out.
     """
     near, count = np.empty((64, 4), dtype=np.int64), 0
-    straying, _, calm, within = strayed
     for pair in range(len(listed)):
-        if calm[listed[pair, 4]]:
+        if strayed is not None and strayed[2][listed[pair, 4]]:
             continue
-        corners = listed[pair, :4]
-        a, b, c, d = corners[0], corners[1], corners[2], corners[3]
+        a, b, c, d = listed[pair, 0], listed[pair, 1], listed[pair, 2], listed[pair, 3]
         if not (among[a] or among[b] or among[c] or among[d]):
             continue
         if vertex_face:
-            known = together(straying, (a,), (b, c, d), within)
-            apart = known or _apart(ends, (a,), (b, c, d), begun, ended)
+            if strayed is not None and together(strayed[0], (a,), (b, c, d), strayed[3]):
+                continue
+            apart = _apart(ends, (a,), (b, c, d), begun, ended)
         else:
-            known = together(straying, (a, b), (c, d), within)
-            apart = known or _apart(ends, (a, b), (c, d), begun, ended)
+            if strayed is not None and together(strayed[0], (a, b), (c, d), strayed[3]):
+                continue
+            apart = _apart(ends, (a, b), (c, d), begun, ended)
         if not apart:
             near = with_room(near, count)
-            copy_row(corners, near[count])
+            near[count, 0], near[count, 1], near[count, 2], near[count, 3] = a, b, c, d
             count += 1
     return near[:count]
 
@@ -504,7 +504,7 @@ def asked_for(tree: tuple, faces: np.ndarray, among: np.ndarray) -> tuple[np.nda
 
 @compiled
 def _search(
-    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray, way: tuple, strayed: tuple
+    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray, way: tuple, strayed: tuple | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corners (pairs, 4) of vertex and face, and of two edges, with one `asked` for and boxes that meet.
 
@@ -518,8 +518,7 @@ def _search(
     begun, ended, ends = way[2], way[3], way[5]
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
-    straying, straying_boxes, _, within = strayed
-    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY, straying_boxes[0], within)
+    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY, strayed)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):
@@ -528,7 +527,9 @@ def _search(
                 g = order[j]
                 if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes, f, face_boxes, g):
                     continue
-                if _share_a_vertex(faces, f, g) or boxes_within(straying_boxes[1], f, g, within):
+                if _share_a_vertex(faces, f, g):
+                    continue
+                if strayed is not None and boxes_within(strayed[1][1], f, g, strayed[3]):
                     continue
                 one, other = (faces[f, 0], faces[f, 1], faces[f, 2]), (faces[g, 0], faces[g, 1], faces[g, 2])
                 if one[0] >= way[4] and _beside(other, one, way):
@@ -542,7 +543,7 @@ def _search(
                         v = owned_vertices[first, k]
                         if v < 0 or not (among[v] or asked_faces[second]):
                             continue
-                        if together(straying, (v,), corners, within):
+                        if strayed is not None and together(strayed[0], (v,), corners, strayed[3]):
                             continue
                         if not _apart(ends, (v,), corners, begun, ended):
                             near_faces = with_room(near_faces, face_count)
@@ -563,7 +564,7 @@ def _search(
                         if not (among[side[0]] or among[side[1]] or among[edges[q, 0]] or among[edges[q, 1]]):
                             continue
                         across = edges[q, 0], edges[q, 1]
-                        if together(straying, side, across, within):
+                        if strayed is not None and together(strayed[0], side, across, strayed[3]):
                             continue
                         if not _apart(ends, side, across, begun, ended):
                             near_edges = with_room(near_edges, edge_count)
