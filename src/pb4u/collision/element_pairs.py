@@ -21,7 +21,7 @@ class Neighbourhood:
     Args:
         start: (vertices, 3) [m] where the move began.
         end: (vertices, 3) [m] where it led.
-        reach: distance [m].
+        reaches: distances [m] of pairs, and of those with an obstacle.
         room: half of how far apart [m] two corners may stray from the end.
         corners: (pairs, 4) int64, as those of `ElementPairs`.
         vertex_faces: number of pairs of a vertex and a face, which come first.
@@ -30,7 +30,7 @@ class Neighbourhood:
 
     start: np.ndarray
     end: np.ndarray
-    reach: float
+    reaches: tuple[float, float]
     room: float
     corners: np.ndarray
     vertex_faces: int
@@ -50,19 +50,19 @@ class Neighbourhood:
         return vertices - self.end, moves
 
     def near(
-        self, vertices: np.ndarray, moves: np.ndarray, strayed: np.ndarray, reach: float
+        self, vertices: np.ndarray, moves: np.ndarray, strayed: np.ndarray, reaches: tuple[float, float, int]
     ) -> tuple[np.ndarray, int]:
-        """Corners of its pairs that may come within `reach` [m], and the number of those of a vertex and a face.
+        """Corners of its pairs that may come within their reach, and the number of those of a vertex and a face.
 
         Args:
             vertices: (vertices, 3) [m].
             moves: (vertices, 3) [m] from there, linear.
             strayed: (vertices, 6) [m] from the end, as the move begins and ends; only pairs that stray `together`.
-            reach: distance [m].
+            reaches: as `reach_of` takes them.
         """
         away, within = _away(self.end, vertices, moves), 2.0 * self.room
         pairs = self.corners, self.vertex_faces, self.distances
-        rows = _stay_near(vertices, moves, *pairs, away, strayed, within, reach)
+        rows = _stay_near(vertices, moves, *pairs, away, strayed, within, reaches)
         return self.corners[rows], int(rows[: self.vertex_faces].sum())
 
 
@@ -110,44 +110,68 @@ class ElementPairs:
 
 
 @compiled
+def reach_of(corners: np.ndarray, pair: int, reaches: tuple[float, float, int]) -> float:
+    """Reach [m] of a pair of some `corners` (pairs, 4).
+
+    Args:
+        corners: (pairs, 4) int64 vertices of the pairs.
+        pair: its row.
+        reaches: distance [m] of pairs, of those with an obstacle, and the first vertex of obstacles, the last ones.
+    """
+    return reaches[1] if max(corners[pair, 0], corners[pair, 3]) >= reaches[2] else reaches[0]
+
+
+@compiled
 def may_meet(
-    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_face: bool, reach: float
+    vertices: np.ndarray,
+    moves: np.ndarray,
+    corners: np.ndarray,
+    vertex_face: bool,
+    reaches: tuple[float, float, int],
 ) -> np.ndarray:
-    """Whether each pair (pairs,) is no further apart than `reach` and what it may approach by the moves.
+    """Whether each pair (pairs,) is no further apart than its reach and what it may approach by the moves.
 
     Args:
         vertices: (vertices, 3) [m].
         moves: (vertices, 3) [m] displacements.
         corners: (pairs, 4) int64 vertices of the pairs.
         vertex_face: whether the pairs are of a vertex and a face, else of two edges.
-        reach: distance [m].
+        reaches: as `reach_of` takes them.
     """
     points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     near = np.empty(len(corners), dtype=np.bool_)
     for pair in range(len(corners)):
         gather(vertices, corners[pair], points)
         gather(moves, corners[pair], way)
+        reach = reach_of(corners, pair, reaches)
         near[pair] = nearest(points, vertex_face, weights, between) <= reach + fastest_approach(way, vertex_face)
     return near
 
 
 @compiled
 def lasting_pairs(
-    vertices: np.ndarray, moves: np.ndarray, corners: np.ndarray, vertex_face: bool, within: float
+    vertices: np.ndarray,
+    moves: np.ndarray,
+    corners: np.ndarray,
+    vertex_face: bool,
+    room: float,
+    reaches: tuple[float, float, int],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Those of the `corners` (pairs, 4) that may come `within` a distance [m] on their moves.
+    """Those of the `corners` (pairs, 4) that may come within twice a `room` of their reach on their moves.
 
-    With their distances (pairs,) [m] after the moves, and bounds (pairs,) [m] that they stay beyond on them.
+    With their distances (pairs,) [m] after the moves, and whether (pairs,) they may come within their reach.
 
     Args:
         vertices: (vertices, 3) [m].
         moves: (vertices, 3) [m] displacements.
         corners: (pairs, 4) int64 vertices of the pairs.
         vertex_face: whether the pairs are of a vertex and a face, else of two edges.
-        within: distance [m].
+        room: distance [m].
+        reaches: as `reach_of` takes them.
     """
     points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
-    kept, distances, least = np.empty((64, 4), dtype=np.int64), np.empty(len(corners)), np.empty(len(corners))
+    kept, distances = np.empty((64, 4), dtype=np.int64), np.empty(len(corners))
+    near = np.empty(len(corners), dtype=np.bool_)
     count = 0
     for pair in range(len(corners)):
         gather(vertices, corners[pair], points)
@@ -156,14 +180,14 @@ def lasting_pairs(
         for corner in range(4):
             for axis in range(3):
                 points[corner, axis] += way[corner, axis]
-        bound -= fastest_approach(way, vertex_face)
-        if bound > within:
+        bound -= fastest_approach(way, vertex_face) + reach_of(corners, pair, reaches)
+        if bound > 2.0 * room:
             continue
         kept = with_room(kept, count)
         copy_row(corners[pair], kept[count])
-        distances[count], least[count] = nearest(points, vertex_face, weights, between), bound
+        distances[count], near[count] = nearest(points, vertex_face, weights, between), bound <= 0.0
         count += 1
-    return kept[:count], distances[:count], least[:count]
+    return kept[:count], distances[:count], near[:count]
 
 
 @compiled
@@ -231,7 +255,7 @@ def _stay_near(
     away: np.ndarray,
     strayed: np.ndarray,
     within: float,
-    reach: float,
+    reaches: tuple[float, float, int],
 ) -> np.ndarray:
     """Whether each pair (pairs,) that strayed `together` is no further apart than it may approach.
 
@@ -246,6 +270,7 @@ def _stay_near(
             gone = away[a] + max(away[b], max(away[c], away[d]))
         else:
             gone = max(away[a], away[b]) + max(away[c], away[d])
+        reach = reach_of(corners, pair, reaches)
         if distances[pair] - gone > reach:
             continue
         if not (

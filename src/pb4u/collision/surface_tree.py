@@ -56,6 +56,9 @@ _HALVED = 2
 
 Boxes = tuple[np.ndarray, np.ndarray]
 
+Reaches = tuple[float, float, int]
+"""Distance [m] of pairs, of those with an obstacle, and the first vertex of obstacles."""
+
 
 class _Fitted(NamedTuple):
     """Boxes fitted to where obstacles were, which they mostly are in the next search.
@@ -168,6 +171,7 @@ class SurfaceTree:
         known: ElementPairs | None = None,
         lasting: bool = False,
         among: np.ndarray | None = None,
+        obstacle_reach: float | None = None,
     ) -> ElementPairs:
         """Pairs that may come within `reach` of one another, a superset of those that do.
 
@@ -180,6 +184,7 @@ class SurfaceTree:
             known: pairs of positions a little before these, where there are such: only what went far since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
             among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
+            obstacle_reach: distance [m] of pairs with an obstacle where it is less than `reach`; None for the same.
 
         Raises:
             ValueError: they are given together.
@@ -188,33 +193,36 @@ class SurfaceTree:
             raise ValueError("pairs of some vertices are neither taken from known pairs nor kept as such")
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
+        reaches = reach, min(reach, reach if obstacle_reach is None else obstacle_reach), self.first_obstacle
         neighbourhood = None if known is None else known.neighbourhood
-        if neighbourhood is not None and neighbourhood.reach >= reach:
+        if neighbourhood is not None and all(np.less_equal(reaches[:2], neighbourhood.reaches)):
             strayed = _Strayed.over(self, neighbourhood, vertices, moving)
             if np.count_nonzero(~strayed.calm[: self.first_obstacle]) <= _MOST_STRAYING * self.first_obstacle:
-                stayed = neighbourhood.near(vertices, moving, strayed.ends, reach)
-                candidates = self._search(vertices, moving, 0.5 * reach, self._everywhere, strayed=strayed)
-                return self._pairs((stayed, _near(candidates, vertices, moving, reach)), neighbourhood)
+                stayed = neighbourhood.near(vertices, moving, strayed.ends, reaches)
+                candidates = self._search(vertices, moving, reaches, self._everywhere, strayed=strayed)
+                return self._pairs((stayed, _near(candidates, vertices, moving, reaches)), neighbourhood)
         if not lasting:
             asked = self._everywhere if among is None else among
-            candidates = self._search(vertices, moving, 0.5 * reach, asked)
-            return self._pairs((_near(candidates, vertices, moving, reach),), None)
-        candidates = self._search(vertices, moving, 0.5 * reach, self._everywhere, self._room)
-        neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reach)
+            candidates = self._search(vertices, moving, reaches, asked)
+            return self._pairs((_near(candidates, vertices, moving, reaches),), None)
+        candidates = self._search(vertices, moving, reaches, self._everywhere, self._room)
+        neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reaches)
         found = neighbourhood.corners[rows], int(rows[: neighbourhood.vertex_faces].sum())
         return self._pairs((found,), neighbourhood)
 
     def _neighbourhood(
-        self, candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reach: float
+        self, candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reaches: Reaches
     ) -> tuple[Neighbourhood, np.ndarray]:
         """Those of the `candidates` that come near, or do so after the move; and which (pairs,) do on it."""
-        within, pieces = reach + 2.0 * self._room, _PIECES if len(vertices) > _FEW else 1
+        pieces = _PIECES if len(vertices) > _FEW else 1
         parts = [(part, kind) for kind in (True, False) for part in np.array_split(candidates[not kind], pieces)]
-        kept = parallel_map(lambda part: lasting_pairs(vertices, moves, *part, within), parts)
-        corners, distances, least = (np.concatenate(found) for found in zip(*kept, strict=True))
+        kept = parallel_map(lambda part: lasting_pairs(vertices, moves, *part, self._room, reaches), parts)
+        corners, distances, rows = (np.concatenate(found) for found in zip(*kept, strict=True))
         vertex_faces = sum(len(found[0]) for found in kept[:pieces])
-        made = Neighbourhood(vertices.copy(), vertices + moves, reach, self._room, corners, vertex_faces, distances)
-        return made, least <= reach
+        made = Neighbourhood(
+            vertices.copy(), vertices + moves, reaches[:2], self._room, corners, vertex_faces, distances
+        )
+        return made, rows
 
     def _pairs(self, parts: Sequence[tuple[np.ndarray, int]], neighbourhood: Neighbourhood | None) -> ElementPairs:
         """All `parts` as one: corners, of which the first so many are of a vertex and a face."""
@@ -226,28 +234,28 @@ class SurfaceTree:
         self,
         vertices: np.ndarray,
         moves: np.ndarray,
-        margin: float,
+        reaches: Reaches,
         among: np.ndarray,
         room: float = 0.0,
         strayed: _Strayed | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
 
-        Whose boxes meet that are wider by `margin` [m] on every side, and at the end of the move by `room` [m] more.
+        Whose boxes meet that are wider by half of a reach on every side, and at the end of the move by `room` [m] more.
         Those that `strayed` together are left out.
         """
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
-        boxes = self.fitted(vertices, moves, margin, room)
+        boxes = self.fitted(vertices, moves, 0.5 * reaches[0], room)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
         tree = self.boxes.arrays[:3]
         asked = (among, *asked_for(tree, self.faces, among))
         whole = np.count_nonzero(among) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
-        begun, ended = 2.0 * margin, 2.0 * (margin + room)
+        begun, ended = reaches[0], reaches[0] + 2.0 * room
         ends = np.concatenate([vertices, vertices + moves], axis=1)
-        way = vertices, moves, begun, ended, self.first_obstacle, ends
+        way = vertices, moves, begun, ended, self.first_obstacle, ends, reaches[1], reaches[1] + 2.0 * room
         known = None if strayed is None else tuple(strayed)
         searches: list[Callable[[], Any]] = [
             partial(_search, boxes, tree, elements, asked, part, way, known) for part in parts
@@ -340,12 +348,12 @@ def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np
 
 
 def _near(
-    candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reach: float
+    candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reaches: Reaches
 ) -> tuple[np.ndarray, int]:
-    """Corners of the `candidates` that may come within `reach`, and the number of those of a vertex and a face."""
+    """Corners of the `candidates` that may come within their reach, and the number of those of a vertex and a face."""
     # Boxes of long edges across each other meet long before the edges do.
     vertex_faces, edge_edges = (
-        corners[may_meet(vertices, moves, corners, kind, reach)] if len(corners) else corners
+        corners[may_meet(vertices, moves, corners, kind, reaches)] if len(corners) else corners
         for corners, kind in zip(candidates, (True, False), strict=True)
     )
     return np.concatenate([vertex_faces, edge_edges]), len(vertex_faces)
@@ -515,7 +523,7 @@ def _search(
     faces, edges, owned_vertices, owned_edges = elements
     node_boxes, face_boxes = boxes
     among, asked_nodes, asked_faces = asked
-    begun, ended, ends = way[2], way[3], way[5]
+    ends = way[5]
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
     leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY, strayed)
@@ -536,6 +544,8 @@ def _search(
                     continue
                 if other[0] >= way[4] and _beside(one, other, way):
                     continue
+                mixed = one[0] >= way[4] or other[0] >= way[4]
+                begun, ended = (way[6], way[7]) if mixed else (way[2], way[3])
                 if _apart(ends, one, other, begun, ended):
                     continue
                 for first, second, corners in ((f, g, other), (g, f, one)):
@@ -604,9 +614,9 @@ def _beside(face: tuple, other: tuple, way: tuple) -> bool:
     """Whether another face, of three corners, stays on one side of the plane of a `face`.
 
     By more than a distance [m] at the beginning of the moves and another at their end, as the `way` says: vertices
-    (vertices, 3) [m], moves (vertices, 3) [m], these two distances [m].
+    (vertices, 3) [m], moves (vertices, 3) [m], and last these two distances [m].
     """
-    vertices, moves, begun, ended = way[0], way[1], way[2], way[3]
+    vertices, moves, begun, ended = way[0], way[1], way[6], way[7]
     a, b, c = face
     u, v, w = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
     p, q, r = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
