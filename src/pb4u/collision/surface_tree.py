@@ -181,7 +181,7 @@ class SurfaceTree:
             vertices: (vertices, 3) float64 [m].
             reach: distance [m].
             moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
-            known: pairs of positions a little before these, where there are such: only what went far since is searched.
+            known: pairs of positions a little before these, where there are such: only what strayed apart since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
             among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
             obstacle_reach: distance [m] of pairs with an obstacle where it is less than `reach`; None for the same.
