@@ -308,7 +308,8 @@ def meeting_leaves(
         asked: (nodes,) bool.
         parts: (parts, 2) int64 pairs of nodes to begin with.
         most: number of pairs above which none are returned.
-        strayed: the fields of what a search leaves out, of `SurfaceTree`; None for nothing.
+        strayed: four fields, of which the second holds the boxes of nodes and the last the distance [m] that
+            `boxes_within` takes; None for a search of everything.
     """
     found, count = np.empty((1024, 2), dtype=np.int64), 0
     stack = np.empty((_DEEPEST, 2), dtype=np.int64)

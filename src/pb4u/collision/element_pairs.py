@@ -10,6 +10,9 @@ from pb4u.collision.box_tree import copy_row, with_room
 from pb4u.collision.element_distance import fastest_approach, gather, nearest
 from pb4u.collision.jit import compiled
 
+Reaches = tuple[float, float, int]
+"""Distance [m] of pairs, of those with an obstacle, and the first vertex of obstacles, which are the last ones."""
+
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhood:
@@ -50,7 +53,7 @@ class Neighbourhood:
         return vertices - self.end, moves
 
     def near(
-        self, vertices: np.ndarray, moves: np.ndarray, strayed: np.ndarray, reaches: tuple[float, float, int]
+        self, vertices: np.ndarray, moves: np.ndarray, strayed: np.ndarray, reaches: Reaches
     ) -> tuple[np.ndarray, int]:
         """Corners of its pairs that may come within their reach, and the number of those of a vertex and a face.
 
@@ -110,13 +113,13 @@ class ElementPairs:
 
 
 @compiled
-def reach_of(corners: np.ndarray, pair: int, reaches: tuple[float, float, int]) -> float:
+def reach_of(corners: np.ndarray, pair: int, reaches: Reaches) -> float:
     """Reach [m] of a pair of some `corners` (pairs, 4).
 
     Args:
         corners: (pairs, 4) int64 vertices of the pairs.
         pair: its row.
-        reaches: distance [m] of pairs, of those with an obstacle, and the first vertex of obstacles, the last ones.
+        reaches: of both kinds.
     """
     return reaches[1] if max(corners[pair, 0], corners[pair, 3]) >= reaches[2] else reaches[0]
 
@@ -127,7 +130,7 @@ def may_meet(
     moves: np.ndarray,
     corners: np.ndarray,
     vertex_face: bool,
-    reaches: tuple[float, float, int],
+    reaches: Reaches,
 ) -> np.ndarray:
     """Whether each pair (pairs,) is no further apart than its reach and what it may approach by the moves.
 
@@ -155,7 +158,7 @@ def lasting_pairs(
     corners: np.ndarray,
     vertex_face: bool,
     room: float,
-    reaches: tuple[float, float, int],
+    reaches: Reaches,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Those of the `corners` (pairs, 4) that may come within twice a `room` of their reach on their moves.
 
@@ -255,7 +258,7 @@ def _stay_near(
     away: np.ndarray,
     strayed: np.ndarray,
     within: float,
-    reaches: tuple[float, float, int],
+    reaches: Reaches,
 ) -> np.ndarray:
     """Whether each pair (pairs,) that strayed `together` is no further apart than it may approach.
 

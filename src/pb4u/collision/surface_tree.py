@@ -29,6 +29,7 @@ from pb4u.collision.box_tree import (
 from pb4u.collision.element_pairs import (
     ElementPairs,
     Neighbourhood,
+    Reaches,
     lasting_pairs,
     may_meet,
     rest_distances,
@@ -55,9 +56,6 @@ _HALVED = 2
 
 
 Boxes = tuple[np.ndarray, np.ndarray]
-
-Reaches = tuple[float, float, int]
-"""Distance [m] of pairs, of those with an obstacle, and the first vertex of obstacles."""
 
 
 class _Fitted(NamedTuple):
@@ -181,7 +179,7 @@ class SurfaceTree:
             vertices: (vertices, 3) float64 [m].
             reach: distance [m].
             moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
-            known: pairs of positions a little before these, where there are such: only what strayed apart since is searched.
+            known: pairs of positions before these, where there are such: only what strayed apart since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
             among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
             obstacle_reach: distance [m] of pairs with an obstacle where it is less than `reach`; None for the same.
@@ -242,7 +240,7 @@ class SurfaceTree:
         """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
 
         Whose boxes meet that are wider by half of a reach on every side, and at the end of the move by `room` [m] more.
-        Those that `strayed` together are left out.
+        Those that `strayed` together since are left out.
         """
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
