@@ -33,7 +33,7 @@ _USUAL = 0.003
 
 
 def slowness(clock: Callable[[], float] = time.perf_counter) -> float:
-    """How many times as long as by experience work takes here and now, by a fifth of a second of sorting and gathering.
+    """How many times as long as by experience work takes here and now, by 50 ms of sorting and gathering.
 
     Args:
         clock: the time [s].
@@ -41,7 +41,7 @@ def slowness(clock: Callable[[], float] = time.perf_counter) -> float:
     import numpy as np
 
     seconds, values = list[float](), np.random.default_rng(0).random((50_000, 3))
-    while sum(seconds) < 0.2:
+    while sum(seconds) < 0.05:
         began, order = clock(), np.argsort(values[:, 0])
         np.einsum("nd,nd->n", values[order], values)
         seconds.append(clock() - began)

@@ -58,19 +58,20 @@ def bones_of(scene: Scene, trajectory: Trajectory) -> Bones:
 
 
 @cache
-def skewered() -> tuple[Scene, Trajectory]:
-    """From frame 2 on, a face of the shirt lies across the left forearm."""
+def skewered(bone: int | None = None, along: float = 0.5, size: float = 0.05) -> tuple[Scene, Trajectory]:
+    """From frame 2 on, a face of the shirt lies across a bone: the left forearm, or another by number."""
     scene, trajectory = worn()
     body = scene.colliders[0]
     assert isinstance(body, PosedBody)
     bones = bones_of(scene, trajectory)
-    ends = bones.ends[:, bones.names.index("lowerarm01.L")]
-    middle, way = ends.mean(axis=1), ends[:, 1] - ends[:, 0]
+    ends = bones.ends[:, bones.names.index("lowerarm01.L") if bone is None else bone]
+    way = ends[:, 1] - ends[:, 0]
+    middle = ends[:, 0] + along * way
     positions = np.array(trajectory.positions)
     for t in (2, 3):
         aside = np.cross(way[t], [0.0, 0.0, 1.0])
-        up, aside = np.cross(aside, way[t]), 0.05 * aside / np.linalg.norm(aside)
-        up = 0.05 * up / np.linalg.norm(up)
+        up, aside = np.cross(aside, way[t]), size * aside / np.linalg.norm(aside)
+        up = size * up / np.linalg.norm(up)
         positions[t, trajectory.faces[0]] = middle[t] + np.array([2 * aside, up - aside, -up - aside])
     return scene, replace(trajectory, positions=positions)
 
@@ -105,6 +106,15 @@ def test_a_limb_through_cloth_is_counted_and_said() -> None:
     assert "--arms-away" not in str(
         limbs_sentence([{"bone": "toes.L", "first_frame": 0, "frames": 1, "triangles": None}], 4)
     )
+
+
+def test_a_bone_without_skin_of_its_own_is_as_thick_as_its_joint() -> None:
+    """Of the five bones of a foot, one has the skin that the ankle moves."""
+    bones = bones_of(*worn())
+    bare = next(k for k, name in enumerate(bones.names) if name == "foot.L" and not (bones.skin == k).any())
+    crossed, watch = watched(bones, skewered(bare, along=0.9, size=0.005)[1])
+    assert [k for k in np.flatnonzero(crossed[2]).tolist() if bones.names[k] == "foot.L"] == [bare]
+    assert watch.enough["foot.L"] is not None
 
 
 def test_a_bone_outside_of_its_skin_says_nothing() -> None:

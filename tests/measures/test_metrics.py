@@ -17,10 +17,10 @@ from pb4u.scene.trajectory import Frame, Trajectory, TrajectoryHeader
 MATERIAL = Material(density=0.2, lame_mu=23600.0, lame_lambda=44400.0, bending=4e-5)
 
 
-def trajectory_of(positions: np.ndarray, velocity: float = 0.0) -> Trajectory:
-    """Frames of the sheet over a ball of radius 0.2 around the origin."""
+def trajectory_of(positions: np.ndarray, velocity: float = 0.0, *parts: trimesh.Trimesh) -> Trajectory:
+    """Frames of the sheet over a ball of radius 0.2 around the origin, and other `parts` of its body."""
     garment = sheet(height=0.0)
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.2)
+    ball = trimesh.util.concatenate([trimesh.creation.icosphere(subdivisions=3, radius=0.2), *parts])
     header = TrajectoryHeader(
         faces=garment.faces,
         rest_positions=garment.vertices,
@@ -82,6 +82,18 @@ def test_crossings_are_counted_frame_by_frame() -> None:
     outside, still_outside, inside = metrics["body_intersections"]["per_frame"]
     assert (outside, still_outside) == (0, 0)
     assert inside > 20
+
+
+def test_what_is_inside_another_part_of_the_body_is_no_skin_that_shows() -> None:
+    # Just below the top of the ball, which shows through the sheet there, or is buried in a second one.
+    positions = np.stack([REST + [0.0, 0.19, 0.0]])
+    hood = trimesh.creation.icosphere(subdivisions=3, radius=0.12)
+    hood.apply_translation([0.003, 0.23, 0.002])
+    bare, worn = (measure(trajectory_of(positions, 0.0, *parts))["metrics"] for parts in ([], [hood]))
+    assert bare["visible_skin_percent"]["max"] > 1.0
+    assert worn["visible_skin_percent"]["max"] == 0.0
+    assert bare["body_intersections_pinched"]["max"] == 0.0
+    assert worn["body_intersections_pinched"]["max"] > 0.0
 
 
 def test_inertia_is_that_of_a_change_of_velocity() -> None:

@@ -135,15 +135,24 @@ class ImplicitSurface:
         return vertices[used], np.searchsorted(used, faces)
 
     def _contour(self) -> tuple[np.ndarray, np.ndarray]:
-        import pyvista
+        # pyvista would do the same, and takes longer to import than the whole shape to make.
+        from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+        from vtkmodules.vtkCommonDataModel import vtkImageData
+        from vtkmodules.vtkFiltersCore import vtkMarchingCubes
 
-        grid = pyvista.ImageData(
-            dimensions=self.lattice.shape, spacing=(self.lattice.spacing,) * 3, origin=tuple(self.lattice.origin)
-        )
-        grid.point_data["shape"] = self._values.reshape(-1, order="F")
-        surface = grid.contour([0.0], scalars="shape", method="marching_cubes", compute_normals=False)
-        faces = np.asarray(surface.faces, dtype=np.int64).reshape(-1, 4)[:, 1:]
-        vertices, same = np.unique(np.asarray(surface.points, dtype=np.float64), axis=0, return_inverse=True)
+        grid, contour = vtkImageData(), vtkMarchingCubes()
+        grid.SetDimensions(self.lattice.shape)
+        grid.SetSpacing((self.lattice.spacing,) * 3)
+        grid.SetOrigin(self.lattice.origin.tolist())
+        grid.GetPointData().SetScalars(numpy_to_vtk(self._values.reshape(-1, order="F")))
+        contour.SetInputData(grid)
+        contour.SetValue(0, 0.0)
+        contour.ComputeNormalsOff()
+        contour.Update()
+        surface = contour.GetOutput()
+        faces = vtk_to_numpy(surface.GetPolys().GetConnectivityArray()).astype(np.int64).reshape(-1, 3)
+        points = vtk_to_numpy(surface.GetPoints().GetData()).astype(np.float64)
+        vertices, same = np.unique(points, axis=0, return_inverse=True)
         faces = same.reshape(-1)[faces]
         faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
         a, b, c = vertices[faces[:, 0]], vertices[faces[:, 1]], vertices[faces[:, 2]]

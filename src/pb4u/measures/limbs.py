@@ -137,7 +137,7 @@ class LimbWatch:
             pairs = np.concatenate([pairs, np.column_stack([limb, crossing[:, 0]])[bare[limb] & (limb >= 0)]])
         for bone in np.flatnonzero(found).tolist():
             if self.bones.names[bone] not in self.enough:
-                enough = self._enough(bone, ends[bone], body, pairs[pairs[:, 0] == bone, 1])
+                enough = self._enough(bone, ends, body, pairs[pairs[:, 0] == bone, 1])
                 self.enough[self.bones.names[bone]] = enough
         return found
 
@@ -159,8 +159,10 @@ class LimbWatch:
 
     def _enough(self, bone: int, ends: np.ndarray, body: np.ndarray, faces: np.ndarray) -> int | None:
         """Triangles at which the edges that a limb came through would be short enough to go round it."""
-        way = ends[1] - ends[0]
-        offsets = body[self.bones.skin == bone] - ends[0]
+        start, way = ends[bone, 0], ends[bone, 1] - ends[bone, 0]
+        # Bones that begin at one joint share its skin, which counts as that of the first.
+        first = (ends[:, 0] == start).all(axis=1).argmax()
+        offsets = body[self.bones.skin == first] - start
         along = np.clip(offsets @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
         radius = float(np.quantile(np.linalg.norm(offsets - along[:, None] * way, axis=1), 0.25))
         # An equilateral triangle of the same area has edges of this length.

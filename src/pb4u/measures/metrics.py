@@ -19,7 +19,7 @@ from pb4u.geometry.principal_stretch import face_strains, weighted_percentile
 from pb4u.geometry.topology import Topology
 from pb4u.geometry.triangle_mesh import area_weighted_normals, vertex_areas
 from pb4u.measures.divergence import first_lost
-from pb4u.measures.overlaps import overlapping_faces
+from pb4u.measures.overlaps import buried, overlapping_faces
 from pb4u.measures.released_energies import released_potential
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.physics.incremental_potential import IncrementalPotential
@@ -218,7 +218,7 @@ def visible_skin(
 
 
 def pinched(
-    pairs: np.ndarray, cloth: np.ndarray, cloth_faces: np.ndarray, body: np.ndarray, body_faces: np.ndarray
+    pairs: np.ndarray, cloth: np.ndarray, cloth_faces: np.ndarray, body: np.ndarray, folds: np.ndarray
 ) -> np.ndarray:
     """Which crossings (pairs,) bool of cloth with the body reach where the body is inside itself.
 
@@ -230,20 +230,16 @@ def pinched(
         cloth: (vertices, 3) [m].
         cloth_faces: (faces, 3) int64.
         body: (body vertices, 3) [m].
-        body_faces: (body faces, 3) int64 of all of it, closed.
+        folds: (folds, 3) int64 those faces of the body that overlap others.
     """
-    if not len(pairs):
-        return np.zeros(0, dtype=bool)
-    from scipy.spatial import KDTree
-
-    overlapping = body_faces[overlapping_faces(body, body_faces)]
-    if not len(overlapping):
+    if not len(pairs) or not len(folds):
         return np.zeros(len(pairs), dtype=bool)
     corners = cloth[cloth_faces[pairs[:, 0]]]
     centres = corners.mean(axis=1)
     radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
-    near: np.ndarray = KDTree(body[np.unique(overlapping)]).query(centres)[0] <= radii
-    return near
+    # The faces themselves: on a coarse body their vertices are farther away than the cloth's faces are wide.
+    near: np.ndarray = np.abs(TriangleSurface(folds, len(body)).at(body).nearest(centres).signed_distance.numpy())
+    return near <= radii
 
 
 class FrameMetrics(NamedTuple):
@@ -322,12 +318,16 @@ class Ruler:
         if len(self.touched):
             body = self._body(t).numpy()
             shown, covered, _ = visible_skin(body, self.touched, x.numpy(), cloth)
+            crossing = crossings(x.numpy(), cloth, body, self.touched)
+            folds = self.faces[:0]
+            if shown.any() or len(crossing):
+                folds = self.faces[overlapping_faces(body, self.faces)]
+                shown &= ~buried(shown, body, self.faces, folds)
             areas = vertex_areas(body, self.touched)
             under = float(areas[shown | covered].sum())
             metrics["visible_skin_percent"] = 100.0 * float(areas[shown].sum()) / under if under else 0.0
-            crossing = crossings(x.numpy(), cloth, body, self.touched)
             metrics["body_intersections"] = float(len(crossing))
-            metrics["body_intersections_pinched"] = float(pinched(crossing, x.numpy(), cloth, body, self.faces).sum())
+            metrics["body_intersections_pinched"] = float(pinched(crossing, x.numpy(), cloth, body, folds).sum())
         garments = [energies | each for energies, each in zip(ours, each_strains, strict=True)]
         return FrameMetrics(metrics, _summed(paper), garments)
 

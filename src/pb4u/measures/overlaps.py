@@ -29,8 +29,24 @@ def overlapping_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     for number in np.setdiff1d(piece, np.bincount(piece).argmax()):
         own = free[piece == number]
         middle = own[np.argsort(face_areas(vertices, faces[own]))[len(own) // 2]]
-        overlapping[own] = winding_number(vertices[faces[middle]].mean(axis=0), vertices, faces) > _TWICE
+        # At a corner the faces around it count for nothing; within a face that face would, by half, on either side.
+        overlapping[own] = winding_number(vertices[faces[middle, 0]], vertices, faces) > _TWICE
     return overlapping
+
+
+def buried(asked: np.ndarray, vertices: np.ndarray, faces: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """Vertices (vertices,) bool that lie inside another part of a closed surface, where no one sees them.
+
+    Args:
+        asked: (vertices,) bool those that are asked for; no other is found.
+        vertices: (vertices, 3) [m], finite.
+        faces: (faces, 3) int64, counter-clockwise seen from outside.
+        folds: (folds, 3) int64 its overlapping faces.
+    """
+    inside = np.zeros(len(vertices), dtype=bool)
+    for row in np.intersect1d(np.flatnonzero(asked), folds):
+        inside[row] = winding_number(vertices[row], vertices, faces) > _TWICE
+    return inside
 
 
 def winding_number(point: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -47,5 +63,6 @@ def winding_number(point: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -
     la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c))
     dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
-    angles = 2.0 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb)
+    # Of a face that has the point as its corner both are zero: no angle, but for a zero that is negative.
+    angles = 2.0 * np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb + 0.0)
     return float(angles.sum() / (4.0 * np.pi))
