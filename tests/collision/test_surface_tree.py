@@ -8,6 +8,7 @@ from tests.collision.crossing_free_states import Surface, folded, nested, stack
 
 from pb4u.collision.element_distance import nearest
 from pb4u.collision.element_pairs import ElementPairs
+from pb4u.collision.surface_tree import SurfaceTree
 
 SURFACES = {
     "stack": stack(3, 2e-3),
@@ -145,6 +146,40 @@ def test_pairs_known_of_one_move_serve_another_that_ends_near(name: str, size: f
             _assert_complete(surface, nearest < reach, tree.pairs(x, reach, further, known))
     served = tree.pairs(surface.before, 2e-3, moves + 1e-4, known)
     assert served.neighbourhood is known.neighbourhood
+
+
+@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("aside", [0.0, 0.1])
+def test_cloth_that_strays_as_one_keeps_its_pairs(name: str, aside: float) -> None:
+    """Carried by 30 cm and turned, every part of it `aside` in a direction of its own as well."""
+    surface = SURFACES[name]
+    tree, rng = surface.tree, np.random.default_rng(6)
+    known = tree.pairs(surface.before, 2e-3, lasting=True)
+    apart = aside * rng.normal(size=(surface.part.max() + 1, 3))[surface.part]
+    turned = np.cross([0.02, 0.03, -0.02], surface.before)
+    moves = turned + apart + [0.3, 0.0, -0.1] + 1e-4 * rng.normal(size=turned.shape)
+    for x, further in ((surface.before, moves), (surface.before + moves, 0.1 * moves)):
+        found = tree.pairs(x, 2e-3, further, known, lasting=True)
+        assert found.neighbourhood is known.neighbourhood
+        _assert_complete(surface, _nearest_on_the_way(surface, x, further) < 2e-3, found)
+
+
+def test_pairs_with_an_obstacle_have_a_reach_of_their_own() -> None:
+    surface = SURFACES["stack"]
+    first = int(np.flatnonzero(surface.part == surface.part.max())[0])
+    tree = SurfaceTree(
+        surface.rest, surface.faces, surface.edges, surface.part, surface.world, len(surface.rest) - first
+    )
+    corners = surface.all_pairs.corners
+    own, mixed = (corners < first).all(axis=1), (corners < first).any(axis=1) & (corners >= first).any(axis=1)
+    known, moves = None, 1e-3 * np.random.default_rng(7).normal(size=surface.before.shape)
+    for x in (surface.before, surface.before + 0.1 * moves):
+        distances = _nearest_on_the_way(surface, x, moves)
+        found = tree.pairs(x, 6e-3, moves, known, lasting=True, obstacle_reach=2e-3)
+        _assert_complete(surface, (own & (distances < 6e-3)) | (mixed & (distances < 2e-3)), found)
+        assert not keys(surface.all_pairs, mixed & (distances > 5e-3)) & keys(found)
+        assert known is None or found.neighbourhood is known.neighbourhood
+        known = found
 
 
 def _nearest_on_the_way(surface: Surface, x: np.ndarray, moves: np.ndarray) -> np.ndarray:

@@ -270,12 +270,36 @@ def boxes_meet(ones: np.ndarray, one: int, others: np.ndarray, other: int) -> bo
 
 
 @compiled
+def boxes_within(boxes: np.ndarray, one: int, other: int, within: float) -> bool:
+    """Whether no point of one box is further than `within` [m] from one of the other, at both ends of their moves.
+
+    Args:
+        boxes: (boxes, 12) [m].
+        one: row of them.
+        other: row of them.
+        within: distance [m].
+    """
+    begun, ended = 0.0, 0.0
+    for axis in range(3):
+        begun += max(boxes[one, 3 + axis] - boxes[other, axis], boxes[other, 3 + axis] - boxes[one, axis]) ** 2
+        ended += max(boxes[one, 9 + axis] - boxes[other, 6 + axis], boxes[other, 9 + axis] - boxes[one, 6 + axis]) ** 2
+    return begun <= within**2 and ended <= within**2
+
+
+@compiled
 def meeting_leaves(
-    node_boxes: np.ndarray, children: np.ndarray, ranges: np.ndarray, asked: np.ndarray, parts: np.ndarray, most: int
+    node_boxes: np.ndarray,
+    children: np.ndarray,
+    ranges: np.ndarray,
+    asked: np.ndarray,
+    parts: np.ndarray,
+    most: int,
+    strayed: tuple | None,
 ) -> np.ndarray:
     """Pairs (pairs, 2) of leaves whose boxes (nodes, 12) meet, of which one is `asked` (nodes,) for; each once.
 
-    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2). None where there are over `most`.
+    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2), but those that `boxes_within` tells
+    of. None where there are over `most`.
 
     Args:
         node_boxes: (nodes, 12) [m].
@@ -284,6 +308,8 @@ def meeting_leaves(
         asked: (nodes,) bool.
         parts: (parts, 2) int64 pairs of nodes to begin with.
         most: number of pairs above which none are returned.
+        strayed: four fields, of which the second holds the boxes of nodes and the last the distance [m] that
+            `boxes_within` takes; None for a search of everything.
     """
     found, count = np.empty((1024, 2), dtype=np.int64), 0
     stack = np.empty((_DEEPEST, 2), dtype=np.int64)
@@ -297,6 +323,8 @@ def meeting_leaves(
                 continue
             inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
             if a == b:
+                if strayed is not None and boxes_within(strayed[1][0], a, b, strayed[3]):
+                    continue
                 if inner_a:
                     left, right = children[a, 0], children[a, 1]
                     stack[depth, 0], stack[depth, 1] = left, left
@@ -307,6 +335,8 @@ def meeting_leaves(
             elif not boxes_meet(node_boxes, a, node_boxes, b):
                 continue
             elif inner_a or inner_b:
+                if strayed is not None and boxes_within(strayed[1][0], a, b, strayed[3]):
+                    continue
                 if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
                     stack[depth, 0], stack[depth, 1] = children[a, 0], b
                     stack[depth + 1, 0], stack[depth + 1, 1] = children[a, 1], b

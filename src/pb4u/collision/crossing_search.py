@@ -91,7 +91,7 @@ def _touching_faces(
     # Taken once: an array made for every pair would cost more than its numbers.
     work, side, other_side = np.empty((9, 3)), np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
     asked, asked_faces = among
-    leaves = meeting_leaves(node_boxes, children, ranges, asked, np.column_stack((roots, roots)), most)
+    leaves = meeting_leaves(node_boxes, children, ranges, asked, np.column_stack((roots, roots)), most, None)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):

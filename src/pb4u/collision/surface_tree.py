@@ -19,6 +19,7 @@ from pb4u.collision.box_tree import (
     BoxTree,
     boxes_meet,
     boxes_of,
+    boxes_within,
     copy_row,
     fill_boxes,
     fit_nodes,
@@ -28,19 +29,21 @@ from pb4u.collision.box_tree import (
 from pb4u.collision.element_pairs import (
     ElementPairs,
     Neighbourhood,
+    Reaches,
     lasting_pairs,
     may_meet,
     rest_distances,
+    together,
 )
 from pb4u.collision.jit import compiled
 from pb4u.geometry.topology import Topology
 from pb4u.threads import parallel_map
 
-_ROOM = 0.08
-"""How far a vertex may go, in mean edge lengths at rest, before what is near it is searched again."""
+_ROOM = 0.12
+"""Half of how far apart two vertices may stray, in mean edge lengths at rest, before what is near is searched again."""
 
-_MOST_LEAVING = 0.3
-"""Share of the vertices that may leave their room before the whole surface is searched again."""
+_MOST_STRAYING = 0.3
+"""Share of the vertices that may stray from those around them before the whole surface is searched again."""
 
 _FEW = 4096
 """Vertices up to which one thread searches: 6 ms, beside which it takes long to wake another processor."""
@@ -76,6 +79,35 @@ class _Fitted(NamedTuple):
         """Whether what is kept of the obstacles holds for a search; arguments as those of the record."""
         wide = margin <= self.margin and room <= self.room
         return wide and np.array_equal(obstacles, self.obstacles) and np.array_equal(moves, self.moves)
+
+
+class _Strayed(NamedTuple):
+    """How far vertices strayed from where pairs were known, as a move begins and as it ends.
+
+    Args:
+        ends: (vertices, 6) [m].
+        boxes: (.., 12) [m] of that of nodes and faces.
+        calm: (vertices,) bool whether all around a vertex strayed together.
+        within: distance [m] up to which two vertices do.
+    """
+
+    ends: np.ndarray
+    boxes: Boxes
+    calm: np.ndarray
+    within: float
+
+    @staticmethod
+    def over(tree: SurfaceTree, known: Neighbourhood, vertices: np.ndarray, moves: np.ndarray) -> _Strayed:
+        """Those of a move (vertices, 3) [m] of the surface of a `tree` from `vertices` (vertices, 3) [m]."""
+        begun, way = known.strayed(vertices, moves)
+        ends, within, faces = np.concatenate([begun, begun + way], axis=1), 2.0 * known.room, tree.faces
+        calm = _calm(ends, tree.edges, within)
+        if tree.first_obstacle < len(vertices):
+            # Cloth that slides over a body strays from that, however much it does so as one.
+            calm &= (ends[:, :3] ** 2).sum(axis=1) <= known.room**2
+            calm &= (ends[:, 3:] ** 2).sum(axis=1) <= known.room**2
+        straying = boxes_of(begun, way, faces, 0.0)
+        return _Strayed(ends, (tree.boxes.fitted(straying), straying), calm, within)
 
 
 class SurfaceTree:
@@ -137,6 +169,7 @@ class SurfaceTree:
         known: ElementPairs | None = None,
         lasting: bool = False,
         among: np.ndarray | None = None,
+        obstacle_reach: float | None = None,
     ) -> ElementPairs:
         """Pairs that may come within `reach` of one another, a superset of those that do.
 
@@ -146,9 +179,10 @@ class SurfaceTree:
             vertices: (vertices, 3) float64 [m].
             reach: distance [m].
             moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
-            known: pairs of positions a little before these, where there are such: only what went far since is searched.
+            known: pairs of positions before these, where there are such: only what strayed apart since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
             among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
+            obstacle_reach: distance [m] of pairs with an obstacle where it is less than `reach`; None for the same.
 
         Raises:
             ValueError: they are given together.
@@ -157,33 +191,36 @@ class SurfaceTree:
             raise ValueError("pairs of some vertices are neither taken from known pairs nor kept as such")
         vertices = np.ascontiguousarray(vertices, dtype=np.float64)
         moving = self._still if moves is None else np.ascontiguousarray(moves, dtype=np.float64)
+        reaches = reach, min(reach, reach if obstacle_reach is None else obstacle_reach), self.first_obstacle
         neighbourhood = None if known is None else known.neighbourhood
-        if neighbourhood is not None and neighbourhood.reach >= reach:
-            away, left = neighbourhood.left(vertices, moving)
-            if np.count_nonzero(left) <= _MOST_LEAVING * self.first_obstacle:
-                stayed = neighbourhood.near(vertices, moving, away, left, reach)
-                found = _near(self._search(vertices, moving, 0.5 * reach, left), vertices, moving, reach)
-                return self._pairs((stayed, found), neighbourhood)
+        if neighbourhood is not None and all(np.less_equal(reaches[:2], neighbourhood.reaches)):
+            strayed = _Strayed.over(self, neighbourhood, vertices, moving)
+            if np.count_nonzero(~strayed.calm[: self.first_obstacle]) <= _MOST_STRAYING * self.first_obstacle:
+                stayed = neighbourhood.near(vertices, moving, strayed.ends, reaches)
+                candidates = self._search(vertices, moving, reaches, self._everywhere, strayed=strayed)
+                return self._pairs((stayed, _near(candidates, vertices, moving, reaches)), neighbourhood)
         if not lasting:
             asked = self._everywhere if among is None else among
-            candidates = self._search(vertices, moving, 0.5 * reach, asked)
-            return self._pairs((_near(candidates, vertices, moving, reach),), None)
-        candidates = self._search(vertices, moving, 0.5 * reach, self._everywhere, self._room)
-        neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reach)
+            candidates = self._search(vertices, moving, reaches, asked)
+            return self._pairs((_near(candidates, vertices, moving, reaches),), None)
+        candidates = self._search(vertices, moving, reaches, self._everywhere, self._room)
+        neighbourhood, rows = self._neighbourhood(candidates, vertices, moving, reaches)
         found = neighbourhood.corners[rows], int(rows[: neighbourhood.vertex_faces].sum())
         return self._pairs((found,), neighbourhood)
 
     def _neighbourhood(
-        self, candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reach: float
+        self, candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reaches: Reaches
     ) -> tuple[Neighbourhood, np.ndarray]:
         """Those of the `candidates` that come near, or do so after the move; and which (pairs,) do on it."""
-        within, pieces = reach + 2.0 * self._room, _PIECES if len(vertices) > _FEW else 1
+        pieces = _PIECES if len(vertices) > _FEW else 1
         parts = [(part, kind) for kind in (True, False) for part in np.array_split(candidates[not kind], pieces)]
-        kept = parallel_map(lambda part: lasting_pairs(vertices, moves, *part, within), parts)
-        corners, distances, least = (np.concatenate(found) for found in zip(*kept, strict=True))
+        kept = parallel_map(lambda part: lasting_pairs(vertices, moves, *part, self._room, reaches), parts)
+        corners, distances, rows = (np.concatenate(found) for found in zip(*kept, strict=True))
         vertex_faces = sum(len(found[0]) for found in kept[:pieces])
-        made = Neighbourhood(vertices.copy(), vertices + moves, reach, self._room, corners, vertex_faces, distances)
-        return made, least <= reach
+        made = Neighbourhood(
+            vertices.copy(), vertices + moves, reaches[:2], self._room, corners, vertex_faces, distances
+        )
+        return made, rows
 
     def _pairs(self, parts: Sequence[tuple[np.ndarray, int]], neighbourhood: Neighbourhood | None) -> ElementPairs:
         """All `parts` as one: corners, of which the first so many are of a vertex and a face."""
@@ -195,33 +232,36 @@ class SurfaceTree:
         self,
         vertices: np.ndarray,
         moves: np.ndarray,
-        margin: float,
+        reaches: Reaches,
         among: np.ndarray,
         room: float = 0.0,
+        strayed: _Strayed | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Corners (pairs, 4) of vertex and face, and of two edges, that have one `among` these vertices and may meet.
 
-        Whose boxes meet that are wider by `margin` [m] on every side, and at the end of the move by `room` [m] more.
+        Whose boxes meet that are wider by half of a reach on every side, and at the end of the move by `room` [m] more.
+        Those that `strayed` together since are left out.
         """
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
-        boxes = self.fitted(vertices, moves, margin, room)
+        boxes = self.fitted(vertices, moves, 0.5 * reaches[0], room)
         elements = (self.faces, self.edges, self._owned_vertices, self._owned_edges)
         tree = self.boxes.arrays[:3]
         asked = (among, *asked_for(tree, self.faces, among))
         whole = np.count_nonzero(among) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
-        begun, ended = 2.0 * margin, 2.0 * (margin + room)
+        begun, ended = reaches[0], reaches[0] + 2.0 * room
         ends = np.concatenate([vertices, vertices + moves], axis=1)
-        way = vertices, moves, begun, ended, self.first_obstacle, ends
+        way = vertices, moves, begun, ended, self.first_obstacle, ends, reaches[1], reaches[1] + 2.0 * room
+        known = None if strayed is None else tuple(strayed)
         searches: list[Callable[[], Any]] = [
-            partial(_search, boxes, tree, elements, asked, part, way) for part in parts
+            partial(_search, boxes, tree, elements, asked, part, way, known) for part in parts
         ]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = _PIECES if whole else 1
         around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
-        searches += [partial(_near_around, ends, among, *piece, begun, ended) for piece in around]
+        searches += [partial(_near_around, ends, among, *piece, begun, ended, known) for piece in around]
         found = parallel_map(lambda search: search(), searches)
         vertex_faces, edge_edges = (
             np.concatenate(
@@ -306,12 +346,12 @@ def _owners(faces: np.ndarray, edges: np.ndarray, vertex_count: int) -> tuple[np
 
 
 def _near(
-    candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reach: float
+    candidates: tuple[np.ndarray, np.ndarray], vertices: np.ndarray, moves: np.ndarray, reaches: Reaches
 ) -> tuple[np.ndarray, int]:
-    """Corners of the `candidates` that may come within `reach`, and the number of those of a vertex and a face."""
+    """Corners of the `candidates` that may come within their reach, and the number of those of a vertex and a face."""
     # Boxes of long edges across each other meet long before the edges do.
     vertex_faces, edge_edges = (
-        corners[may_meet(vertices, moves, corners, kind, reach)] if len(corners) else corners
+        corners[may_meet(vertices, moves, corners, kind, reaches)] if len(corners) else corners
         for corners, kind in zip(candidates, (True, False), strict=True)
     )
     return np.concatenate([vertex_faces, edge_edges]), len(vertex_faces)
@@ -322,12 +362,13 @@ def _pairs_around(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of a vertex and a face, and of two edges, without a common vertex, whose faces have one.
 
-    Their corners (pairs, 4) int32 each; each pair once.
+    Their corners, and the common vertex (pairs, 5) int32 each; each pair once.
     """
     starts, ring = Topology(faces, vertex_count).vertex_faces
     near_faces, near_edges = _listed_around(faces, edges, owned_vertices, owned_edges, ring, starts)
-    sides = edges[near_edges].reshape(-1, 4)
-    return np.column_stack([near_faces[:, 0], faces[near_faces[:, 1]]]).astype(np.int32), sides.astype(np.int32)
+    vertex_faces = np.column_stack([near_faces[:, 0], faces[near_faces[:, 1]], near_faces[:, 2]])
+    sides = np.column_stack([edges[near_edges[:, 0]], edges[near_edges[:, 1]], near_edges[:, 2]])
+    return vertex_faces.astype(np.int32), sides.astype(np.int32)
 
 
 @compiled
@@ -352,11 +393,11 @@ def _listed_around(
     ring: np.ndarray,
     starts: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `_pairs_around`, the elements (pairs, 2) int64 by their numbers.
+    """As `_pairs_around`, the elements by their numbers, and the common vertex (pairs, 3) int64.
 
     `ring` holds the faces around each vertex, from `starts` (vertices + 1,) of it on.
     """
-    near_faces, near_edges = np.empty((1024, 2), dtype=np.int64), np.empty((1024, 2), dtype=np.int64)
+    near_faces, near_edges = np.empty((1024, 3), dtype=np.int64), np.empty((1024, 3), dtype=np.int64)
     face_count, edge_count = 0, 0
     met = np.full(len(faces), -1)
     for f in range(len(faces)):
@@ -371,6 +412,7 @@ def _listed_around(
                     if v >= 0 and v != faces[g, 0] and v != faces[g, 1] and v != faces[g, 2]:
                         near_faces = with_room(near_faces, face_count)
                         near_faces[face_count, 0], near_faces[face_count, 1] = v, g
+                        near_faces[face_count, 2] = faces[f, corner]
                         face_count += 1
                     p = owned_edges[f, k]
                     if p < 0 or g < f:
@@ -383,27 +425,62 @@ def _listed_around(
                             continue
                         near_edges = with_room(near_edges, edge_count)
                         near_edges[edge_count, 0], near_edges[edge_count, 1] = p, q
+                        near_edges[edge_count, 2] = faces[f, corner]
                         edge_count += 1
     return near_faces[:face_count].copy(), near_edges[:edge_count].copy()
 
 
 @compiled
+def _calm(ends: np.ndarray, edges: np.ndarray, within: float) -> np.ndarray:
+    """Whether around each vertex (vertices,) `ends` (vertices, 6) [m] are no further than `within` [m] apart."""
+    low, high = ends.copy(), ends.copy()
+    for edge in range(len(edges)):
+        a, b = edges[edge, 0], edges[edge, 1]
+        for k in range(6):
+            low[a, k], high[a, k] = min(low[a, k], ends[b, k]), max(high[a, k], ends[b, k])
+            low[b, k], high[b, k] = min(low[b, k], ends[a, k]), max(high[b, k], ends[a, k])
+    calm = np.empty(len(ends), dtype=np.bool_)
+    for v in range(len(ends)):
+        begun, ended = 0.0, 0.0
+        for axis in range(3):
+            begun += (high[v, axis] - low[v, axis]) ** 2
+            ended += (high[v, 3 + axis] - low[v, 3 + axis]) ** 2
+        calm[v] = begun <= within**2 and ended <= within**2
+    return calm
+
+
+@compiled
 def _near_around(
-    ends: np.ndarray, among: np.ndarray, corners: np.ndarray, vertex_face: bool, begun: float, ended: float
+    ends: np.ndarray,
+    among: np.ndarray,
+    listed: np.ndarray,
+    vertex_face: bool,
+    begun: float,
+    ended: float,
+    strayed: tuple | None,
 ) -> np.ndarray:
-    """Those of the `corners` (pairs, 4) that `_pairs_around` lists with one `among` (vertices,), unless `_apart`."""
+    """Corners (pairs, 4) of what `_pairs_around` lists with one `among` (vertices,), unless `_apart`.
+
+    Those that `strayed` together are left out.
+    """
     near, count = np.empty((64, 4), dtype=np.int64), 0
-    for pair in range(len(corners)):
-        a, b, c, d = corners[pair, 0], corners[pair, 1], corners[pair, 2], corners[pair, 3]
+    for pair in range(len(listed)):
+        if strayed is not None and strayed[2][listed[pair, 4]]:
+            continue
+        a, b, c, d = listed[pair, 0], listed[pair, 1], listed[pair, 2], listed[pair, 3]
         if not (among[a] or among[b] or among[c] or among[d]):
             continue
         if vertex_face:
+            if strayed is not None and together(strayed[0], (a,), (b, c, d), strayed[3]):
+                continue
             apart = _apart(ends, (a,), (b, c, d), begun, ended)
         else:
+            if strayed is not None and together(strayed[0], (a, b), (c, d), strayed[3]):
+                continue
             apart = _apart(ends, (a, b), (c, d), begun, ended)
         if not apart:
             near = with_room(near, count)
-            copy_row(corners[pair], near[count])
+            near[count, 0], near[count, 1], near[count, 2], near[count, 3] = a, b, c, d
             count += 1
     return near[:count]
 
@@ -433,21 +510,21 @@ def asked_for(tree: tuple, faces: np.ndarray, among: np.ndarray) -> tuple[np.nda
 
 @compiled
 def _search(
-    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray, way: tuple
+    boxes: tuple, tree: tuple, elements: tuple, asked: tuple, parts: np.ndarray, way: tuple, strayed: tuple | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Corners (pairs, 4) of vertex and face, and of two edges, with one `asked` for and boxes that meet.
 
     Of the elements in the pairs of nodes `parts` (parts, 2), of faces that share no vertex. Those of obstacles that
-    `_beside` tells of, on the `way`, are left out.
+    `_beside` tells of, on the `way`, are left out, and those that `strayed` together.
     """
     order, children, ranges = tree
     faces, edges, owned_vertices, owned_edges = elements
     node_boxes, face_boxes = boxes
     among, asked_nodes, asked_faces = asked
-    begun, ended, ends = way[2], way[3], way[5]
+    ends = way[5]
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
-    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY)
+    leaves = meeting_leaves(node_boxes, children, ranges, asked_nodes, parts, EVERY, strayed)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):
@@ -458,17 +535,23 @@ def _search(
                     continue
                 if _share_a_vertex(faces, f, g):
                     continue
+                if strayed is not None and boxes_within(strayed[1][1], f, g, strayed[3]):
+                    continue
                 one, other = (faces[f, 0], faces[f, 1], faces[f, 2]), (faces[g, 0], faces[g, 1], faces[g, 2])
                 if one[0] >= way[4] and _beside(other, one, way):
                     continue
                 if other[0] >= way[4] and _beside(one, other, way):
                     continue
+                mixed = one[0] >= way[4] or other[0] >= way[4]
+                begun, ended = (way[6], way[7]) if mixed else (way[2], way[3])
                 if _apart(ends, one, other, begun, ended):
                     continue
                 for first, second, corners in ((f, g, other), (g, f, one)):
                     for k in range(3):
                         v = owned_vertices[first, k]
                         if v < 0 or not (among[v] or asked_faces[second]):
+                            continue
+                        if strayed is not None and together(strayed[0], (v,), corners, strayed[3]):
                             continue
                         if not _apart(ends, (v,), corners, begun, ended):
                             near_faces = with_room(near_faces, face_count)
@@ -488,7 +571,10 @@ def _search(
                             continue
                         if not (among[side[0]] or among[side[1]] or among[edges[q, 0]] or among[edges[q, 1]]):
                             continue
-                        if not _apart(ends, side, (edges[q, 0], edges[q, 1]), begun, ended):
+                        across = edges[q, 0], edges[q, 1]
+                        if strayed is not None and together(strayed[0], side, across, strayed[3]):
+                            continue
+                        if not _apart(ends, side, across, begun, ended):
                             near_edges = with_room(near_edges, edge_count)
                             copy_row(edges[p], near_edges[edge_count, :2])
                             copy_row(edges[q], near_edges[edge_count, 2:])
@@ -526,9 +612,9 @@ def _beside(face: tuple, other: tuple, way: tuple) -> bool:
     """Whether another face, of three corners, stays on one side of the plane of a `face`.
 
     By more than a distance [m] at the beginning of the moves and another at their end, as the `way` says: vertices
-    (vertices, 3) [m], moves (vertices, 3) [m], these two distances [m].
+    (vertices, 3) [m], moves (vertices, 3) [m], and last these two distances [m].
     """
-    vertices, moves, begun, ended = way[0], way[1], way[2], way[3]
+    vertices, moves, begun, ended = way[0], way[1], way[6], way[7]
     a, b, c = face
     u, v, w = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
     p, q, r = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]

@@ -83,7 +83,8 @@ class ClothPairs:
             way = np.concatenate([still, obstacle.moves])
             points, began = (np.concatenate([of, obstacle.before]) for of in (points, began))
             areas = np.concatenate([areas, obstacle.areas])
-        pairs = tree.pairs(points, reach, way, None if known is None else known.pairs, lasting=True)
+        near = None if known is None else known.pairs
+        pairs = tree.pairs(points, reach, way, near, lasting=True, obstacle_reach=_BODY_REACH)
         mixed = np.asarray((pairs.corners >= tree.first_obstacle).any(axis=1))
         if obstacle is not None and obstacle.passed.any():
             kept = ~through_obstacle(pairs.corners, tree.first_obstacle, obstacle.passed)
