@@ -39,7 +39,7 @@ from pb4u.collision.jit import compiled
 from pb4u.geometry.topology import Topology
 from pb4u.threads import parallel_map
 
-_ROOM = 0.12
+_ROOM = 0.1
 """Half of how far apart two vertices may stray, in mean edge lengths at rest, before what is near is searched again."""
 
 _MOST_STRAYING = 0.3
