@@ -38,7 +38,7 @@ def buried(asked: np.ndarray, vertices: np.ndarray, faces: np.ndarray, folds: np
     """Vertices (vertices,) bool that lie inside another part of a closed surface, where no one sees them.
 
     Args:
-        asked: (vertices,) bool those that are asked for; no other is found.
+        asked: (vertices,) bool vertices to look at; no other is found.
         vertices: (vertices, 3) [m], finite.
         faces: (faces, 3) int64, counter-clockwise seen from outside.
         folds: (folds, 3) int64 its overlapping faces.
