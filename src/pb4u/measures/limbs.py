@@ -23,7 +23,7 @@ from pb4u.body.limb_bones import limb_bones
 from pb4u.collision.crossings import crossings, segments_through_faces
 from pb4u.collision.nearest_surface import TriangleSurface
 from pb4u.geometry.triangle_mesh import area_weighted_normals, face_areas, vertex_areas
-from pb4u.measures.overlaps import overlapping_faces
+from pb4u.measures.overlaps import overlapping_faces, winding_number
 from pb4u.physics.contact.skin_cover import SkinCover
 from pb4u.scene.scene import Scene
 from pb4u.scene.trajectory import Trajectory, TrajectoryHeader
@@ -35,6 +35,9 @@ _ARM = re.compile("arm|elbow|wrist")
 _BARE, _OUT = 1e-3, 3e-3
 """Skin [m^2] of a limb that lies so far [m] over cloth which it crosses from which on it has come through: 3 cm
 square. Cloth that sags between its vertices lies less deep."""
+
+_IN_TWO = 1.5
+"""Winding number from which on a point is inside two parts of a body."""
 
 _SPANNED = math.radians(22.0)
 """Angle round a limb that an edge spans where cloth holds it, bent or stretched: sixteen edges. At seven to twelve,
@@ -127,7 +130,10 @@ class LimbWatch:
         pairs, places = segments_through_faces(ends[:, 0], ends[:, 1], cloth, faces)
         if len(pairs):
             skin = self._skin.at(torch.from_numpy(body))
-            pairs = pairs[skin.nearest(torch.from_numpy(places)).signed_distance.numpy() < 0.0]
+            inside = skin.nearest(torch.from_numpy(places)).signed_distance.numpy() < 0.0
+            # Between two parts that are in each other, cloth is in both.
+            once = [winding_number(place, body, self._faces) < _IN_TWO for place in places]
+            pairs = pairs[inside & np.array(once)]
             found[pairs[:, 0]] = True
         crossing = crossings(cloth, faces, body, self._touched)
         if len(crossing):

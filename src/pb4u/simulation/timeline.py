@@ -14,6 +14,7 @@ from pb4u.physics.time_step import TimeStep
 from pb4u.scene.colliders import ColliderFrame, ColliderPose, PackedColliders, pack_colliders
 from pb4u.scene.packed import PackedGarments, pack
 from pb4u.scene.scene import Scene
+from pb4u.scene.soft_folds import SoftFolds
 from pb4u.scene.state import State
 from pb4u.threads import to_device
 
@@ -130,7 +131,7 @@ class Timeline:
 
             return BlockedFrames(block, max(scene.total_frames for scene in scenes))
 
-        body = frames([(world, body.positions) for world, body in bodies])
+        body = frames([(world, SoftFolds(body).positions) for world, body in bodies])
         skinned = frames([(world, each.placement.positions) for world, each in worn])
         gravity = torch.as_tensor(scenes[0].gravity, dtype=dtype, device=device)
         return Timeline(garments, colliders, body, skinned, scenes[0].dt, gravity)

@@ -1,0 +1,234 @@
+"""Flesh that gives way where a body passes through itself, so that cloth between two of its parts has room.
+
+A body that is posed by its bones passes through itself in a crouch, in the crook of an arm, or where who was recorded
+is slimmer. Flesh would be pressed flat. Here skin that lies inside another part is moved inward, and so is the skin of
+that part, until both are some millimetres apart: what is between them stays between them, and is on its own side when
+they part again. Contact alone knows of it; what is written and drawn is the body as it was posed.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pb4u.body.animated_body import AnimatedBody
+from pb4u.collision.jit import compiled
+from pb4u.collision.nearest_surface import TriangleSurface
+from pb4u.geometry.triangle_mesh import area_weighted_normals
+
+_SPACING = 0.03
+"""Distance [m] between the places of the skin that are looked at."""
+
+_REACH = 0.2
+"""Distance [m] up to which places are taken to face each other."""
+
+_FACING = -0.3
+"""Cosine between the normals of two skins below which they face each other."""
+
+_ASIDE = 0.04
+"""Distance [m] across their common normal from which on two places do not face each other."""
+
+_CLOSER = 0.7
+"""Share of their distance at rest within which two places have met; the two sides of one limb keep theirs."""
+
+_LEAST = 0.01
+"""Depth [m] up to which a fold is left as it is; one twice as deep is opened whole."""
+
+_ROOM = 0.006
+"""Distance [m] between the skins of a fold that was opened."""
+
+_THINNER = 0.4
+"""Share of the way to the other side of its own limb that skin is moved inward at most."""
+
+_OUTSIDE = 5e-4
+"""Height [m] over the skin at which its own part is not around a place, but another may be."""
+
+_ROUNDS, _NEIGHBOURS = 8, 8
+
+
+class SoftFolds:
+    """A moving body whose skin gives way.
+
+    Args:
+        body: as it is posed; what it leaves out of contact neither presses nor gives way.
+    """
+
+    def __init__(self, body: AnimatedBody) -> None:
+        self._body = body
+        self._touched = np.flatnonzero(body.contact)
+        rest = np.asarray(body.rest_vertices, dtype=np.float64)[self._touched]
+        cells = np.floor(rest / _SPACING).astype(np.int64)
+        self._rows = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+        self._places, self._rest = self._touched[self._rows], rest[self._rows]
+
+    def positions(self, start: int, stop: int) -> Tensor:
+        """Vertices of consecutive frames, as `AnimatedBody.positions` gives them, with their folds opened.
+
+        Args:
+            start: first frame.
+            stop: frame after the last.
+
+        Returns:
+            (stop - start, vertices, 3) float32 [m].
+        """
+        posed = self._body.positions(start, stop)
+        if not self._body.is_closed or not len(self._places):
+            return posed
+        return torch.stack([torch.from_numpy(self.opened(each)) for each in posed.numpy()])
+
+    def opened(self, positions: np.ndarray) -> np.ndarray:
+        """The vertices (vertices, 3) of one frame with the folds opened; the same array where there are none.
+
+        Args:
+            positions: (vertices, 3) [m].
+        """
+        x = np.ascontiguousarray(positions, dtype=np.float64)
+        every = area_weighted_normals(x, self._body.faces)
+        points, normals = x[self._places], every[self._places]
+        pairs = _met(points, normals, self._rest)
+        if not len(pairs):
+            return positions
+        inside = self._inside(x, every, pairs)
+        held = inside[self._rows]
+        pairs = pairs[held[pairs].all(axis=1)]
+        if not len(pairs):
+            return positions
+        smooth, spread = self._smoothing, self._spread
+        normals = smooth @ (smooth @ normals)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(min=1e-12)
+        depth = _depth(points, normals, pairs)
+        room, share = depth.clip(0.0, _ROOM), _opened_share(depth, pairs)
+        inward, around = np.zeros(len(points)), (smooth @ held.astype(np.float64)).clip(min=1e-12)
+        for _ in range(_ROUNDS):
+            inward += 0.5 * np.maximum(depth + room, 0.0)
+            inward = np.where(held, (smooth @ inward) / around, 0.0).clip(max=self._most)
+            depth = _depth(points - inward[:, None] * normals, normals, pairs)
+        moved = x.copy()
+        moved[self._touched[inside]] -= (spread @ ((share * inward)[:, None] * normals))[inside]
+        return moved.astype(positions.dtype)
+
+    def _inside(self, x: np.ndarray, normals: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+        """Which of the touched vertices (touched,) bool, of those around the pairs, lie inside another part."""
+        import igl
+
+        met = np.zeros(len(self._places))
+        met[pairs] = 1.0
+        rows = np.flatnonzero(self._spread @ met > 0.0)
+        asked = self._touched[rows]
+        winding = igl.fast_winding_number(x, self._surface.faces, x[asked] + _OUTSIDE * normals[asked])
+        inside = np.zeros(len(self._touched), dtype=bool)
+        inside[rows] = np.asarray(winding) > 0.5
+        return inside
+
+    @cached_property
+    def _surface(self) -> TriangleSurface:
+        return TriangleSurface(self._body.faces, len(self._body.contact), self._body.contact, capped=True)
+
+    @cached_property
+    def _spread(self):  # type: ignore[no-untyped-def]
+        """What each touched vertex takes of the places around it, rows of a sparse matrix that sum to one."""
+        from scipy.sparse import csr_array
+        from scipy.spatial import cKDTree
+
+        rest = np.asarray(self._body.rest_vertices, dtype=np.float64)
+        normals = area_weighted_normals(rest, self._body.faces)
+        count = min(_NEIGHBOURS, len(self._places))
+        distances, near = cKDTree(self._rest).query(rest[self._touched], k=np.arange(1, count + 1))
+        alike = np.einsum("vi,vki->vk", normals[self._touched], normals[self._places][near])
+        # Skin that faces another way, as that of the other thigh, moves another way.
+        shares = alike.clip(min=1e-3) * np.exp(-((distances / _SPACING) ** 2)) + 1e-9
+        shares /= shares.sum(axis=1, keepdims=True)
+        starts = np.arange(len(near) + 1) * count
+        return csr_array((shares.ravel(), near.ravel(), starts), shape=(len(near), len(self._places)))
+
+    @cached_property
+    def _smoothing(self):  # type: ignore[no-untyped-def]
+        return self._spread[self._rows]
+
+    @cached_property
+    def _most(self) -> np.ndarray:
+        normals = area_weighted_normals(np.asarray(self._body.rest_vertices, dtype=np.float64), self._body.faces)
+        return _THINNER * _thickness(self._rest, normals[self._places])
+
+
+def _opened_share(depth: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Share (places,) of its opening that each place takes, by the depth of the fold that it lies in."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    met = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(depth), len(depth)))
+    count, fold = connected_components(met, directed=False)
+    deepest = np.zeros(count)
+    np.maximum.at(deepest, fold, depth)
+    return (deepest[fold] / _LEAST - 1.0).clip(0.0, 1.0)
+
+
+@compiled
+def _met(points: np.ndarray, normals: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Pairs (pairs, 2) of places that face each other and came together; none where no two lie behind one another."""
+    pairs = [(0, 0) for _ in range(0)]
+    behind = False
+    for i in range(len(points)):
+        x, y, z = points[i]
+        nx, ny, nz = normals[i]
+        for j in range(i):
+            dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            squared = dx * dx + dy * dy + dz * dz
+            if squared > _REACH * _REACH:
+                continue
+            if nx * normals[j, 0] + ny * normals[j, 1] + nz * normals[j, 2] > _FACING:
+                continue
+            rx, ry, rz = rest[j, 0] - rest[i, 0], rest[j, 1] - rest[i, 1], rest[j, 2] - rest[i, 2]
+            if squared > _CLOSER * _CLOSER * (rx * rx + ry * ry + rz * rz):
+                continue
+            pairs.append((i, j))
+            depth = -(dx * nx + dy * ny + dz * nz)
+            # Each lies straight behind the other.
+            behind |= (
+                depth > _LEAST
+                and dx * normals[j, 0] + dy * normals[j, 1] + dz * normals[j, 2] > _LEAST
+                and squared - depth * depth < _ASIDE * _ASIDE
+            )
+    if not behind:
+        return np.zeros((0, 2), dtype=np.int64)
+    return np.array(pairs, dtype=np.int64)
+
+
+@compiled
+def _depth(points: np.ndarray, normals: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Depth (places,) [m] of places in what faces them, along their common normal; negative outside."""
+    total, weights = np.zeros(len(points)), np.zeros(len(points))
+    for i, j in pairs:
+        ax, ay, az = normals[i, 0] - normals[j, 0], normals[i, 1] - normals[j, 1], normals[i, 2] - normals[j, 2]
+        dx, dy, dz = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
+        depth = (dx * ax + dy * ay + dz * az) / math.sqrt(ax * ax + ay * ay + az * az)
+        weight = 1.0 - (dx * dx + dy * dy + dz * dz - depth * depth) / (_ASIDE * _ASIDE)
+        if weight > 0.0:
+            for place in (i, j):
+                total[place] += weight * weight * depth
+                weights[place] += weight * weight
+    for place in range(len(points)):
+        total[place] = total[place] / weights[place] if weights[place] > 0.0 else -_REACH
+    return total
+
+
+@compiled
+def _thickness(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Distance (places,) [m] from each place inward to the other side of its limb; infinite where there is none."""
+    found = np.full(len(points), np.inf)
+    for i in range(len(points)):
+        x, y, z = points[i]
+        nx, ny, nz = normals[i]
+        for j in range(len(points)):
+            dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+            depth = -(dx * nx + dy * ny + dz * nz)
+            if depth <= 0.0 or depth >= found[i]:
+                continue
+            facing = nx * normals[j, 0] + ny * normals[j, 1] + nz * normals[j, 2] < _FACING
+            if facing and dx * dx + dy * dy + dz * dz - depth * depth < _ASIDE * _ASIDE:
+                found[i] = depth
+    return found
