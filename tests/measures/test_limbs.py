@@ -128,6 +128,18 @@ def test_a_bone_outside_of_its_skin_says_nothing() -> None:
     assert not moved[3, bones.names.index("lowerarm01.L")]
 
 
+def test_a_bone_within_two_parts_that_are_in_each_other_says_nothing() -> None:
+    scene, trajectory = skewered()
+    bones = bones_of(scene, trajectory)
+    arm, trunk = bones.names.index("lowerarm01.L"), bones.names.index("spine02")
+    body = np.array(trajectory.body_positions)
+    # The trunk is moved over the forearm.
+    body[3, bones.skin != arm] += bones.ends[3, arm].mean(axis=0) - bones.ends[3, trunk].mean(axis=0)
+    pressed, _ = watched(bones, replace(trajectory, body_positions=body))
+    assert pressed[2, arm]
+    assert not pressed[3, arm]
+
+
 def test_the_toes_of_a_foot_are_one() -> None:
     bones = bones_of(*worn())
     assert {name for name in bones.names if name.startswith("toe")} == {"toes.L", "toes.R"}
