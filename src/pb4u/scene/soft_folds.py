@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -129,7 +130,7 @@ class SoftFolds:
         return TriangleSurface(self._body.faces, len(self._body.contact), self._body.contact, capped=True)
 
     @cached_property
-    def _spread(self):  # type: ignore[no-untyped-def]
+    def _spread(self) -> Any:
         """What each touched vertex takes of the places around it, rows of a sparse matrix that sum to one."""
         from scipy.sparse import csr_array
         from scipy.spatial import cKDTree
@@ -146,7 +147,7 @@ class SoftFolds:
         return csr_array((shares.ravel(), near.ravel(), starts), shape=(len(near), len(self._places)))
 
     @cached_property
-    def _smoothing(self):  # type: ignore[no-untyped-def]
+    def _smoothing(self) -> Any:
         return self._spread[self._rows]
 
     @cached_property
