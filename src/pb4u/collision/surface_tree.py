@@ -96,8 +96,8 @@ class SurfaceTree:
         self.boxes = BoxTree.over(centres, face_part, np.asarray(world))
         self.first_obstacle = len(self.rest) - obstacles
         own_edges, own_faces = (int((e[:, 0] < self.first_obstacle).sum()) for e in (self.edges, self.faces))
-        self._own_faces = own_faces
-        lengths = np.linalg.norm(self.rest[self.edges[:own_edges, 0]] - self.rest[self.edges[:own_edges, 1]], axis=1)
+        self._own_faces, self._own_edges = own_faces, self.edges[:own_edges]
+        lengths = np.linalg.norm(self.rest[self._own_edges[:, 0]] - self.rest[self._own_edges[:, 1]], axis=1)
         self._room = _ROOM * float(lengths.mean()) if len(lengths) else 0.0
         self._elements = Elements.of(self.faces, self.edges, len(self.rest))
         self._around = self._elements.pairs_around_vertices(own_faces, len(self.rest))
@@ -130,7 +130,8 @@ class SurfaceTree:
             moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
             known: pairs of positions before these, where there are such: only what strayed apart since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
-            among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
+            among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`. Where all
+                are of obstacles, these pairs are all with one.
             obstacle_reach: distance [m] of pairs with an obstacle where it is less than `reach`; None for the same.
 
         Raises:
@@ -143,8 +144,9 @@ class SurfaceTree:
         reaches = Reaches(reach, min(reach, reach if obstacle_reach is None else obstacle_reach), self.first_obstacle)
         neighbourhood = None if known is None else known.neighbourhood
         if neighbourhood is not None and all(np.less_equal(reaches, neighbourhood.reaches)):
-            strayed = neighbourhood.strayed(vertices, moving, self.boxes, self.faces, self.edges)
-            if np.count_nonzero(~strayed.calm[: self.first_obstacle]) <= _MOST_STRAYING * self.first_obstacle:
+            fitted = partial(self.fitted, margin=0.0, strayed=True)
+            strayed = neighbourhood.strayed(vertices, moving, self._own_edges, fitted)
+            if np.count_nonzero(~strayed.calm) <= _MOST_STRAYING * self.first_obstacle:
                 stayed = neighbourhood.near(vertices, moving, strayed, reaches)
                 candidates = self._search(vertices, moving, reaches, self._everywhere, strayed=strayed)
                 return self._pairs((stayed, _near(candidates, vertices, moving, reaches)), neighbourhood)
@@ -192,9 +194,10 @@ class SurfaceTree:
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
         boxes = self.fitted(vertices, moves, 0.5 * reaches.cloth, room)
-        asked = asked_for(self.boxes, self.faces, among)
-        whole = np.count_nonzero(among) > _FEW
-        parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
+        mixed, of_obstacles = not among[: self.first_obstacle].any(), among[self.first_obstacle :].any()
+        among, parts = (self._everywhere, self._mixed_parts) if mixed else (among, self._parts)
+        asked, whole = asked_for(self.boxes, self.faces, among), np.count_nonzero(among) > _FEW
+        parts = np.split(parts, range(1, len(parts))) if whole else [parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
         way = Way(vertices, moves, np.concatenate([vertices, vertices + moves], axis=1), reaches, 2.0 * room)
         searches: list[Callable[[], Any]] = [
@@ -203,6 +206,7 @@ class SurfaceTree:
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = _PIECES if whole else 1
         around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
+        around = [] if mixed else around
         searches += [partial(near_around, *piece, among, way, strayed) for piece in around]
         found = parallel_map(lambda search: search(), searches)
         vertex_faces, edge_edges = (
@@ -211,32 +215,35 @@ class SurfaceTree:
             )
             for kind in (0, 1)
         )
-        if among[self.first_obstacle :].any():
-            vertex_faces, edge_edges = (
-                corners[(corners < self.first_obstacle).any(axis=1)] for corners in (vertex_faces, edge_edges)
-            )
+        if of_obstacles:
+            own = [corners < self.first_obstacle for corners in (vertex_faces, edge_edges)]
+            rows = [each.any(axis=1) & ~(each.all(axis=1) & mixed) for each in own]
+            vertex_faces, edge_edges = vertex_faces[rows[0]], edge_edges[rows[1]]
         return vertex_faces, edge_edges
 
-    def fitted(self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0) -> Boxes:
-        """Boxes (.., 12) [m] of the nodes and faces; those of obstacles may be wider than asked for.
+    def fitted(
+        self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0, strayed: bool = False
+    ) -> Boxes:
+        """Boxes of the nodes and faces; those of obstacles may be wider than asked for.
 
-        They hold until the next call in the same thread.
+        They hold until the next call of their kind in the same thread.
 
         Args:
             vertices: (vertices, 3) float64 [m].
             moves: (vertices, 3) float64 [m].
             margin: what they are wider by on every side [m].
             room: the same at the end of the move [m].
+            strayed: whether they are of how far vertices strayed, not of where they are.
         """
-        first = self.first_obstacle
-        kept: _Fitted | None = getattr(self._kept, "boxes", None)
+        first, kind = self.first_obstacle, "strayed" if strayed else "placed"
+        kept: _Fitted | None = getattr(self._kept, kind, None)
         if first < len(vertices) and kept is not None and kept.serves(vertices[first:], moves[first:], margin, room):
             fill_boxes(vertices, moves, self.faces[: self._own_faces], margin, room, kept.boxes.faces)
             fit_nodes(self._own_nodes, self.boxes, kept.boxes)
             return kept.boxes
         boxes = self.boxes.fitted(boxes_of(vertices, moves, self.faces, margin, room))
         if first < len(vertices):
-            self._kept.boxes = _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes)
+            setattr(self._kept, kind, _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes))
         return boxes
 
     @cached_property
@@ -244,25 +251,46 @@ class SurfaceTree:
         return threading.local()
 
     @cached_property
+    def _own_counts(self) -> np.ndarray:
+        """Number (nodes,) int64 of the faces in a node that are no obstacle's."""
+        counts = np.concatenate([[0], np.cumsum(self.boxes.order < self._own_faces)])
+        return counts[self.boxes.ranges[:, 1]] - counts[self.boxes.ranges[:, 0]]
+
+    @cached_property
     def _own_nodes(self) -> np.ndarray:
         """Nodes (nodes,) int64 that hold a face which is no obstacle's, children before their parents."""
-        own = self.faces[:, 0] < self.first_obstacle
-        counts = np.concatenate([[0], np.cumsum(own[self.boxes.order])])
-        nodes = np.flatnonzero(counts[self.boxes.ranges[:, 1]] > counts[self.boxes.ranges[:, 0]])
-        return np.ascontiguousarray(nodes[::-1])
+        return np.ascontiguousarray(np.flatnonzero(self._own_counts)[::-1])
 
     @cached_property
     def _parts(self) -> np.ndarray:
         """Pairs (parts, 2) int64 of nodes, a search of all of which is one of everything."""
         parts = [(root, root) for root in self.boxes.roots]
-        children = self.boxes.children
         for _ in range(_HALVED):
-            finer = []
-            for a, b in parts:
-                left, right = children[a]
-                finer += [(left, left), (right, right), (left, right)] if a == b and left >= 0 else [(a, b)]
-            parts = finer
+            parts = [finer for part in parts for finer in (self._halves(*part) if part[0] == part[1] else [part])]
         return np.asarray(parts, dtype=np.int64).reshape(-1, 2)
+
+    @cached_property
+    def _mixed_parts(self) -> np.ndarray:
+        """The same of a search between obstacles and the others: one node of each pair is of obstacles alone."""
+        own, counts = self._own_counts, np.diff(self.boxes.ranges, axis=1)[:, 0]
+        parts, waiting = [], [(root, root) for root in self.boxes.roots]
+        while waiting:
+            a, b = waiting.pop()
+            of_both = [node for node in {a, b} if 0 < own[node] < counts[node] and self.boxes.children[node, 0] >= 0]
+            if of_both:
+                waiting += self._halves(of_both[0], b if of_both[0] == a else a)
+            elif 0 < own[a] + own[b] < counts[a] + counts[b]:
+                parts.append((a, b) if own[a] else (b, a))
+        for _ in range(_HALVED):
+            parts = [finer for part in parts for finer in self._halves(*part)]
+        return np.asarray(parts, dtype=np.int64).reshape(-1, 2)
+
+    def _halves(self, a: int, b: int) -> list[tuple[int, int]]:
+        """Pairs of nodes that hold what the pair of `a` and `b` does: of those below `a`, where there are any."""
+        left, right = self.boxes.children[a]
+        if left < 0:
+            return [(a, b)]
+        return [(left, left), (right, right), (left, right)] if a == b else [(left, b), (right, b)]
 
 
 def _near(
