@@ -95,10 +95,10 @@ class ClothPairs:
         if obstacle is not None and obstacle.passed.any():
             kept = ~through_obstacle(pairs.corners, tree.first_obstacle, obstacle.passed)
             pairs, mixed = pairs.chosen(kept), mixed[kept]
-        gaps = smallest_gaps(pairs, began)
-        if obstacle is not None:
-            # What is near now, where the bodies are, says how near it may come; where the step began they were others.
-            gaps[mixed] = smallest_gaps(pairs, points, tree.first_obstacle)[mixed]
+        gaps = np.empty(len(pairs))
+        gaps[~mixed] = smallest_gaps(pairs.chosen(~mixed), began)
+        # What is near now, where the bodies are, says how near it may come; where the step began they were others.
+        gaps[mixed] = smallest_gaps(pairs.chosen(mixed), points, tree.first_obstacle)
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
         reaches[mixed] = _BODY_REACH
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
