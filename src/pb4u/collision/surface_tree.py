@@ -18,14 +18,14 @@ from pb4u.collision.box_tree import Boxes, BoxTree, boxes_of, fill_boxes, fit_no
 from pb4u.collision.element_distance import Reaches, may_meet
 from pb4u.collision.element_pairs import ElementPairs, rest_distances
 from pb4u.collision.lasting_pairs import Neighbourhood, Strayed, lasting_pairs
-from pb4u.collision.near_elements import Way, asked_for, near_around, near_elements
+from pb4u.collision.near_elements import Asked, Way, asked_for, near_around, near_elements
 from pb4u.collision.surface_elements import Elements
 from pb4u.threads import parallel_map
 
 _ROOM = 0.1
 """Half of how far apart two vertices may stray, in mean edge lengths at rest, before what is near is searched again."""
 
-_MOST_STRAYING = 0.3
+_MOST_STRAYING = 0.5
 """Share of the vertices that may stray from those around them before the whole surface is searched again."""
 
 _FEW = 4096
@@ -109,6 +109,18 @@ class SurfaceTree:
     @cached_property
     def _everywhere(self) -> np.ndarray:
         return np.arange(len(self.rest)) < self.first_obstacle
+
+    @cached_property
+    def _obstacles(self) -> Asked:
+        return self._asked(~self._everywhere)
+
+    @cached_property
+    def _all(self) -> Asked:
+        return self._asked(np.ones(len(self.rest), dtype=bool))
+
+    def _asked(self, among: np.ndarray) -> Asked:
+        asked: Asked = asked_for(self.boxes, self.faces, among)
+        return asked
 
     def pairs(
         self,
@@ -195,13 +207,14 @@ class SurfaceTree:
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
         boxes = self.fitted(vertices, moves, 0.5 * reaches.cloth, room)
         mixed, of_obstacles = not among[: self.first_obstacle].any(), among[self.first_obstacle :].any()
-        among, parts = (self._everywhere, self._mixed_parts) if mixed else (among, self._parts)
-        asked, whole = asked_for(self.boxes, self.faces, among), np.count_nonzero(among) > _FEW
-        parts = np.split(parts, range(1, len(parts))) if whole else [parts]
+        asked, others = self._asked(self._everywhere if mixed else among), self._obstacles if mixed else self._all
+        whole = np.count_nonzero(asked.vertices) > _FEW
+        parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
         way = Way(vertices, moves, np.concatenate([vertices, vertices + moves], axis=1), reaches, 2.0 * room)
         searches: list[Callable[[], Any]] = [
-            partial(near_elements, boxes, self.boxes, self._elements, asked, part, way, strayed) for part in parts
+            partial(near_elements, boxes, self.boxes, self._elements, asked, others, part, way, strayed)
+            for part in parts
         ]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = _PIECES if whole else 1
@@ -216,9 +229,9 @@ class SurfaceTree:
             for kind in (0, 1)
         )
         if of_obstacles:
-            own = [corners < self.first_obstacle for corners in (vertex_faces, edge_edges)]
-            rows = [each.any(axis=1) & ~(each.all(axis=1) & mixed) for each in own]
-            vertex_faces, edge_edges = vertex_faces[rows[0]], edge_edges[rows[1]]
+            vertex_faces, edge_edges = (
+                corners[(corners < self.first_obstacle).any(axis=1)] for corners in (vertex_faces, edge_edges)
+            )
         return vertex_faces, edge_edges
 
     def fitted(
@@ -251,46 +264,22 @@ class SurfaceTree:
         return threading.local()
 
     @cached_property
-    def _own_counts(self) -> np.ndarray:
-        """Number (nodes,) int64 of the faces in a node that are no obstacle's."""
-        counts = np.concatenate([[0], np.cumsum(self.boxes.order < self._own_faces)])
-        return counts[self.boxes.ranges[:, 1]] - counts[self.boxes.ranges[:, 0]]
-
-    @cached_property
     def _own_nodes(self) -> np.ndarray:
         """Nodes (nodes,) int64 that hold a face which is no obstacle's, children before their parents."""
-        return np.ascontiguousarray(np.flatnonzero(self._own_counts)[::-1])
+        return np.ascontiguousarray(np.flatnonzero(self._asked(self._everywhere).nodes)[::-1])
 
     @cached_property
     def _parts(self) -> np.ndarray:
         """Pairs (parts, 2) int64 of nodes, a search of all of which is one of everything."""
         parts = [(root, root) for root in self.boxes.roots]
+        children = self.boxes.children
         for _ in range(_HALVED):
-            parts = [finer for part in parts for finer in (self._halves(*part) if part[0] == part[1] else [part])]
+            finer = []
+            for a, b in parts:
+                left, right = children[a]
+                finer += [(left, left), (right, right), (left, right)] if a == b and left >= 0 else [(a, b)]
+            parts = finer
         return np.asarray(parts, dtype=np.int64).reshape(-1, 2)
-
-    @cached_property
-    def _mixed_parts(self) -> np.ndarray:
-        """The same of a search between obstacles and the others: one node of each pair is of obstacles alone."""
-        own, counts = self._own_counts, np.diff(self.boxes.ranges, axis=1)[:, 0]
-        parts, waiting = [], [(root, root) for root in self.boxes.roots]
-        while waiting:
-            a, b = waiting.pop()
-            of_both = [node for node in {a, b} if 0 < own[node] < counts[node] and self.boxes.children[node, 0] >= 0]
-            if of_both:
-                waiting += self._halves(of_both[0], b if of_both[0] == a else a)
-            elif 0 < own[a] + own[b] < counts[a] + counts[b]:
-                parts.append((a, b) if own[a] else (b, a))
-        for _ in range(_HALVED):
-            parts = [finer for part in parts for finer in self._halves(*part)]
-        return np.asarray(parts, dtype=np.int64).reshape(-1, 2)
-
-    def _halves(self, a: int, b: int) -> list[tuple[int, int]]:
-        """Pairs of nodes that hold what the pair of `a` and `b` does: of those below `a`, where there are any."""
-        left, right = self.boxes.children[a]
-        if left < 0:
-            return [(a, b)]
-        return [(left, left), (right, right), (left, right)] if a == b else [(left, b), (right, b)]
 
 
 def _near(
