@@ -89,12 +89,11 @@ def are_compiled(values: Tensor, weight: Tensor, *receivers: Incidence) -> bool:
     )
 
 
-def normed_perceptron(values: Tensor, weight: Tensor | None, bias: Tensor, layers: Layers) -> Tensor:
+def normed_perceptron(values: Tensor, weight: Tensor, bias: Tensor, layers: Layers) -> Tensor:
     """Output (rows, width) [1] of a perceptron.
 
     Args:
-        values: (rows, inputs) [1] that enter; (rows, width) the first layer's sum without its bias where no `weight` is
-            given.
+        values: (rows, inputs) [1] that enter.
         weight: (width, inputs) [1] of the first layer.
         bias: (width,) [1] of it.
         layers: the second layer, the last and the norm, all `width` wide.
@@ -164,21 +163,19 @@ def _weights(layers: Layers) -> tuple[Tensor, ...]:
 
 class _Perceptron(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, eps: float, kept: bool, values: Tensor, weight: Tensor | None, *rest: Tensor) -> Tensor:
-        values = values.contiguous()
-        ctx.weighted = weighted = weight is not None
-        weights, width = (values if weight is None else weight, *rest), len(rest[0])
-        given, *layers = _arrays(values, *weights)
-        out, eps = np.empty((len(given), width), given.dtype), given.dtype.type(eps)
+    def forward(ctx: Any, eps: float, kept: bool, *given: Tensor) -> Tensor:
+        tensors = [each.contiguous() for each in given]
+        values, *layers = _arrays(*tensors)
+        weights, eps = loops.turned(tuple(layers)), values.dtype.type(eps)
+        out = np.empty((len(values), len(layers[1])), values.dtype)
         between = _between(out if kept else out[:0])
 
         def passed(rows: slice) -> None:
-            own = tuple(each[rows] for each in between) if kept else _between(out[rows])
-            loops.perceptron(given[rows], weighted, tuple(layers), eps, own, out[rows])
+            loops.perceptron(values[rows], weights, eps, tuple(each[rows] for each in between), out[rows])
 
-        parallel_map(passed, [slice(first, first + _SHARED_ROWS) for first in range(0, len(given), _SHARED_ROWS)])
+        parallel_map(passed, [slice(first, first + _SHARED_ROWS) for first in range(0, len(values), _SHARED_ROWS)])
         if kept:
-            ctx.save_for_backward(values, *weights, *map(torch.from_numpy, between))
+            ctx.save_for_backward(*tensors, *map(torch.from_numpy, between))
         return torch.from_numpy(out)
 
     @staticmethod
@@ -188,10 +185,8 @@ class _Perceptron(torch.autograd.Function):
         further, on_values = [torch.zeros_like(weight) for weight in saved[:-4]], torch.empty_like(values)
         on, given, *arrays = _arrays(gradients[0].contiguous(), values, *saved)
         layers, between, wanted = tuple(arrays[:-4]), tuple(arrays[-4:]), ctx.needs_input_grad[2]
-        loops.perceptron_derivative(
-            on, given, ctx.weighted, layers, between, tuple(_arrays(*further)), wanted, _array(on_values)
-        )
-        return None, None, on_values if wanted else None, further[0] if ctx.weighted else None, *further[1:]
+        loops.perceptron_derivative(on, given, layers, between, tuple(_arrays(*further)), wanted, _array(on_values))
+        return None, None, on_values if wanted else None, *further
 
 
 class _EdgePass(torch.autograd.Function):
@@ -200,12 +195,12 @@ class _EdgePass(torch.autograd.Function):
         tensors = [each.contiguous() for each in given]
         latents, at_sender, at_receiver, *layers = _arrays(*tensors)
         new, sums, eps = np.empty_like(latents), np.empty_like(at_receiver), latents.dtype.type(eps)
-        between = _between(new if kept else new[:0])
+        weights, between = loops.turned(tuple(layers)), _between(new if kept else new[:0])
 
         def passed(run: EdgeRun) -> None:
-            own = tuple(each[run.edges] for each in between) if kept else _between(new[run.edges])
+            own = tuple(each[run.edges] for each in between)
             shares = (at_sender, at_receiver[run.nodes], run.senders, run.offsets)
-            loops.edge_pass(latents[run.edges], shares, tuple(layers), eps, own, new[run.edges], sums[run.nodes])
+            loops.edge_pass(latents[run.edges], shares, weights, eps, own, new[run.edges], sums[run.nodes])
 
         parallel_map(passed, ends.runs())
         if kept:
@@ -237,8 +232,9 @@ class _Propagation(torch.autograd.Function):
         ctx: Any, steps: int, decay: float, eps: float, kept: bool, inflows: Sequence[Ends], *given: Tensor
     ) -> Tensor:
         tensors = [each.contiguous() for each in given]
-        state, of_sender, of_receiver, second, second_bias, last, last_bias, *others = _arrays(*tensors)
-        constants, layers = others[2:], (last, *others[:2], of_sender, of_receiver)
+        state, of_sender, of_receiver, *others = _arrays(*tensors)
+        of_sender, _, second, second_bias, last, last_bias, *norm = loops.turned((of_sender, others[1], *others[:6]))
+        constants, layers = others[6:], (last, *norm, of_sender, of_receiver.T.copy())
         degrees = np.stack([np.diff(ends.receivers.offsets.numpy()) for ends in inflows]).sum(axis=0)
         biases = degrees.astype(state.dtype)[:, None] * last_bias
         small, gamma = state.dtype.type(eps), state.dtype.type(decay)
@@ -248,7 +244,7 @@ class _Propagation(torch.autograd.Function):
             nodes, (at_sender, at_receiver) = part[0].nodes, before.at_ends
             for run, ends, constant, kept_rows in zip(part, inflows, constants, before.messages, strict=True):
                 own, given = constant[run.edges], (at_sender, at_receiver[nodes], run.senders, run.offsets)
-                first, hidden = (each[run.edges] if kept else np.empty_like(own) for each in kept_rows)
+                first, hidden = (each[run.edges] for each in kept_rows)
                 sent = ends.senders is not None
                 loops.message(own, given, second, second_bias, first, hidden, before.sums[nodes], sent)
             old = (before.state[nodes], before.sums[nodes], before.values[nodes], before.inverse[nodes])
@@ -258,7 +254,7 @@ class _Propagation(torch.autograd.Function):
 
         now = _Step.of(state, constants, kept)
         for weight, at_end in zip(layers[3:], now.at_ends, strict=True):
-            np.dot(state, weight.T, at_end)
+            np.dot(state, weight, at_end)
         for _ in range(steps):
             after = _Step.of(np.empty_like(state), constants, kept)
             parallel_map(partial(moved, before=now, after=after), runs)
