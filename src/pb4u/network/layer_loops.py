@@ -13,7 +13,7 @@ import numpy as np
 
 from pb4u.collision.jit import compiled_with_free_sums
 
-ROWS = 256
+ROWS = 128
 """Rows at a time: five arrays of 64 columns take 320 kB, and products of fewer rows are slower."""
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
