@@ -20,10 +20,10 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 @compiled_with_free_sums
-def _next_nodes(offsets: np.ndarray, first: int) -> int:
-    """End of the nodes from `first` whose edges are `ROWS` at most, or of one node alone."""
+def _next_nodes(offsets: np.ndarray, first: int, stop: int) -> int:
+    """End of the nodes from `first` on, before `stop`, whose edges are `ROWS` at most, or of one node alone."""
     last = first + 1
-    while last < len(offsets) - 1 and offsets[last + 1] - offsets[first] <= ROWS:
+    while last < stop and offsets[last + 1] - offsets[first] <= ROWS:
         last += 1
     return last
 
@@ -102,12 +102,14 @@ def _through_layers(
 
 
 @compiled_with_free_sums
-def perceptron(values: np.ndarray, layers: tuple, eps: Any, between: tuple, out: np.ndarray) -> None:
-    """Fill `between`, where it has rows, and `out` (rows, width) for `values` (rows, inputs)."""
+def perceptron(
+    values: np.ndarray, layers: tuple, eps: Any, between: tuple, out: np.ndarray, begin: int, stop: int
+) -> None:
+    """Fill `between`, where it has rows, and `out` (rows, width) for the rows `begin` to `stop` of `values`."""
     kept = len(between[0]) > 0
     first, hidden, normed, inverse = _room(between, ROWS, out.shape[1])
-    for start in range(0, len(values), ROWS):
-        rows = slice(start, min(start + ROWS, len(values)))
+    for start in range(begin, stop, ROWS):
+        rows = slice(start, min(start + ROWS, stop))
         own = rows if kept else slice(0, rows.stop - start)
         np.dot(values[rows], layers[0], first[own])
         _rectify(first[own], layers[1])
@@ -140,18 +142,26 @@ def perceptron_derivative(
 
 @compiled_with_free_sums
 def edge_pass(
-    latents: np.ndarray, shares: tuple, layers: tuple, eps: Any, between: tuple, new: np.ndarray, sums: np.ndarray
+    latents: np.ndarray,
+    shares: tuple,
+    layers: tuple,
+    eps: Any,
+    between: tuple,
+    new: np.ndarray,
+    sums: np.ndarray,
+    begin: int,
+    stop: int,
 ) -> None:
     """Fill `between`, where it has rows, `new` (edges, width) and `sums` (receivers, width); see `passed_edges`.
 
-    `shares` are those of senders and receivers, the senders (edges,) and the first edge of each receiver.
+    For the receivers from `begin` to `stop`. `shares` are those of senders and receivers, the senders (edges,) and the
+    first edge of each receiver.
     """
     from_senders, from_receivers, senders, offsets = shares
-    kept = len(between[0]) > 0
-    first, hidden, normed, inverse = _room(between, _most_rows(offsets), new.shape[1])
-    node = 0
-    while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node)
+    kept, node = len(between[0]) > 0, begin
+    first, hidden, normed, inverse = _room(between, _most_rows(offsets[begin : stop + 1]), new.shape[1])
+    while node < stop:
+        last = _next_nodes(offsets, node, stop)
         rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
         if rows.stop > rows.start:
             own = rows if kept else slice(0, rows.stop - rows.start)
@@ -182,7 +192,7 @@ def edge_pass_derivative(
     out, square = np.empty((most, width), latents.dtype), np.empty((width, width), latents.dtype)
     node = 0
     while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node)
+        last = _next_nodes(offsets, node, len(offsets) - 1)
         rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
         n = rows.stop - rows.start
         if n > 0:
@@ -198,28 +208,59 @@ def edge_pass_derivative(
 
 
 @compiled_with_free_sums
-def message(
-    constants: np.ndarray,
-    shares: tuple,
+def propagation_step(
+    inflows: tuple, before: tuple, layers: tuple, eps: Any, decay: Any, after: tuple, begin: int, stop: int
+) -> None:
+    """Fill what a step of propagation makes, for the nodes from `begin` to `stop`.
+
+    `inflows` are, for each set of edges, what `_add_messages` reads. `before` are the state (nodes, width), its shares
+    at senders and at receivers, and to be filled the sums of messages, what the norm scales, and its factors; `after`
+    are the state after the step and its shares. `layers` are the second of a message and its bias, the last, the bias
+    of all messages of each node (nodes, width), scale and shift of the norm, and the weights that meet senders and
+    receivers; weights are (inputs, width), and the last layer's outputs without mean.
+    """
+    state, at_senders, at_receivers, sums, values, inverse = before
+    new, new_at_senders, new_at_receivers = after
+    second, second_bias, last, biases, scale, shift, of_sender, of_receiver = layers
+    no_bias = np.zeros_like(scale)
+    for first in range(begin, stop, ROWS):
+        own = slice(first, min(first + ROWS, stop))
+        sums[own] = _ZERO
+        for inflow in inflows:
+            _add_messages(inflow, at_senders, at_receivers, second, second_bias, sums, own.start, own.stop)
+        np.dot(sums[own], last, values[own])
+        _add(biases[own], values[own])
+        centred_norm(values[own], no_bias, scale, shift, eps, inverse[own], new[own])
+        for row in range(own.start, own.stop):
+            for c in range(state.shape[1]):
+                new[row, c] += decay * state[row, c]
+        np.dot(new[own], of_sender, new_at_senders[own])
+        np.dot(new[own], of_receiver, new_at_receivers[own])
+
+
+@compiled_with_free_sums
+def _add_messages(
+    inflow: tuple,
+    from_senders: np.ndarray,
+    from_receivers: np.ndarray,
     second: np.ndarray,
     bias: np.ndarray,
-    first: np.ndarray,
-    hidden: np.ndarray,
     sums: np.ndarray,
-    sent: bool,
+    begin: int,
+    stop: int,
 ) -> None:
-    """Add what enters the last layer of messages to its `sums` (receivers, width); `shares` as in `edge_pass`.
+    """Add what enters the last layer of messages to its `sums` (receivers, width).
 
-    `constants` (edges, width) enter the first layer; those of senders do too where they are `sent`. `second` is
-    (inputs, width). Both layers, `first` and `hidden` (edges, width), are filled where they have rows.
+    An `inflow` are constants (edges, width), which enter the first layer, senders (edges,), the first edge of each
+    receiver, both layers (edges, width), which are filled where they have rows, and whether senders have a share.
     """
-    from_senders, from_receivers, senders, offsets = shares
-    kept, nothing, node = len(first) > 0, np.zeros_like(bias), 0
+    constants, senders, offsets, first, hidden, sent = inflow
+    kept, nothing, node = len(first) > 0, np.zeros_like(bias), begin
     if not kept:
-        first = np.empty((_most_rows(offsets), len(bias)), bias.dtype)
+        first = np.empty((_most_rows(offsets[begin : stop + 1]), len(bias)), bias.dtype)
         hidden = np.empty_like(first)
-    while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node)
+    while node < stop:
+        last = _next_nodes(offsets, node, stop)
         rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
         if rows.stop > rows.start:
             own = rows if kept else slice(0, rows.stop - rows.start)
@@ -229,37 +270,6 @@ def message(
             _rectify(hidden[own], bias)
             _sum_at_ends(hidden[own], senders[rows], ends, sums, sums[node:last], False)
         node = last
-
-
-@compiled_with_free_sums
-def end_of_step(
-    state: np.ndarray,
-    sums: np.ndarray,
-    values: np.ndarray,
-    inverse: np.ndarray,
-    biases: np.ndarray,
-    layers: tuple,
-    eps: Any,
-    decay: Any,
-    after: np.ndarray,
-    at_senders: np.ndarray,
-    at_receivers: np.ndarray,
-) -> None:
-    """Fill the state `after` a step (nodes, width) and its shares at both ends, from the `sums` of messages.
-
-    `layers` are the last of a message, scale and shift of the norm, and the weights that meet senders and receivers,
-    (inputs, width) each; `biases` (nodes, width) are those of all messages of a node, without mean as the last layer's
-    outputs.
-    """
-    last, scale, shift, of_sender, of_receiver = layers
-    np.dot(sums, last, values)
-    _add(biases, values)
-    centred_norm(values, np.zeros_like(scale), scale, shift, eps, inverse, after)
-    for row in range(after.shape[0]):
-        for c in range(after.shape[1]):
-            after[row, c] += decay * state[row, c]
-    np.dot(after, of_sender, at_senders)
-    np.dot(after, of_receiver, at_receivers)
 
 
 @compiled_with_free_sums
@@ -283,7 +293,7 @@ def message_derivative(
     square = np.empty((width, width), first.dtype)
     node = 0
     while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node)
+        last = _next_nodes(offsets, node, len(offsets) - 1)
         rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
         n = rows.stop - rows.start
         if n > 0:

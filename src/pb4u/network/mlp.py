@@ -115,7 +115,10 @@ class SplitMLP(MLP):
         """
         given = list(values.values())
         if isinstance(self.norm, nn.LayerNorm) and are_compiled(given[0], self.first.weight):
-            weight, layers = torch.cat([self.weight_of(part) for part in values], 1), (self.second, self.last, self.norm)
+            weight, layers = (
+                torch.cat([self.weight_of(part) for part in values], 1),
+                (self.second, self.last, self.norm),
+            )
             return normed_perceptron(torch.cat(given, 1), weight, self.first.bias, layers)
         shares = [self.project(part, each) for part, each in values.items()]
         return self.after_first(reduce(torch.add, shares) + self.first.bias)
