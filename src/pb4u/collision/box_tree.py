@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,18 +11,23 @@ from pb4u.collision.jit import compiled
 _LEAF = 2
 """Most faces of a leaf: smaller leaves cost more boxes, larger ones more comparisons of faces."""
 
-_DEEPEST = 1024
-"""Entries of the stack of a search: a median split halves, so that 2^60 faces would not fill it."""
-
-EVERY = 2**62
-"""Most pairs of leaves of a search that gives up on no cloth."""
-
 _NOWHERE = np.repeat([1e30, -1e30, 1e30, -1e30], 3)
 """A box that meets none, and leaves the box of a node that holds it as it is."""
 
 
-@dataclass(frozen=True, eq=False)
-class BoxTree:
+class Boxes(NamedTuple):
+    """Boxes of what a tree holds, as `boxes_of` gives them.
+
+    Args:
+        nodes: (nodes, 12) [m].
+        faces: (faces, 12) [m].
+    """
+
+    nodes: np.ndarray
+    faces: np.ndarray
+
+
+class BoxTree(NamedTuple):
     """Which faces each node of the tree holds.
 
     Args:
@@ -53,18 +58,14 @@ class BoxTree:
         children, ranges, roots = _split(np.ascontiguousarray(centres, dtype=np.float64), face_part, order, spans)
         return BoxTree(order, children, ranges, roots)
 
-    @property
-    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Order (faces,), children (nodes, 2), ranges (nodes, 2) and roots (worlds,), int64, for compiled searches."""
-        return self.order, self.children, self.ranges, self.roots
-
-    def fitted(self, face_boxes: np.ndarray) -> np.ndarray:
-        """Boxes (nodes, 12) of the nodes [m].
+    def fitted(self, face_boxes: np.ndarray) -> Boxes:
+        """Boxes of the nodes and faces.
 
         Args:
             face_boxes: (faces, 12) [m] as `boxes_of` gives them.
         """
-        boxes: np.ndarray = _fit(face_boxes, self.order, self.children, self.ranges)
+        boxes = Boxes(np.empty((len(self.children), 12)), face_boxes)
+        fit_nodes(np.arange(len(self.children) - 1, -1, -1), self, boxes)
         return boxes
 
 
@@ -189,41 +190,23 @@ def still_boxes(vertices: np.ndarray, faces: np.ndarray, margin: float) -> tuple
 
 
 @compiled
-def _fit(face_boxes: np.ndarray, order: np.ndarray, children: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    """Boxes (nodes, 12) of the nodes from those of the faces."""
-    boxes = np.empty((len(children), 12))
-    fit_nodes(np.arange(len(children) - 1, -1, -1), face_boxes, order, children, ranges, boxes)
-    return boxes
-
-
-@compiled
-def fit_nodes(
-    nodes: np.ndarray,
-    face_boxes: np.ndarray,
-    order: np.ndarray,
-    children: np.ndarray,
-    ranges: np.ndarray,
-    boxes: np.ndarray,
-) -> None:
-    """Fill the `boxes` (nodes, 12) of some `nodes` (n,), children before their parents.
+def fit_nodes(nodes: np.ndarray, tree: BoxTree, boxes: Boxes) -> None:
+    """Fill the boxes of some `nodes` (n,) from those of faces, children before their parents.
 
     Args:
         nodes: (n,) int64 nodes, children before their parents.
-        face_boxes: (faces, 12) [m].
-        order: (faces,) int64 faces in the order of the leaves.
-        children: (nodes, 2) int64.
-        ranges: (nodes, 2) int64 first leaf and the one after the last of each node.
-        boxes: (nodes, 12) [m], filled.
+        tree: which faces they hold.
+        boxes: those of the nodes are filled.
     """
     for node in nodes:
-        box = boxes[node]
-        if children[node, 0] >= 0:
-            copy_row(boxes[children[node, 0]], box)
-            _include(box, boxes[children[node, 1]])
+        box = boxes.nodes[node]
+        if tree.children[node, 0] >= 0:
+            copy_row(boxes.nodes[tree.children[node, 0]], box)
+            _include(box, boxes.nodes[tree.children[node, 1]])
         else:
-            copy_row(face_boxes[order[ranges[node, 0]]], box)
-            for place in range(ranges[node, 0] + 1, ranges[node, 1]):
-                _include(box, face_boxes[order[place]])
+            copy_row(boxes.faces[tree.order[tree.ranges[node, 0]]], box)
+            for place in range(tree.ranges[node, 0] + 1, tree.ranges[node, 1]):
+                _include(box, boxes.faces[tree.order[place]])
 
 
 @compiled
@@ -267,90 +250,6 @@ def boxes_meet(ones: np.ndarray, one: int, others: np.ndarray, other: int) -> bo
         if others[other, axis] > ones[one, 3 + axis] and others[other, 6 + axis] > ones[one, 9 + axis]:
             return False
     return True
-
-
-@compiled
-def boxes_within(boxes: np.ndarray, one: int, other: int, within: float) -> bool:
-    """Whether no point of one box is further than `within` [m] from one of the other, at both ends of their moves.
-
-    Args:
-        boxes: (boxes, 12) [m].
-        one: row of them.
-        other: row of them.
-        within: distance [m].
-    """
-    begun, ended = 0.0, 0.0
-    for axis in range(3):
-        begun += max(boxes[one, 3 + axis] - boxes[other, axis], boxes[other, 3 + axis] - boxes[one, axis]) ** 2
-        ended += max(boxes[one, 9 + axis] - boxes[other, 6 + axis], boxes[other, 9 + axis] - boxes[one, 6 + axis]) ** 2
-    return begun <= within**2 and ended <= within**2
-
-
-@compiled
-def meeting_leaves(
-    node_boxes: np.ndarray,
-    children: np.ndarray,
-    ranges: np.ndarray,
-    asked: np.ndarray,
-    parts: np.ndarray,
-    most: int,
-    strayed: tuple | None,
-) -> np.ndarray:
-    """Pairs (pairs, 2) of leaves whose boxes (nodes, 12) meet, of which one is `asked` (nodes,) for; each once.
-
-    A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2), but those that `boxes_within` tells
-    of. None where there are over `most`.
-
-    Args:
-        node_boxes: (nodes, 12) [m].
-        children: (nodes, 2) int64; -1 in a leaf.
-        ranges: (nodes, 2) int64 first face and the one after the last of each node.
-        asked: (nodes,) bool.
-        parts: (parts, 2) int64 pairs of nodes to begin with.
-        most: number of pairs above which none are returned.
-        strayed: four fields, of which the second holds the boxes of nodes and the last the distance [m] that
-            `boxes_within` takes; None for a search of everything.
-    """
-    found, count = np.empty((1024, 2), dtype=np.int64), 0
-    stack = np.empty((_DEEPEST, 2), dtype=np.int64)
-    for part in range(len(parts)):
-        stack[0, 0], stack[0, 1] = parts[part, 0], parts[part, 1]
-        depth = 1
-        while depth > 0:
-            depth -= 1
-            a, b = stack[depth, 0], stack[depth, 1]
-            if not (asked[a] or asked[b]):
-                continue
-            inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
-            if a == b:
-                if strayed is not None and boxes_within(strayed[1][0], a, b, strayed[3]):
-                    continue
-                if inner_a:
-                    left, right = children[a, 0], children[a, 1]
-                    stack[depth, 0], stack[depth, 1] = left, left
-                    stack[depth + 1, 0], stack[depth + 1, 1] = right, right
-                    stack[depth + 2, 0], stack[depth + 2, 1] = left, right
-                    depth += 3
-                    continue
-            elif not boxes_meet(node_boxes, a, node_boxes, b):
-                continue
-            elif inner_a or inner_b:
-                if strayed is not None and boxes_within(strayed[1][0], a, b, strayed[3]):
-                    continue
-                if inner_a and (not inner_b or ranges[a, 1] - ranges[a, 0] >= ranges[b, 1] - ranges[b, 0]):
-                    stack[depth, 0], stack[depth, 1] = children[a, 0], b
-                    stack[depth + 1, 0], stack[depth + 1, 1] = children[a, 1], b
-                else:
-                    stack[depth, 0], stack[depth, 1] = a, children[b, 0]
-                    stack[depth + 1, 0], stack[depth + 1, 1] = a, children[b, 1]
-                depth += 2
-                continue
-            if count == most:
-                return found[:0]
-            found = with_room(found, count)
-            found[count, 0], found[count, 1] = a, b
-            count += 1
-    return found[:count]
 
 
 @compiled

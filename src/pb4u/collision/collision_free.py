@@ -14,7 +14,8 @@ import numpy as np
 from pb4u.collision.element_distance import free_share, gather, nearest
 from pb4u.collision.element_pairs import ElementPairs
 from pb4u.collision.jit import compiled
-from pb4u.collision.surface_tree import SurfaceTree, any_corner
+from pb4u.collision.surface_elements import any_corner
+from pb4u.collision.surface_tree import SurfaceTree
 
 SMALLEST_GAP = 1e-4
 """Distance [m] that no two elements come within: rounding to float32 at two metres moves a vertex by 1e-7 m."""

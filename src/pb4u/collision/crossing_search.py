@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pb4u.collision.box_tree import EVERY, boxes_meet, meeting_leaves, still_boxes, with_room
+from pb4u.collision.box_tree import Boxes, BoxTree, boxes_meet, still_boxes, with_room
 from pb4u.collision.collision_free import SMALLEST_GAP
 from pb4u.collision.crossings import self_crossings
 from pb4u.collision.jit import compiled
-from pb4u.collision.surface_tree import SurfaceTree, asked_for
+from pb4u.collision.near_elements import EVERY, Asked, asked_for, meeting_leaves
+from pb4u.collision.surface_tree import SurfaceTree
 
 _TOUCHING = 1e-10
 """Gap [m] up to which two faces are left to the exact predicates; the rounding of a few metres is 1e-15."""
@@ -40,10 +41,9 @@ class CrossingSearch:
         first = tree.first_obstacle
         found, own = np.zeros(len(vertices), dtype=bool), np.arange(len(vertices)) < first
         # As wide as for a move from there, which then finds its boxes fitted.
-        node_boxes, face_boxes, *_ = tree.fitted(vertices, np.zeros_like(vertices), 0.5 * SMALLEST_GAP)
-        shape = tree.boxes.arrays
-        asked = asked_for(shape[:3], faces, own if among is None else among & own)
-        pairs = _touching_faces(vertices, faces, node_boxes, face_boxes, shape, False, self._most, asked)
+        boxes = tree.fitted(vertices, np.zeros_like(vertices), 0.5 * SMALLEST_GAP)
+        asked = asked_for(tree.boxes, faces, own if among is None else among & own)
+        pairs = _touching_faces(vertices, faces, boxes, tree.boxes, False, self._most, asked)
         mixed = pairs[(faces[pairs][:, :, 0] < first).sum(axis=1) == 1]
         found[faces[mixed]] = True
         return found & own
@@ -68,37 +68,34 @@ class CrossingSearch:
         """
         tree = self._tree
         points, face_boxes = still_boxes(vertices, tree.faces, 0.5 * _TOUCHING)
-        node_boxes, shape = tree.boxes.fitted(face_boxes), tree.boxes.arrays
-        asked = asked_for(shape[:3], tree.faces, among)
-        return points, _touching_faces(points, tree.faces, node_boxes, face_boxes, shape, sharing, self._most, asked)
+        boxes, asked = tree.boxes.fitted(face_boxes), asked_for(tree.boxes, tree.faces, among)
+        return points, _touching_faces(points, tree.faces, boxes, tree.boxes, sharing, self._most, asked)
 
 
 @compiled
 def _touching_faces(
     vertices: np.ndarray,
     faces: np.ndarray,
-    node_boxes: np.ndarray,
-    face_boxes: np.ndarray,
-    tree: tuple,
+    boxes: Boxes,
+    tree: BoxTree,
     sharing: bool,
     most: int,
-    among: tuple,
+    asked: Asked,
 ) -> np.ndarray:
     """Faces (pairs, 2) of every pair that shares no vertex, or one where `sharing`, and is not certainly apart."""
-    order, children, ranges, roots = tree
+    order, ranges, roots = tree.order, tree.ranges, tree.roots
     found = np.empty((256, 2), dtype=np.int64)
     count = 0
     # Taken once: an array made for every pair would cost more than its numbers.
     work, side, other_side = np.empty((9, 3)), np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    asked, asked_faces = among
-    leaves = meeting_leaves(node_boxes, children, ranges, asked, np.column_stack((roots, roots)), most, None)
+    leaves = meeting_leaves(boxes, tree, asked, np.column_stack((roots, roots)), most, None)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):
             f = order[i]
             for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                 g = order[j]
-                if not (asked_faces[f] or asked_faces[g]) or not boxes_meet(face_boxes, f, face_boxes, g):
+                if not (asked.faces[f] or asked.faces[g]) or not boxes_meet(boxes.faces, f, boxes.faces, g):
                     continue
                 shared = _shared(faces[f], faces[g], side, other_side)
                 if shared == 0:

@@ -6,6 +6,8 @@ weighted corners, so that the distance changes by `weight * normal` per unit tha
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pb4u.collision.jit import compiled
@@ -18,6 +20,20 @@ _ENDS = 0.4
 
 _MOST_ADVANCES = 200
 """Advances after which a time of impact is taken as found: of a pair that grazes past, each is short."""
+
+
+class Reaches(NamedTuple):
+    """How near two elements have to come to count as near.
+
+    Args:
+        cloth: distance [m] of pairs of cloth.
+        obstacle: distance [m] of pairs with an obstacle, at most that of cloth.
+        first_obstacle: number of the first vertex of obstacles, which are the last ones.
+    """
+
+    cloth: float
+    obstacle: float
+    first_obstacle: int
 
 
 @compiled
@@ -276,3 +292,43 @@ def free_share(
         if advance < 1e-6:
             break
     return stopped if stopped >= 0.0 else share
+
+
+@compiled
+def reach_of(corners: np.ndarray, pair: int, reaches: Reaches) -> float:
+    """Reach [m] of a pair of some `corners` (pairs, 4).
+
+    Args:
+        corners: (pairs, 4) int64 vertices of the pairs.
+        pair: its row.
+        reaches: of both kinds.
+    """
+    mixed = max(corners[pair, 0], corners[pair, 3]) >= reaches.first_obstacle
+    return reaches.obstacle if mixed else reaches.cloth
+
+
+@compiled
+def may_meet(
+    vertices: np.ndarray,
+    moves: np.ndarray,
+    corners: np.ndarray,
+    vertex_face: bool,
+    reaches: Reaches,
+) -> np.ndarray:
+    """Whether each pair (pairs,) is no further apart than its reach and what it may approach by the moves.
+
+    Args:
+        vertices: (vertices, 3) [m].
+        moves: (vertices, 3) [m] displacements.
+        corners: (pairs, 4) int64 vertices of the pairs.
+        vertex_face: whether the pairs are of a vertex and a face, else of two edges.
+        reaches: as `reach_of` takes them.
+    """
+    points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
+    near = np.empty(len(corners), dtype=np.bool_)
+    for pair in range(len(corners)):
+        gather(vertices, corners[pair], points)
+        gather(moves, corners[pair], way)
+        reach = reach_of(corners, pair, reaches)
+        near[pair] = nearest(points, vertex_face, weights, between) <= reach + fastest_approach(way, vertex_face)
+    return near

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pb4u.collision.box_tree import boxes_of, still_boxes, with_room
+from pb4u.collision.box_tree import Boxes, BoxTree, boxes_of, still_boxes, with_room
 from pb4u.collision.jit import compiled
 from pb4u.collision.surface_tree import SurfaceTree
 from pb4u.paper.baselines.enclosures import CutOff, Enclosures
@@ -64,8 +64,8 @@ def facing_pairs(vertices: np.ndarray, tree: SurfaceTree, radius: float) -> tupl
     prisms[lost] = own_boxes[lost]
     world = np.where(np.isfinite(vertices).all(axis=1), tree.vertex_world, -1)
     face_world = tree.vertex_world[tree.faces[:, 0]]
-    elements, boxes = (points, world, face_world, tree.faces, forms), (tree.boxes.fitted(prisms), prisms)
-    pairs, heights = _facing(elements, boxes, tree.boxes.arrays, radius, _MOST)
+    elements, boxes = (points, world, face_world, tree.faces, forms), tree.boxes.fitted(prisms)
+    pairs, heights = _facing(elements, boxes, tree.boxes, radius, _MOST)
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
     return pairs[order, 0], pairs[order, 1], heights[order, 0]
 
@@ -147,7 +147,7 @@ def _forms(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _facing(elements: tuple, boxes: tuple, tree: tuple, radius: float, most: int) -> tuple[np.ndarray, np.ndarray]:
+def _facing(elements: tuple, boxes: Boxes, tree: BoxTree, radius: float, most: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertex and face (pairs, 2), and height (pairs, 1) [m], of all pairs whose foot is in the face.
 
     Each vertex is searched among the faces of its world, those of world -1 not at all. Nothing is found where over
