@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -301,9 +302,10 @@ def _between(out: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _shared(count: int, most: int, width: int) -> list[tuple[int, int]]:
-    """First and end of the rows or nodes that threads take, of `count`: `most` where they are 64 wide."""
-    size = max(64 * most // width, 1)
-    return [(first, min(first + size, count)) for first in range(0, count, size)]
+    """First and end of the rows or nodes that threads take, of `count`: at most `most` where they are 64 wide."""
+    parts = max(-(-count * width // (64 * most)), 1)
+    bounds = [count * part // parts for part in range(parts + 1)]
+    return list(pairwise(bounds))
 
 
 def _array(values: Tensor) -> np.ndarray:
