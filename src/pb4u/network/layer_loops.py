@@ -249,6 +249,7 @@ def _sum_and_add(latents: np.ndarray, offsets: np.ndarray, new: np.ndarray, sums
 
 @compiled_with_free_sums
 def add_rows(values: np.ndarray, total: np.ndarray) -> None:
+    """Add `values` (rows, width) to the `total` of the same shape."""
     for row in range(total.shape[0]):
         for c in range(total.shape[1]):
             total[row, c] += values[row, c]
