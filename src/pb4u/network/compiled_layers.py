@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from pb4u.network import layer_loops as loops
+from pb4u.network import layer_derivatives as derivatives, layer_loops as loops
 from pb4u.network.graph.incidence import Incidence
 from pb4u.threads import parallel_map
 
@@ -160,7 +161,9 @@ class _Perceptron(torch.autograd.Function):
         further, on_values = [torch.zeros_like(weight) for weight in saved[:-4]], torch.empty_like(values)
         on, given, *arrays = _arrays(gradients[0].contiguous(), values, *saved)
         layers, between, wanted = tuple(arrays[:-4]), tuple(arrays[-4:]), ctx.needs_input_grad[2]
-        loops.perceptron_derivative(on, given, layers, between, tuple(_arrays(*further)), wanted, _array(on_values))
+        derivatives.perceptron_derivative(
+            on, given, layers, between, tuple(_arrays(*further)), wanted, _array(on_values)
+        )
         return None, None, on_values if wanted else None, *further
 
 
@@ -197,7 +200,7 @@ class _EdgePass(torch.autograd.Function):
         on = (*_arrays(on_new, on_sums), of_new is not None)
         changed = tuple(_arrays(*further)), _array(on_latents)
         given = (*on, latents, *ctx.ends.arrays(), tuple(layers), between, *changed)
-        loops.edge_pass_derivative(*given)
+        derivatives.edge_pass_derivative(*given)
         return None, None, None, on_latents, *further
 
 
@@ -245,7 +248,7 @@ class _Propagation(torch.autograd.Function):
         for step in reversed(ctx.taken):
             state, sums, values, inverse = map(torch.from_numpy, (step.state, step.sums, step.values, step.inverse))
             of_total = torch.empty_like(values)
-            loops.layer_norm_derivative(*_arrays(on, values, inverse, scale, d_scale, d_shift, unused, of_total))
+            derivatives.layer_norm_derivative(*_arrays(on, values, inverse, scale, d_scale, d_shift, unused, of_total))
             d_last.addmm_(of_total.t(), sums)
             d_last_bias += (ctx.degrees * of_total).sum(0)
             of_sums = of_total.mm(last)
@@ -253,7 +256,7 @@ class _Propagation(torch.autograd.Function):
             for ends, between, d_constant in zip(ctx.inflows, step.messages, d_constants, strict=True):
                 changed = _arrays(d_second, d_second_bias, d_constant, *on_ends)
                 given = (_array(of_sums), *between, _array(second), *ends.arrays(), *changed, ends.senders is not None)
-                loops.message_derivative(*given)
+                derivatives.message_derivative(*given)
             on = on * ctx.decay
             for share, of_end, d_end in zip(on_ends, (of_sender, of_receiver), (d_sender, d_receiver), strict=True):
                 d_end.addmm_(share.t(), state)
@@ -301,9 +304,10 @@ def _between(out: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _shared(count: int, most: int, width: int) -> list[tuple[int, int]]:
-    """First and end of the rows or nodes that threads take, of `count`: `most` where they are 64 wide."""
-    size = max(64 * most // width, 1)
-    return [(first, min(first + size, count)) for first in range(0, count, size)]
+    """First and end of the rows or nodes that threads take, of `count`: at most `most` where they are 64 wide."""
+    parts = max(-(-count * width // (64 * most)), 1)
+    bounds = [count * part // parts for part in range(parts + 1)]
+    return list(pairwise(bounds))
 
 
 def _array(values: Tensor) -> np.ndarray:

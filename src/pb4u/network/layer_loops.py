@@ -1,8 +1,8 @@
-"""Loops over the rows of perceptrons, edges and messages, and their derivatives by hand, compiled for a processor.
+"""Loops over the rows of perceptrons, edges and messages, compiled for a processor.
 
 Arrays are float32 or float64. `between` are the hidden layers and the norm's output (rows, width) each, and the norm's
-factors (rows,), which the derivative reads again; `layers` are weights and biases of three layers, in order, and scale
-and shift of the norm; `further` are the derivatives by them, in the same order, to which is added.
+factors (rows,), which the derivative reads again, or none of them has rows; `layers` are weights and biases of three
+layers, in order, and scale and shift of the norm, as `turned` gives them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from pb4u.collision.jit import compiled_with_free_sums
 
 ROWS = 128
-"""Rows at a time: five arrays of 64 columns take 320 kB, and products of fewer rows are slower."""
+"""Rows at a time: five arrays of 32 columns take 80 kB, and products of fewer rows are slower."""
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 @compiled_with_free_sums
-def _next_nodes(offsets: np.ndarray, first: int, stop: int) -> int:
+def next_nodes(offsets: np.ndarray, first: int, stop: int) -> int:
     """End of the nodes from `first` on, before `stop`, whose edges are `ROWS` at most, or of one node alone."""
     last = first + 1
     while last < stop and offsets[last + 1] - offsets[first] <= ROWS:
@@ -29,8 +29,8 @@ def _next_nodes(offsets: np.ndarray, first: int, stop: int) -> int:
 
 
 @compiled_with_free_sums
-def _most_rows(offsets: np.ndarray) -> int:
-    """Rows that the edges of `_next_nodes` need."""
+def most_rows(offsets: np.ndarray) -> int:
+    """Rows that the edges of `next_nodes` need."""
     most = ROWS
     for node in range(len(offsets) - 1):
         most = max(most, offsets[node + 1] - offsets[node])
@@ -74,34 +74,6 @@ def _later_layers(first: np.ndarray, layers: tuple, eps: Any, between: tuple, ou
 
 
 @compiled_with_free_sums
-def _through_layers(
-    on: np.ndarray,
-    rows: slice,
-    between: tuple,
-    layers: tuple,
-    further: tuple,
-    spare: np.ndarray,
-    square: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Fill `out` with the derivative by the first layer's sum, from that by the norm's output `on`, of some `rows`.
-
-    Those by the `layers` but the first weight are added to `further`, of the same order; `spare` (rows, width) and
-    `square` (width, width) are written over.
-    """
-    first, hidden, normed, inverse = between
-    layer_norm_derivative(on, normed[rows], inverse[rows], layers[6], further[6], further[7], further[5], out)
-    np.dot(out.T, hidden[rows], square)
-    _add(square, further[4])
-    np.dot(out, layers[4], spare)
-    _gate(spare, hidden[rows], further[3])
-    np.dot(spare.T, first[rows], square)
-    _add(square, further[2])
-    np.dot(spare, layers[2], out)
-    _gate(out, first[rows], further[1])
-
-
-@compiled_with_free_sums
 def perceptron(
     values: np.ndarray, layers: tuple, eps: Any, between: tuple, out: np.ndarray, begin: int, stop: int
 ) -> None:
@@ -114,30 +86,6 @@ def perceptron(
         np.dot(values[rows], layers[0], first[own])
         _rectify(first[own], layers[1])
         _later_layers(first[own], layers, eps, (hidden[own], normed[own], inverse[own]), out[rows])
-
-
-@compiled_with_free_sums
-def perceptron_derivative(
-    on: np.ndarray,
-    values: np.ndarray,
-    layers: tuple,
-    between: tuple,
-    further: tuple,
-    wanted: bool,
-    on_values: np.ndarray,
-) -> None:
-    """Add the derivatives by `layers` to `further`, and fill `on_values` with that by `values` where it is `wanted`."""
-    width = on.shape[1]
-    spare, out = np.empty((ROWS, width), on.dtype), np.empty((ROWS, width), on.dtype)
-    square, entering = np.empty((width, width), on.dtype), np.empty(layers[0].shape, on.dtype)
-    for start in range(0, len(values), ROWS):
-        rows = slice(start, min(start + ROWS, len(values)))
-        n = rows.stop - start
-        _through_layers(on[rows], rows, between, layers, further, spare[:n], square, out[:n])
-        np.dot(out[:n].T, values[rows], entering)
-        _add(entering, further[0])
-        if wanted:
-            np.dot(out[:n], layers[0], on_values[rows])
 
 
 @compiled_with_free_sums
@@ -159,9 +107,9 @@ def edge_pass(
     """
     from_senders, from_receivers, senders, offsets = shares
     kept, node = len(between[0]) > 0, begin
-    first, hidden, normed, inverse = _room(between, _most_rows(offsets[begin : stop + 1]), new.shape[1])
+    first, hidden, normed, inverse = _room(between, most_rows(offsets[begin : stop + 1]), new.shape[1])
     while node < stop:
-        last = _next_nodes(offsets, node, stop)
+        last = next_nodes(offsets, node, stop)
         rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
         if rows.stop > rows.start:
             own = rows if kept else slice(0, rows.stop - rows.start)
@@ -169,41 +117,6 @@ def edge_pass(
             _join(first[own], layers[1], from_senders, senders[rows], from_receivers[node:last], ends, True, first[own])
             _later_layers(first[own], layers, eps, (hidden[own], normed[own], inverse[own]), new[rows])
         _sum_and_add(latents[rows], ends, new[rows], sums[node:last])
-        node = last
-
-
-@compiled_with_free_sums
-def edge_pass_derivative(
-    on_new: np.ndarray,
-    on_sums: np.ndarray,
-    kept: bool,
-    latents: np.ndarray,
-    senders: np.ndarray,
-    offsets: np.ndarray,
-    layers: tuple,
-    between: tuple,
-    further: tuple,
-    on_latents: np.ndarray,
-) -> None:
-    """Add the derivatives by both shares and by `layers` to `further`, and fill `on_latents` (edges, width)."""
-    of_layers = further[2:]
-    width, most = latents.shape[1], _most_rows(offsets)
-    on, spare = np.empty((most, width), latents.dtype), np.empty((most, width), latents.dtype)
-    out, square = np.empty((most, width), latents.dtype), np.empty((width, width), latents.dtype)
-    node = 0
-    while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node, len(offsets) - 1)
-        rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
-        n = rows.stop - rows.start
-        if n > 0:
-            _of_edges(on_new[rows], on_sums[node:last], kept, ends, on[:n])
-            _through_layers(on[:n], rows, between, layers, of_layers, spare[:n], square, out[:n])
-            np.dot(out[:n].T, latents[rows], square)
-            _add(square, of_layers[0])
-            _sum_at_ends(out[:n], senders[rows], ends, further[0], further[1][node:last], True)
-            np.dot(out[:n], layers[0], on_latents[rows])
-            if kept:
-                _add(on_new[rows], on_latents[rows])
         node = last
 
 
@@ -229,7 +142,7 @@ def propagation_step(
         for inflow in inflows:
             _add_messages(inflow, at_senders, at_receivers, second, second_bias, sums, own.start, own.stop)
         np.dot(sums[own], last, values[own])
-        _add(biases[own], values[own])
+        add_rows(biases[own], values[own])
         centred_norm(values[own], no_bias, scale, shift, eps, inverse[own], new[own])
         for row in range(own.start, own.stop):
             for c in range(state.shape[1]):
@@ -257,54 +170,17 @@ def _add_messages(
     constants, senders, offsets, first, hidden, sent = inflow
     kept, nothing, node = len(first) > 0, np.zeros_like(bias), begin
     if not kept:
-        first = np.empty((_most_rows(offsets[begin : stop + 1]), len(bias)), bias.dtype)
+        first = np.empty((most_rows(offsets[begin : stop + 1]), len(bias)), bias.dtype)
         hidden = np.empty_like(first)
     while node < stop:
-        last = _next_nodes(offsets, node, stop)
+        last = next_nodes(offsets, node, stop)
         rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
         if rows.stop > rows.start:
             own = rows if kept else slice(0, rows.stop - rows.start)
             at_receivers = from_receivers[node:last]
             _join(constants[rows], nothing, from_senders, senders[rows], at_receivers, ends, sent, first[own])
             np.dot(first[own], second, hidden[own])
-            _rectify(hidden[own], bias)
-            _sum_at_ends(hidden[own], senders[rows], ends, sums, sums[node:last], False)
-        node = last
-
-
-@compiled_with_free_sums
-def message_derivative(
-    of_sums: np.ndarray,
-    first: np.ndarray,
-    hidden: np.ndarray,
-    second: np.ndarray,
-    senders: np.ndarray,
-    offsets: np.ndarray,
-    d_second: np.ndarray,
-    d_bias: np.ndarray,
-    d_constants: np.ndarray,
-    on_senders: np.ndarray,
-    on_receivers: np.ndarray,
-    sent: bool,
-) -> None:
-    """Add the derivatives of what `message` computes to the last five arrays, given that by its sums."""
-    width, most, unused = first.shape[1], _most_rows(offsets), np.zeros_like(d_bias)
-    on, out = np.empty((most, width), first.dtype), np.empty((most, width), first.dtype)
-    square = np.empty((width, width), first.dtype)
-    node = 0
-    while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node, len(offsets) - 1)
-        rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
-        n = rows.stop - rows.start
-        if n > 0:
-            _of_edges(out[:n], of_sums[node:last], False, ends, on[:n])
-            _gate(on[:n], hidden[rows], d_bias)
-            np.dot(on[:n].T, first[rows], square)
-            _add(square, d_second)
-            np.dot(on[:n], second, out[:n])
-            _gate(out[:n], first[rows], unused)
-            _add(out[:n], d_constants[rows])
-            _sum_at_ends(out[:n], senders[rows], ends, on_senders, on_receivers[node:last], sent)
+            _rectify_and_sum(hidden[own], bias, ends, sums[node:last])
         node = last
 
 
@@ -347,23 +223,15 @@ def _join(
 
 
 @compiled_with_free_sums
-def _sum_at_ends(
-    values: np.ndarray,
-    senders: np.ndarray,
-    offsets: np.ndarray,
-    at_senders: np.ndarray,
-    at_receivers: np.ndarray,
-    sent: bool,
-) -> None:
-    """Add the rows of edges to those of their receivers, and, where `sent`, of their senders."""
+def _rectify_and_sum(values: np.ndarray, bias: np.ndarray, offsets: np.ndarray, sums: np.ndarray) -> None:
+    """ReLU(`values` + `bias`) of (edges, width), in place; the rows are added to those of their receivers in `sums`."""
     for node in range(len(offsets) - 1):
         for edge in range(offsets[node] - offsets[0], offsets[node + 1] - offsets[0]):
             for c in range(values.shape[1]):
-                at_receivers[node, c] += values[edge, c]
-            if sent:
-                sender = senders[edge]
-                for c in range(values.shape[1]):
-                    at_senders[sender, c] += values[edge, c]
+                value = values[edge, c] + bias[c]
+                value = _ZERO if value < _ZERO else value
+                values[edge, c] = value
+                sums[node, c] += value
 
 
 @compiled_with_free_sums
@@ -380,18 +248,8 @@ def _sum_and_add(latents: np.ndarray, offsets: np.ndarray, new: np.ndarray, sums
 
 
 @compiled_with_free_sums
-def _of_edges(on_new: np.ndarray, on_sums: np.ndarray, kept: bool, offsets: np.ndarray, out: np.ndarray) -> None:
-    """Fill `out` (edges, width) with the row of each receiver in `on_sums`, and that of `on_new` where it is `kept`."""
-    for node in range(len(offsets) - 1):
-        for edge in range(offsets[node] - offsets[0], offsets[node + 1] - offsets[0]):
-            for c in range(out.shape[1]):
-                out[edge, c] = on_sums[node, c]
-    if kept:
-        _add(on_new, out)
-
-
-@compiled_with_free_sums
-def _add(values: np.ndarray, total: np.ndarray) -> None:
+def add_rows(values: np.ndarray, total: np.ndarray) -> None:
+    """Add `values` (rows, width) to the `total` of the same shape."""
     for row in range(total.shape[0]):
         for c in range(total.shape[1]):
             total[row, c] += values[row, c]
@@ -421,46 +279,3 @@ def centred_norm(
             value = values[row, c] * factor
             values[row, c] = value
             out[row, c] = value * scale[c] + shift[c]
-
-
-@compiled_with_free_sums
-def layer_norm_derivative(
-    on: np.ndarray,
-    normed: np.ndarray,
-    inverse: np.ndarray,
-    scale: np.ndarray,
-    d_scale: np.ndarray,
-    d_shift: np.ndarray,
-    d_bias: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Fill `out` with the derivative of a LayerNorm by what enters it, from that by its output `on`.
-
-    Those by scale, shift and a bias before the norm are added to the arrays of that name.
-    """
-    width = on.shape[1]
-    for row in range(on.shape[0]):
-        mean, along = inverse[row] * _ZERO, inverse[row] * _ZERO
-        for c in range(width):
-            value = on[row, c]
-            d_shift[c] += value
-            d_scale[c] += value * normed[row, c]
-            value *= scale[c]
-            mean += value
-            along += value * normed[row, c]
-        mean /= on.dtype.type(width)
-        along /= on.dtype.type(width)
-        for c in range(width):
-            value = inverse[row] * (on[row, c] * scale[c] - mean - normed[row, c] * along)
-            out[row, c] = value
-            d_bias[c] += value
-
-
-@compiled_with_free_sums
-def _gate(on: np.ndarray, rectified: np.ndarray, d_bias: np.ndarray) -> None:
-    """Derivative of a ReLU, in place of that by its output `on` (rows, width); `d_bias` gains its sum over rows."""
-    for row in range(on.shape[0]):
-        for c in range(on.shape[1]):
-            value = _ZERO if rectified[row, c] <= _ZERO else on[row, c]
-            on[row, c] = value
-            d_bias[c] += value
