@@ -13,7 +13,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from itertools import count
-from threading import Thread
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
@@ -70,8 +69,8 @@ def _controller() -> ThreadpoolController:
 def parallel_map(function: Callable[[Part], Result], parts: Sequence[Part]) -> list[Result]:
     """`function` of each of the `parts`, in their order, whatever thread took which.
 
-    Every call starts new threads: a pool kept from call to call would save 0.05 ms, and not the time to wake a
-    processor.
+    Threads are kept from call to call, which saves 0.1 ms of 0.2. What none of them has begun when this one has nothing
+    left is not waited for: they may have gone in a forked process, or be those that ask.
 
     Args:
         function: compiled for the most part, or threads would wait for one another.
@@ -92,15 +91,19 @@ def parallel_map(function: Callable[[Part], Result], parts: Sequence[Part]) -> l
         except BaseException as failure:  # raised again below, by the thread that asked
             failures.append(failure)
 
-    threads = [Thread(target=work, daemon=True) for _ in range(helpers)]
-    for thread in threads:
-        thread.start()
+    begun = [_helpers().submit(work) for _ in range(helpers)]
     work()
-    for thread in threads:
-        thread.join()
+    for helper in begun:
+        if not helper.cancel():
+            helper.result()
     if failures:
         raise failures[0]
     return [results[number] for number in range(len(parts))]
+
+
+@cache
+def _helpers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max(1, thread_count() - 1))
 
 
 def prefetch(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

@@ -10,9 +10,10 @@ from hypothesis import given, settings, strategies as st
 from tests.collision.crossing_free_states import Surface, folded, lying, nested, stack
 from tests.physics.shapes import sheet
 
-from pb4u.collision.collision_free import SMALLEST_GAP, free_shares, past_obstacles, smallest_gaps
+from pb4u.collision.collision_free import SMALLEST_GAP, free_shares, met_by_obstacles, past_obstacles, smallest_gaps
 from pb4u.collision.element_distance import free_share, nearest
 from pb4u.collision.element_pairs import ElementPairs
+from pb4u.collision.surface_tree import SurfaceTree
 
 PROMISED_GAP = 5e-5
 SURFACES = {
@@ -124,6 +125,27 @@ def test_an_impulse_keeps_the_momentum() -> None:
     reached = collision_free(surface.tree, surface.before, wanted, masses)
     assert reached is not wanted
     np.testing.assert_allclose(masses @ reached, masses @ wanted, rtol=1e-9)
+
+
+@pytest.mark.parametrize("falls", [0.0, 3e-3, 0.05])
+def test_cloth_that_came_by_another_way_is_turned_aside_by_obstacles_alone(falls: float) -> None:
+    """Two sheets that changed places, beneath a third that is an obstacle."""
+    surface = stack(3, 2e-3)
+    upper, first = surface.part == 1, int(np.flatnonzero(surface.part == 2)[0])
+    tree = SurfaceTree(
+        surface.rest, surface.faces, surface.edges, surface.part, surface.world, len(surface.rest) - first
+    )
+    heights = np.select([surface.part == 0, upper], [2e-3, -2e-3], -falls)
+    before, wanted = surface.before, surface.before + heights[:, None] * [0.0, 1.0, 0.0]
+    masses, passed = np.where(surface.part == 2, np.inf, 1e-3), np.zeros(len(before), dtype=bool)
+    assert past_obstacles(tree, before, wanted, masses)[0] is not wanted
+    known = met_by_obstacles(tree, before, wanted, passed)
+    assert len(known[0]) or not falls
+    assert (known[0].corners >= first).any(axis=1).all()
+    reached, through = past_obstacles(tree, before, wanted, masses, known)
+    assert (reached is wanted) == (falls == 0.0)
+    assert not through.any()
+    require_kept(surface, reached)
 
 
 def test_one_world_does_not_hold_up_another() -> None:

@@ -182,6 +182,22 @@ def test_pairs_with_an_obstacle_have_a_reach_of_their_own() -> None:
         known = found
 
 
+@pytest.mark.parametrize("name", ["stack", "worlds"])
+def test_pairs_of_obstacles_alone_are_all_that_have_one(name: str) -> None:
+    surface = SURFACES[name]
+    first = int(np.flatnonzero(surface.part == surface.part.max())[0])
+    obstacles = len(surface.rest) - first
+    tree = SurfaceTree(surface.rest, surface.faces, surface.edges, surface.part, surface.world, obstacles)
+    moves = 5e-3 * np.random.default_rng(8).normal(size=surface.before.shape)
+    every = tree.pairs(surface.before, 5e-3, moves)
+    mixed = (every.corners >= first).any(axis=1)
+    assert mixed.any()
+    assert not mixed.all()
+    some = tree.pairs(surface.before, 5e-3, moves, among=np.arange(len(surface.rest)) >= first)
+    assert keys(some) == keys(every, mixed)
+    assert len(keys(some)) == len(some)
+
+
 def _nearest_on_the_way(surface: Surface, x: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """Least distance [m] of every pair on the way, at steps of a fifth of the reach or of a fortieth of the way."""
     steps = min(41, 2 + int(np.abs(moves).max() / 2e-4))

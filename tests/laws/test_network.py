@@ -236,9 +236,11 @@ def test_memory_while_predicting_does_not_grow_with_the_propagation_steps_and_wh
     at = moment([sheet_of(2000)], dtype=torch.float32)
     latents = 4 * 32 * prepared_for(model, at).builder.static.edges["mesh"].senders.index.shape[0]
     with torch.no_grad():
-        few, many = (peak_bytes(model, at, steps) for steps in (2, 40))
+        # The first time kernels are loaded.
+        _, few, many = (peak_bytes(model, at, steps) for steps in (2, 2, 40))
     assert few > latents
-    assert many - few < 0.01 * latents
+    # Any array kept of each step would be six times the latents.
+    assert many - few < 0.1 * latents
     assert peak_bytes(model, at, 40) - peak_bytes(model, at, 2) > 38 * latents
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from pb4u.network.graph.world_edges import WorldEdgeRule, _nearest_by_chunks, _nearest_by_tree, nearest_within
+from pb4u.network.graph.world_edges import WorldEdgeRule, _nearest_by_chunks, _nearest_by_grid, nearest_within
 
 
 def exhaustive(points, targets, rule):
@@ -15,7 +15,7 @@ def exhaustive(points, targets, rule):
     ]
 
 
-@pytest.mark.parametrize("search", [_nearest_by_tree, lambda p, t, r: _nearest_by_chunks(p, t, r, rows=7)])
+@pytest.mark.parametrize("search", [_nearest_by_grid, lambda p, t, r: _nearest_by_chunks(p, t, r, rows=7)])
 @pytest.mark.parametrize("neighbours", [1, 3, 40])
 @pytest.mark.parametrize("target_count", [1, 30])
 def test_the_nearest_in_reach_are_found_nearest_first(search, neighbours, target_count):

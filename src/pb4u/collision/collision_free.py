@@ -97,7 +97,8 @@ def past_obstacles(
         before: (vertices, 3) float64 [m] that cross nowhere but where obstacles have `passed`.
         wanted: (vertices, 3) float64 [m].
         masses: (vertices,) [kg]; infinite for vertices that give way to no impulse, as those of obstacles are.
-        known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were queried already.
+        known: all pairs that may touch on the way and their gaps (pairs,) [m], where they were queried already; or
+            those that `met_by_obstacles` tells of.
         passed: (vertices,) bool of the surface that obstacles are let through; none by default.
 
     Returns:
@@ -117,6 +118,24 @@ def past_obstacles(
         x, still = _in_one_move(tree, x, way + aside, masses, None, still, before, _IMPULSES)
         aside = x - way
     return min(*found, (x, still), key=lambda each: each[1].sum())
+
+
+def met_by_obstacles(
+    tree: SurfaceTree, before: np.ndarray, wanted: np.ndarray, passed: np.ndarray
+) -> tuple[ElementPairs, np.ndarray]:
+    """Pairs with an obstacle that may touch on the way, and their gaps (pairs,) [m].
+
+    They are all that `past_obstacles` has to know of a way to positions that the surface is known to reach otherwise
+    without touching itself: what obstacles turn aside there is looked at anew.
+
+    Args:
+        tree: of the surface, its obstacles last.
+        before: (vertices, 3) float64 [m] that cross nowhere but where obstacles have `passed`.
+        wanted: (vertices, 3) float64 [m].
+        passed: (vertices,) bool of the surface that obstacles are let through.
+    """
+    of_obstacles = np.arange(len(before)) >= tree.first_obstacle
+    return _met(tree, before, wanted - before, passed, before, changed=of_obstacles)
 
 
 def _in_one_move(
@@ -222,10 +241,11 @@ def _met(
     if known is not None and known.neighbourhood is not None:
         pairs = tree.pairs(before, SMALLEST_GAP, moves, known)
     else:
-        moved = np.any(moves, axis=1) if changed is None else changed
-        if moved[tree.first_obstacle :].any():
-            moved = np.arange(len(moved)) < tree.first_obstacle
-        pairs = tree.pairs(before, SMALLEST_GAP, moves, among=moved)
+        if changed is None:
+            changed = np.any(moves, axis=1)
+            if changed[tree.first_obstacle :].any():
+                changed = np.arange(len(moves)) < tree.first_obstacle
+        pairs = tree.pairs(before, SMALLEST_GAP, moves, among=changed)
     if passed.any():
         pairs = pairs.chosen(~through_obstacle(pairs.corners, tree.first_obstacle, passed))
     return pairs, smallest_gaps(pairs, began, tree.first_obstacle)

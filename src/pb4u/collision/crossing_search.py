@@ -38,14 +38,14 @@ class CrossingSearch:
             among: (vertices,) bool, of which each of these faces has one; None for all.
         """
         tree, faces = self._tree, self._tree.faces
-        first = tree.first_obstacle
-        found, own = np.zeros(len(vertices), dtype=bool), np.arange(len(vertices)) < first
+        found, own = np.zeros(len(vertices), dtype=bool), np.arange(len(vertices)) < tree.first_obstacle
         # As wide as for a move from there, which then finds its boxes fitted.
         boxes = tree.fitted(vertices, np.zeros_like(vertices), 0.5 * SMALLEST_GAP)
-        asked = asked_for(tree.boxes, faces, own if among is None else among & own)
-        pairs = _touching_faces(vertices, faces, boxes, tree.boxes, False, self._most, asked)
-        mixed = pairs[(faces[pairs][:, :, 0] < first).sum(axis=1) == 1]
-        found[faces[mixed]] = True
+        asked, obstacles = (
+            asked_for(tree.boxes, faces, rows) for rows in (own if among is None else among & own, ~own)
+        )
+        pairs = _touching_faces(vertices, faces, boxes, tree.boxes, False, self._most, asked, obstacles)
+        found[faces[pairs]] = True
         return found & own
 
     def pairs(self, vertices: np.ndarray, *, sharing: bool = False) -> np.ndarray:
@@ -69,7 +69,7 @@ class CrossingSearch:
         tree = self._tree
         points, face_boxes = still_boxes(vertices, tree.faces, 0.5 * _TOUCHING)
         boxes, asked = tree.boxes.fitted(face_boxes), asked_for(tree.boxes, tree.faces, among)
-        return points, _touching_faces(points, tree.faces, boxes, tree.boxes, sharing, self._most, asked)
+        return points, _touching_faces(points, tree.faces, boxes, tree.boxes, sharing, self._most, asked, asked)
 
 
 @compiled
@@ -81,6 +81,7 @@ def _touching_faces(
     sharing: bool,
     most: int,
     asked: Asked,
+    others: Asked,
 ) -> np.ndarray:
     """Faces (pairs, 2) of every pair that shares no vertex, or one where `sharing`, and is not certainly apart."""
     order, ranges, roots = tree.order, tree.ranges, tree.roots
@@ -88,14 +89,16 @@ def _touching_faces(
     count = 0
     # Taken once: an array made for every pair would cost more than its numbers.
     work, side, other_side = np.empty((9, 3)), np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    leaves = meeting_leaves(boxes, tree, asked, np.column_stack((roots, roots)), most, None)
+    leaves = meeting_leaves(boxes, tree, asked, others, np.column_stack((roots, roots)), most, None)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):
             f = order[i]
             for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                 g = order[j]
-                if not (asked.faces[f] or asked.faces[g]) or not boxes_meet(boxes.faces, f, boxes.faces, g):
+                if not ((asked.faces[f] and others.faces[g]) or (asked.faces[g] and others.faces[f])):
+                    continue
+                if not boxes_meet(boxes.faces, f, boxes.faces, g):
                     continue
                 shared = _shared(faces[f], faces[g], side, other_side)
                 if shared == 0:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from pb4u.collision.box_tree import Boxes, BoxTree, boxes_of, copy_row, with_room
+from pb4u.collision.box_tree import Boxes, copy_row, with_room
 from pb4u.collision.element_distance import Reaches, fastest_approach, gather, nearest, reach_of
 from pb4u.collision.jit import compiled
 
@@ -18,7 +19,7 @@ class Strayed(NamedTuple):
     Args:
         ends: (vertices, 6) [m] as a move begins and as it ends.
         boxes: of that [m] of nodes and faces.
-        calm: (vertices,) bool whether all around a vertex strayed together.
+        calm: (vertices of no obstacle,) bool whether all around each strayed together.
         within: distance [m] up to which two vertices do.
     """
 
@@ -54,28 +55,32 @@ class Neighbourhood:
     distances: np.ndarray
 
     def strayed(
-        self, vertices: np.ndarray, moves: np.ndarray, tree: BoxTree, faces: np.ndarray, edges: np.ndarray
+        self,
+        vertices: np.ndarray,
+        moves: np.ndarray,
+        edges: np.ndarray,
+        fitted: Callable[[np.ndarray, np.ndarray], Boxes],
     ) -> Strayed:
         """How far vertices stray from the end on a move; of a move from the same start its end alone matters.
 
         Args:
             vertices: (vertices, 3) [m].
             moves: (vertices, 3) [m] from there, linear.
-            tree: of the surface.
-            faces: (faces, 3) int64 of it.
-            edges: (edges, 2) int64 of it.
+            edges: (edges, 2) int64 between vertices that are not of obstacles.
+            fitted: gives boxes of the surface's nodes and faces for values (vertices, 3) [m] and their changes.
         """
         if np.array_equal(self.start, vertices):
             begun, way = vertices + moves - self.end, np.zeros_like(moves)
         else:
             begun, way = vertices - self.end, moves
         ends, within = np.concatenate([begun, begun + way], axis=1), 2.0 * self.room
-        calm = _calm(ends, edges, within)
-        if self.reaches.first_obstacle < len(vertices):
+        own = ends[: self.reaches.first_obstacle]
+        calm = _calm(own, edges, within)
+        if len(own) < len(ends):
             # Cloth that slides over a body strays from that, however much it does so as one.
-            calm &= (ends[:, :3] ** 2).sum(axis=1) <= self.room**2
-            calm &= (ends[:, 3:] ** 2).sum(axis=1) <= self.room**2
-        return Strayed(ends, tree.fitted(boxes_of(begun, way, faces, 0.0)), calm, within)
+            calm &= (own[:, :3] ** 2).sum(axis=1) <= self.room**2
+            calm &= (own[:, 3:] ** 2).sum(axis=1) <= self.room**2
+        return Strayed(ends, fitted(begun, way), calm, within)
 
     def near(
         self, vertices: np.ndarray, moves: np.ndarray, strayed: Strayed, reaches: Reaches

@@ -20,12 +20,12 @@ EVERY = 2**62
 
 
 class Asked(NamedTuple):
-    """What is searched for: of each pair, one is asked for.
+    """What of a surface has some of its vertices.
 
     Args:
         vertices: (vertices,) bool.
-        nodes: (nodes,) bool of the tree, those that hold one of these.
-        faces: (faces,) bool that have one.
+        nodes: (nodes,) bool of the tree.
+        faces: (faces,) bool.
     """
 
     vertices: np.ndarray
@@ -75,9 +75,9 @@ def asked_for(tree: BoxTree, faces: np.ndarray, among: np.ndarray) -> Asked:
 
 @compiled
 def meeting_leaves(
-    boxes: Boxes, tree: BoxTree, asked: Asked, parts: np.ndarray, most: int, strayed: Strayed | None
+    boxes: Boxes, tree: BoxTree, asked: Asked, others: Asked, parts: np.ndarray, most: int, strayed: Strayed | None
 ) -> np.ndarray:
-    """Pairs (pairs, 2) of leaves whose boxes meet, of which one is `asked` for; each once.
+    """Pairs (pairs, 2) of leaves whose boxes meet, of which one is `asked` for and the other of `others`; each once.
 
     A leaf meets itself. Of the nodes below the pairs of nodes `parts` (parts, 2), but those that strayed together.
     None where there are over `most`.
@@ -86,6 +86,7 @@ def meeting_leaves(
         boxes: of the nodes.
         tree: of the surface.
         asked: what is asked for.
+        others: with which it may meet.
         parts: (parts, 2) int64 pairs of nodes to begin with.
         most: number of pairs above which none are returned.
         strayed: how far vertices strayed; None for a search of everything.
@@ -99,7 +100,7 @@ def meeting_leaves(
         while depth > 0:
             depth -= 1
             a, b = stack[depth, 0], stack[depth, 1]
-            if not (asked.nodes[a] or asked.nodes[b]):
+            if not ((asked.nodes[a] and others.nodes[b]) or (asked.nodes[b] and others.nodes[a])):
                 continue
             inner_a, inner_b = children[a, 0] >= 0, children[b, 0] >= 0
             if a == b:
@@ -139,6 +140,7 @@ def near_elements(
     tree: BoxTree,
     elements: Elements,
     asked: Asked,
+    others: Asked,
     parts: np.ndarray,
     way: Way,
     strayed: Strayed | None,
@@ -152,6 +154,7 @@ def near_elements(
         tree: of the surface.
         elements: of the surface.
         asked: of each pair one has a vertex that is asked for.
+        others: of whose faces the other is.
         parts: (parts, 2) int64 pairs of nodes that are searched.
         way: on which they may come near.
         strayed: how far vertices strayed; those that did together are left out. None for a search of everything.
@@ -161,14 +164,16 @@ def near_elements(
     ends, first_obstacle = way.ends, way.reaches.first_obstacle
     near_faces, near_edges = np.empty((1024, 4), dtype=np.int64), np.empty((1024, 4), dtype=np.int64)
     face_count, edge_count = 0, 0
-    leaves = meeting_leaves(boxes, tree, asked, parts, EVERY, strayed)
+    leaves = meeting_leaves(boxes, tree, asked, others, parts, EVERY, strayed)
     for pair in range(len(leaves)):
         a, b = leaves[pair]
         for i in range(ranges[a, 0], ranges[a, 1]):
             f = order[i]
             for j in range(i + 1 if a == b else ranges[b, 0], ranges[b, 1]):
                 g = order[j]
-                if not (asked.faces[f] or asked.faces[g]) or not boxes_meet(boxes.faces, f, boxes.faces, g):
+                if not ((asked.faces[f] and others.faces[g]) or (asked.faces[g] and others.faces[f])):
+                    continue
+                if not boxes_meet(boxes.faces, f, boxes.faces, g):
                     continue
                 if share_a_vertex(faces, f, g):
                     continue

@@ -18,14 +18,14 @@ from pb4u.collision.box_tree import Boxes, BoxTree, boxes_of, fill_boxes, fit_no
 from pb4u.collision.element_distance import Reaches, may_meet
 from pb4u.collision.element_pairs import ElementPairs, rest_distances
 from pb4u.collision.lasting_pairs import Neighbourhood, Strayed, lasting_pairs
-from pb4u.collision.near_elements import Way, asked_for, near_around, near_elements
+from pb4u.collision.near_elements import Asked, Way, asked_for, near_around, near_elements
 from pb4u.collision.surface_elements import Elements
 from pb4u.threads import parallel_map
 
 _ROOM = 0.1
 """Half of how far apart two vertices may stray, in mean edge lengths at rest, before what is near is searched again."""
 
-_MOST_STRAYING = 0.3
+_MOST_STRAYING = 0.5
 """Share of the vertices that may stray from those around them before the whole surface is searched again."""
 
 _FEW = 4096
@@ -96,8 +96,8 @@ class SurfaceTree:
         self.boxes = BoxTree.over(centres, face_part, np.asarray(world))
         self.first_obstacle = len(self.rest) - obstacles
         own_edges, own_faces = (int((e[:, 0] < self.first_obstacle).sum()) for e in (self.edges, self.faces))
-        self._own_faces = own_faces
-        lengths = np.linalg.norm(self.rest[self.edges[:own_edges, 0]] - self.rest[self.edges[:own_edges, 1]], axis=1)
+        self._own_faces, self._own_edges = own_faces, self.edges[:own_edges]
+        lengths = np.linalg.norm(self.rest[self._own_edges[:, 0]] - self.rest[self._own_edges[:, 1]], axis=1)
         self._room = _ROOM * float(lengths.mean()) if len(lengths) else 0.0
         self._elements = Elements.of(self.faces, self.edges, len(self.rest))
         self._around = self._elements.pairs_around_vertices(own_faces, len(self.rest))
@@ -109,6 +109,22 @@ class SurfaceTree:
     @cached_property
     def _everywhere(self) -> np.ndarray:
         return np.arange(len(self.rest)) < self.first_obstacle
+
+    @cached_property
+    def _own(self) -> Asked:
+        return self._asked(self._everywhere)
+
+    @cached_property
+    def _obstacles(self) -> Asked:
+        return self._asked(~self._everywhere)
+
+    @cached_property
+    def _all(self) -> Asked:
+        return self._asked(np.ones(len(self.rest), dtype=bool))
+
+    def _asked(self, among: np.ndarray) -> Asked:
+        asked: Asked = asked_for(self.boxes, self.faces, among)
+        return asked
 
     def pairs(
         self,
@@ -130,7 +146,8 @@ class SurfaceTree:
             moves: (vertices, 3) float64 [m] linear motion along which they may come near, or None.
             known: pairs of positions before these, where there are such: only what strayed apart since is searched.
             lasting: whether to look further than asked, so that the result serves as the next `known`.
-            among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`.
+            among: (vertices,) bool, of which each pair has one; None for all. Not with `known` or `lasting`. Where all
+                are of obstacles, these pairs are all with one.
             obstacle_reach: distance [m] of pairs with an obstacle where it is less than `reach`; None for the same.
 
         Raises:
@@ -143,8 +160,9 @@ class SurfaceTree:
         reaches = Reaches(reach, min(reach, reach if obstacle_reach is None else obstacle_reach), self.first_obstacle)
         neighbourhood = None if known is None else known.neighbourhood
         if neighbourhood is not None and all(np.less_equal(reaches, neighbourhood.reaches)):
-            strayed = neighbourhood.strayed(vertices, moving, self.boxes, self.faces, self.edges)
-            if np.count_nonzero(~strayed.calm[: self.first_obstacle]) <= _MOST_STRAYING * self.first_obstacle:
+            fitted = partial(self.fitted, margin=0.0, strayed=True)
+            strayed = neighbourhood.strayed(vertices, moving, self._own_edges, fitted)
+            if np.count_nonzero(~strayed.calm) <= _MOST_STRAYING * self.first_obstacle:
                 stayed = neighbourhood.near(vertices, moving, strayed, reaches)
                 candidates = self._search(vertices, moving, reaches, self._everywhere, strayed=strayed)
                 return self._pairs((stayed, _near(candidates, vertices, moving, reaches)), neighbourhood)
@@ -192,18 +210,21 @@ class SurfaceTree:
         if not among.any():
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
         boxes = self.fitted(vertices, moves, 0.5 * reaches.cloth, room)
-        asked = asked_for(self.boxes, self.faces, among)
-        whole = np.count_nonzero(among) > _FEW
+        mixed, of_obstacles = not among[: self.first_obstacle].any(), among[self.first_obstacle :].any()
+        asked = self._own if mixed or among is self._everywhere else self._asked(among)
+        others = self._obstacles if mixed else self._all
+        whole = np.count_nonzero(asked.vertices) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
         way = Way(vertices, moves, np.concatenate([vertices, vertices + moves], axis=1), reaches, 2.0 * room)
         searches: list[Callable[[], Any]] = [
-            partial(near_elements, boxes, self.boxes, self._elements, asked, part, way, strayed) for part in parts
+            partial(near_elements, boxes, self.boxes, self._elements, asked, others, part, way, strayed)
+            for part in parts
         ]
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = _PIECES if whole else 1
         around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
-        searches += [partial(near_around, *piece, among, way, strayed) for piece in around]
+        searches += [partial(near_around, *piece, among, way, strayed) for piece in around if not mixed]
         found = parallel_map(lambda search: search(), searches)
         vertex_faces, edge_edges = (
             np.concatenate(
@@ -211,32 +232,35 @@ class SurfaceTree:
             )
             for kind in (0, 1)
         )
-        if among[self.first_obstacle :].any():
+        if of_obstacles:
             vertex_faces, edge_edges = (
                 corners[(corners < self.first_obstacle).any(axis=1)] for corners in (vertex_faces, edge_edges)
             )
         return vertex_faces, edge_edges
 
-    def fitted(self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0) -> Boxes:
-        """Boxes (.., 12) [m] of the nodes and faces; those of obstacles may be wider than asked for.
+    def fitted(
+        self, vertices: np.ndarray, moves: np.ndarray, margin: float, room: float = 0.0, strayed: bool = False
+    ) -> Boxes:
+        """Boxes of the nodes and faces; those of obstacles may be wider than asked for.
 
-        They hold until the next call in the same thread.
+        They hold until the next call of their kind in the same thread.
 
         Args:
             vertices: (vertices, 3) float64 [m].
             moves: (vertices, 3) float64 [m].
             margin: what they are wider by on every side [m].
             room: the same at the end of the move [m].
+            strayed: whether they are of how far vertices strayed, not of where they are.
         """
-        first = self.first_obstacle
-        kept: _Fitted | None = getattr(self._kept, "boxes", None)
+        first, kind = self.first_obstacle, "strayed" if strayed else "placed"
+        kept: _Fitted | None = getattr(self._kept, kind, None)
         if first < len(vertices) and kept is not None and kept.serves(vertices[first:], moves[first:], margin, room):
             fill_boxes(vertices, moves, self.faces[: self._own_faces], margin, room, kept.boxes.faces)
             fit_nodes(self._own_nodes, self.boxes, kept.boxes)
             return kept.boxes
         boxes = self.boxes.fitted(boxes_of(vertices, moves, self.faces, margin, room))
         if first < len(vertices):
-            self._kept.boxes = _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes)
+            setattr(self._kept, kind, _Fitted(vertices[first:].copy(), moves[first:].copy(), margin, room, boxes))
         return boxes
 
     @cached_property
@@ -246,10 +270,7 @@ class SurfaceTree:
     @cached_property
     def _own_nodes(self) -> np.ndarray:
         """Nodes (nodes,) int64 that hold a face which is no obstacle's, children before their parents."""
-        own = self.faces[:, 0] < self.first_obstacle
-        counts = np.concatenate([[0], np.cumsum(own[self.boxes.order])])
-        nodes = np.flatnonzero(counts[self.boxes.ranges[:, 1]] > counts[self.boxes.ranges[:, 0]])
-        return np.ascontiguousarray(nodes[::-1])
+        return np.ascontiguousarray(np.flatnonzero(self._own.nodes)[::-1])
 
     @cached_property
     def _parts(self) -> np.ndarray:

@@ -48,18 +48,18 @@ class InteractionBlock(nn.Module):
             masks: (edges, 1) dimensionless factors on the messages by set name, 1 where a set is not named.
         """
         wanted, masks = list(nodes) if receivers is None else receivers, masks or {}
-        hidden = {name: self.node_mlp.project(0, nodes[name]) for name in wanted}
+        entering = {name: {0: nodes[name]} for name in wanted}
         new_edges = {}
         for name, edge_set in graph.edges.items():
-            if edge_set.kind not in self.kinds or edge_set.receiver_set not in hidden:
+            if edge_set.kind not in self.kinds or edge_set.receiver_set not in entering:
                 continue
             mlp: EdgeMLP = self.edge_mlps[edge_set.kind]  # type: ignore[assignment]
             new_edges[name], sums = _passed(mlp, nodes, edges[name], edge_set, masks.get(name))
-            share = self.node_mlp.project(1 + self.kinds.index(edge_set.kind), sums)
-            hidden[edge_set.receiver_set] = hidden[edge_set.receiver_set] + share
+            parts, kind = entering[edge_set.receiver_set], 1 + self.kinds.index(edge_set.kind)
+            parts[kind] = parts[kind] + sums if kind in parts else sums
             if receivers is not None:
                 new_edges[name] = edges[name]
-        return {name: nodes[name] + self.node_mlp.after_product(value) for name, value in hidden.items()}, new_edges
+        return {name: nodes[name] + self.node_mlp.of_parts(parts) for name, parts in entering.items()}, new_edges
 
 
 def _passed(

@@ -1,8 +1,8 @@
-"""Loops over the rows of perceptrons, edges and messages, and their derivatives by hand, compiled for a processor.
+"""Loops over the rows of perceptrons, edges and messages, compiled for a processor.
 
 Arrays are float32 or float64. `between` are the hidden layers and the norm's output (rows, width) each, and the norm's
-factors (rows,), which the derivative reads again; `layers` are weights and biases of three layers, in order, and scale
-and shift of the norm; `further` are the derivatives by them, in the same order, to which is added.
+factors (rows,), which the derivative reads again, or none of them has rows; `layers` are weights and biases of three
+layers, in order, and scale and shift of the norm, as `turned` gives them.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ import numpy as np
 
 from pb4u.collision.jit import compiled_with_free_sums
 
-ROWS = 256
-"""Rows at a time: five arrays of 64 columns take 320 kB, and products of fewer rows are slower."""
+ROWS = 128
+"""Rows at a time: five arrays of 32 columns take 80 kB, and products of fewer rows are slower."""
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 @compiled_with_free_sums
-def _next_nodes(offsets: np.ndarray, first: int) -> int:
-    """End of the nodes from `first` whose edges are `ROWS` at most, or of one node alone."""
+def next_nodes(offsets: np.ndarray, first: int, stop: int) -> int:
+    """End of the nodes from `first` on, before `stop`, whose edges are `ROWS` at most, or of one node alone."""
     last = first + 1
-    while last < len(offsets) - 1 and offsets[last + 1] - offsets[first] <= ROWS:
+    while last < stop and offsets[last + 1] - offsets[first] <= ROWS:
         last += 1
     return last
 
 
 @compiled_with_free_sums
-def _most_rows(offsets: np.ndarray) -> int:
-    """Rows that the edges of `_next_nodes` need."""
+def most_rows(offsets: np.ndarray) -> int:
+    """Rows that the edges of `next_nodes` need."""
     most = ROWS
     for node in range(len(offsets) - 1):
         most = max(most, offsets[node + 1] - offsets[node])
@@ -38,238 +38,149 @@ def _most_rows(offsets: np.ndarray) -> int:
 
 
 @compiled_with_free_sums
-def _later_layers(first: np.ndarray, layers: tuple, hidden: np.ndarray, values: np.ndarray) -> None:
-    """Fill `hidden` with the second layer, and `values` with the product of the last, (rows, width) each.
+def turned(layers: tuple) -> tuple:
+    """The `layers` as `perceptron` and `edge_pass` read them.
 
-    `layers` are the weights and biases of all three layers, in order, and scale and shift of the norm.
+    Weights are (inputs, width), by which the library multiplies half as fast again. The last layer's outputs have no
+    mean over columns, which the norm would take out.
     """
-    np.dot(first, layers[2].T, hidden)
+    width, last, bias = layers[4].shape[0], layers[4].copy(), layers[5].copy()
+    for column in range(width):
+        mean = np.sum(layers[4][:, column]) / last.dtype.type(width)
+        for row in range(width):
+            last[row, column] -= mean
+    bias -= np.sum(bias) / bias.dtype.type(width)
+    return layers[0].T.copy(), layers[1], layers[2].T.copy(), layers[3], last.T.copy(), bias, layers[6], layers[7]
+
+
+@compiled_with_free_sums
+def _room(between: tuple, rows: int, width: int) -> tuple:
+    """`between`, or room for so many `rows` at a time where it has none since nothing is kept."""
+    first, hidden, normed, inverse = between
+    if len(first) == 0:
+        shape, kind = (rows, width), first.dtype
+        return np.empty(shape, kind), np.empty(shape, kind), np.empty(shape, kind), np.empty(rows, kind)
+    return first, hidden, normed, inverse
+
+
+@compiled_with_free_sums
+def _later_layers(first: np.ndarray, layers: tuple, eps: Any, between: tuple, out: np.ndarray) -> None:
+    """Fill the rest of `between` and `out` (rows, width) from the `first` layer."""
+    hidden, normed, inverse = between
+    np.dot(first, layers[2], hidden)
     _rectify(hidden, layers[3])
-    np.dot(hidden, layers[4].T, values)
+    np.dot(hidden, layers[4], normed)
+    centred_norm(normed, layers[5], layers[6], layers[7], eps, inverse, out)
 
 
 @compiled_with_free_sums
-def _through_layers(
-    on: np.ndarray,
-    rows: slice,
-    between: tuple,
-    layers: tuple,
-    further: tuple,
-    spare: np.ndarray,
-    square: np.ndarray,
-    out: np.ndarray,
+def perceptron(
+    values: np.ndarray, layers: tuple, eps: Any, between: tuple, out: np.ndarray, begin: int, stop: int
 ) -> None:
-    """Fill `out` with the derivative by the first layer's sum, from that by the norm's output `on`, of some `rows`.
-
-    Those by the `layers` but the first weight are added to `further`, of the same order; `spare` (rows, width) and
-    `square` (width, width) are written over.
-    """
-    first, hidden, normed, inverse = between
-    layer_norm_derivative(on, normed[rows], inverse[rows], layers[6], further[6], further[7], further[5], out)
-    np.dot(out.T, hidden[rows], square)
-    _add(square, further[4])
-    np.dot(out, layers[4], spare)
-    _gate(spare, hidden[rows], further[3])
-    np.dot(spare.T, first[rows], square)
-    _add(square, further[2])
-    np.dot(spare, layers[2], out)
-    _gate(out, first[rows], further[1])
-
-
-@compiled_with_free_sums
-def perceptron(values: np.ndarray, weighted: bool, layers: tuple, eps: Any, between: tuple, out: np.ndarray) -> None:
-    """Fill `between` and `out` (rows, width) for `values` (rows, inputs), the first layer's sums unless `weighted`."""
-    first, hidden, normed, inverse = between
-    for start in range(0, len(values), ROWS):
-        rows = slice(start, min(start + ROWS, len(values)))
-        if weighted:
-            np.dot(values[rows], layers[0].T, first[rows])
-        else:
-            first[rows] = values[rows]
-        _rectify(first[rows], layers[1])
-        _later_layers(first[rows], layers, hidden[rows], normed[rows])
-        layer_norm(normed[rows], layers[5], layers[6], layers[7], eps, inverse[rows], out[rows])
-
-
-@compiled_with_free_sums
-def perceptron_derivative(
-    on: np.ndarray,
-    values: np.ndarray,
-    weighted: bool,
-    layers: tuple,
-    between: tuple,
-    further: tuple,
-    wanted: bool,
-    on_values: np.ndarray,
-) -> None:
-    """Add the derivatives by `layers` to `further`, and fill `on_values` with that by `values` where it is `wanted`."""
-    width = on.shape[1]
-    spare, out = np.empty((ROWS, width), on.dtype), np.empty((ROWS, width), on.dtype)
-    square, entering = np.empty((width, width), on.dtype), np.empty(layers[0].shape, on.dtype)
-    for start in range(0, len(values), ROWS):
-        rows = slice(start, min(start + ROWS, len(values)))
-        n = rows.stop - start
-        _through_layers(on[rows], rows, between, layers, further, spare[:n], square, out[:n])
-        if weighted:
-            np.dot(out[:n].T, values[rows], entering)
-            _add(entering, further[0])
-            if wanted:
-                np.dot(out[:n], layers[0], on_values[rows])
-        else:
-            on_values[rows] = out[:n]
+    """Fill `between`, where it has rows, and `out` (rows, width) for the rows `begin` to `stop` of `values`."""
+    kept = len(between[0]) > 0
+    first, hidden, normed, inverse = _room(between, ROWS, out.shape[1])
+    for start in range(begin, stop, ROWS):
+        rows = slice(start, min(start + ROWS, stop))
+        own = rows if kept else slice(0, rows.stop - start)
+        np.dot(values[rows], layers[0], first[own])
+        _rectify(first[own], layers[1])
+        _later_layers(first[own], layers, eps, (hidden[own], normed[own], inverse[own]), out[rows])
 
 
 @compiled_with_free_sums
 def edge_pass(
-    latents: np.ndarray, shares: tuple, layers: tuple, eps: Any, between: tuple, new: np.ndarray, sums: np.ndarray
+    latents: np.ndarray,
+    shares: tuple,
+    layers: tuple,
+    eps: Any,
+    between: tuple,
+    new: np.ndarray,
+    sums: np.ndarray,
+    begin: int,
+    stop: int,
 ) -> None:
-    """Fill `between`, `new` (edges, width) and `sums` (receivers, width); see `passed_edges`.
+    """Fill `between`, where it has rows, `new` (edges, width) and `sums` (receivers, width); see `passed_edges`.
 
-    `shares` are those of senders and receivers, the senders (edges,) and the first edge of each receiver.
+    For the receivers from `begin` to `stop`. `shares` are those of senders and receivers, the senders (edges,) and the
+    first edge of each receiver.
     """
     from_senders, from_receivers, senders, offsets = shares
-    first, hidden, normed, inverse = between
-    node = 0
-    while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node)
+    kept, node = len(between[0]) > 0, begin
+    first, hidden, normed, inverse = _room(between, most_rows(offsets[begin : stop + 1]), new.shape[1])
+    while node < stop:
+        last = next_nodes(offsets, node, stop)
         rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
         if rows.stop > rows.start:
-            np.dot(latents[rows], layers[0].T, first[rows])
-            _join(first[rows], layers[1], from_senders, senders[rows], from_receivers[node:last], ends, True)
-            _later_layers(first[rows], layers, hidden[rows], normed[rows])
-            layer_norm(normed[rows], layers[5], layers[6], layers[7], eps, inverse[rows], new[rows])
+            own = rows if kept else slice(0, rows.stop - rows.start)
+            np.dot(latents[rows], layers[0], first[own])
+            _join(first[own], layers[1], from_senders, senders[rows], from_receivers[node:last], ends, True, first[own])
+            _later_layers(first[own], layers, eps, (hidden[own], normed[own], inverse[own]), new[rows])
         _sum_and_add(latents[rows], ends, new[rows], sums[node:last])
         node = last
 
 
 @compiled_with_free_sums
-def edge_pass_derivative(
-    on_new: np.ndarray,
-    on_sums: np.ndarray,
-    kept: bool,
-    latents: np.ndarray,
-    senders: np.ndarray,
-    offsets: np.ndarray,
-    layers: tuple,
-    between: tuple,
-    further: tuple,
-    on_latents: np.ndarray,
+def propagation_step(
+    inflows: tuple, before: tuple, layers: tuple, eps: Any, decay: Any, after: tuple, begin: int, stop: int
 ) -> None:
-    """Add the derivatives by both shares and by `layers` to `further`, and fill `on_latents` (edges, width)."""
-    of_layers = further[2:]
-    width, most = latents.shape[1], _most_rows(offsets)
-    on, spare = np.empty((most, width), latents.dtype), np.empty((most, width), latents.dtype)
-    out, square = np.empty((most, width), latents.dtype), np.empty((width, width), latents.dtype)
-    node = 0
-    while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node)
-        rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
-        n = rows.stop - rows.start
-        if n > 0:
-            _of_edges(on_new[rows], on_sums[node:last], kept, ends, on[:n])
-            _through_layers(on[:n], rows, between, layers, of_layers, spare[:n], square, out[:n])
-            np.dot(out[:n].T, latents[rows], square)
-            _add(square, of_layers[0])
-            _sum_at_ends(out[:n], senders[rows], ends, further[0], further[1][node:last], True)
-            np.dot(out[:n], layers[0], on_latents[rows])
-            if kept:
-                _add(on_new[rows], on_latents[rows])
-        node = last
+    """Fill what a step of propagation makes, for the nodes from `begin` to `stop`.
+
+    `inflows` are, for each set of edges, what `_add_messages` reads. `before` are the state (nodes, width), its shares
+    at senders and at receivers, and to be filled the sums of messages, what the norm scales, and its factors; `after`
+    are the state after the step and its shares. `layers` are the second of a message and its bias, the last, the bias
+    of all messages of each node (nodes, width), scale and shift of the norm, and the weights that meet senders and
+    receivers; weights are (inputs, width), and the last layer's outputs without mean.
+    """
+    state, at_senders, at_receivers, sums, values, inverse = before
+    new, new_at_senders, new_at_receivers = after
+    second, second_bias, last, biases, scale, shift, of_sender, of_receiver = layers
+    no_bias = np.zeros_like(scale)
+    for first in range(begin, stop, ROWS):
+        own = slice(first, min(first + ROWS, stop))
+        sums[own] = _ZERO
+        for inflow in inflows:
+            _add_messages(inflow, at_senders, at_receivers, second, second_bias, sums, own.start, own.stop)
+        np.dot(sums[own], last, values[own])
+        add_rows(biases[own], values[own])
+        centred_norm(values[own], no_bias, scale, shift, eps, inverse[own], new[own])
+        for row in range(own.start, own.stop):
+            for c in range(state.shape[1]):
+                new[row, c] += decay * state[row, c]
+        np.dot(new[own], of_sender, new_at_senders[own])
+        np.dot(new[own], of_receiver, new_at_receivers[own])
 
 
 @compiled_with_free_sums
-def message(
-    constants: np.ndarray,
-    shares: tuple,
+def _add_messages(
+    inflow: tuple,
+    from_senders: np.ndarray,
+    from_receivers: np.ndarray,
     second: np.ndarray,
     bias: np.ndarray,
-    first: np.ndarray,
-    hidden: np.ndarray,
     sums: np.ndarray,
-    sent: bool,
+    begin: int,
+    stop: int,
 ) -> None:
-    """Add what enters the last layer of messages to its `sums` (receivers, width); `shares` as in `edge_pass`.
+    """Add what enters the last layer of messages to its `sums` (receivers, width).
 
-    `constants` (edges, width) enter the first layer; those of senders do too where they are `sent`. Both layers,
-    `first` and `hidden` (edges, width), are filled.
+    An `inflow` are constants (edges, width), which enter the first layer, senders (edges,), the first edge of each
+    receiver, both layers (edges, width), which are filled where they have rows, and whether senders have a share.
     """
-    from_senders, from_receivers, senders, offsets = shares
-    nothing, node = np.zeros_like(bias), 0
-    while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node)
+    constants, senders, offsets, first, hidden, sent = inflow
+    kept, nothing, node = len(first) > 0, np.zeros_like(bias), begin
+    if not kept:
+        first = np.empty((most_rows(offsets[begin : stop + 1]), len(bias)), bias.dtype)
+        hidden = np.empty_like(first)
+    while node < stop:
+        last = next_nodes(offsets, node, stop)
         rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
         if rows.stop > rows.start:
-            first[rows] = constants[rows]
-            _join(first[rows], nothing, from_senders, senders[rows], from_receivers[node:last], ends, sent)
-            np.dot(first[rows], second.T, hidden[rows])
-            _rectify(hidden[rows], bias)
-            _sum_at_ends(hidden[rows], senders[rows], ends, sums, sums[node:last], False)
-        node = last
-
-
-@compiled_with_free_sums
-def end_of_step(
-    state: np.ndarray,
-    sums: np.ndarray,
-    values: np.ndarray,
-    inverse: np.ndarray,
-    biases: np.ndarray,
-    layers: tuple,
-    eps: Any,
-    decay: Any,
-    after: np.ndarray,
-    at_senders: np.ndarray,
-    at_receivers: np.ndarray,
-) -> None:
-    """Fill the state `after` a step (nodes, width) and its shares at both ends, from the `sums` of messages.
-
-    `layers` are the last of a message, scale and shift of the norm, and the columns that meet senders and receivers;
-    `biases` (nodes, width) are those of all messages of a node.
-    """
-    last, scale, shift, of_sender, of_receiver = layers
-    np.dot(sums, last.T, values)
-    _add(biases, values)
-    layer_norm(values, np.zeros_like(scale), scale, shift, eps, inverse, after)
-    for row in range(after.shape[0]):
-        for c in range(after.shape[1]):
-            after[row, c] += decay * state[row, c]
-    np.dot(after, of_sender.T, at_senders)
-    np.dot(after, of_receiver.T, at_receivers)
-
-
-@compiled_with_free_sums
-def message_derivative(
-    of_sums: np.ndarray,
-    first: np.ndarray,
-    hidden: np.ndarray,
-    second: np.ndarray,
-    senders: np.ndarray,
-    offsets: np.ndarray,
-    d_second: np.ndarray,
-    d_bias: np.ndarray,
-    d_constants: np.ndarray,
-    on_senders: np.ndarray,
-    on_receivers: np.ndarray,
-    sent: bool,
-) -> None:
-    """Add the derivatives of what `message` computes to the last five arrays, given that by its sums."""
-    width, most, unused = first.shape[1], _most_rows(offsets), np.zeros_like(d_bias)
-    on, out = np.empty((most, width), first.dtype), np.empty((most, width), first.dtype)
-    square = np.empty((width, width), first.dtype)
-    node = 0
-    while node < len(offsets) - 1:
-        last = _next_nodes(offsets, node)
-        rows, ends = slice(offsets[node], offsets[last]), offsets[node : last + 1]
-        n = rows.stop - rows.start
-        if n > 0:
-            _of_edges(out[:n], of_sums[node:last], False, ends, on[:n])
-            _gate(on[:n], hidden[rows], d_bias)
-            np.dot(on[:n].T, first[rows], square)
-            _add(square, d_second)
-            np.dot(on[:n], second, out[:n])
-            _gate(out[:n], first[rows], unused)
-            _add(out[:n], d_constants[rows])
-            _sum_at_ends(out[:n], senders[rows], ends, on_senders, on_receivers[node:last], sent)
+            own = rows if kept else slice(0, rows.stop - rows.start)
+            at_receivers = from_receivers[node:last]
+            _join(constants[rows], nothing, from_senders, senders[rows], at_receivers, ends, sent, first[own])
+            np.dot(first[own], second, hidden[own])
+            _rectify_and_sum(hidden[own], bias, ends, sums[node:last])
         node = last
 
 
@@ -291,8 +202,9 @@ def _join(
     from_receivers: np.ndarray,
     offsets: np.ndarray,
     sent: bool,
+    out: np.ndarray,
 ) -> None:
-    """ReLU(`values` + share of the sender, if `sent`, + share of the receiver + `bias`) of (edges, width), in place."""
+    """Fill `out` with ReLU(`values` + share of the sender, if `sent`, + share of the receiver + `bias`), by edge."""
     width = values.shape[1]
     received = np.empty(width, values.dtype)
     for node in range(len(offsets) - 1):
@@ -303,31 +215,23 @@ def _join(
                 sender = senders[edge]
                 for c in range(width):
                     value = values[edge, c] + from_senders[sender, c] + received[c]
-                    values[edge, c] = _ZERO if value < _ZERO else value
+                    out[edge, c] = _ZERO if value < _ZERO else value
             else:
                 for c in range(width):
                     value = values[edge, c] + received[c]
-                    values[edge, c] = _ZERO if value < _ZERO else value
+                    out[edge, c] = _ZERO if value < _ZERO else value
 
 
 @compiled_with_free_sums
-def _sum_at_ends(
-    values: np.ndarray,
-    senders: np.ndarray,
-    offsets: np.ndarray,
-    at_senders: np.ndarray,
-    at_receivers: np.ndarray,
-    sent: bool,
-) -> None:
-    """Add the rows of edges to those of their receivers, and, where `sent`, of their senders."""
+def _rectify_and_sum(values: np.ndarray, bias: np.ndarray, offsets: np.ndarray, sums: np.ndarray) -> None:
+    """ReLU(`values` + `bias`) of (edges, width), in place; the rows are added to those of their receivers in `sums`."""
     for node in range(len(offsets) - 1):
         for edge in range(offsets[node] - offsets[0], offsets[node + 1] - offsets[0]):
             for c in range(values.shape[1]):
-                at_receivers[node, c] += values[edge, c]
-            if sent:
-                sender = senders[edge]
-                for c in range(values.shape[1]):
-                    at_senders[sender, c] += values[edge, c]
+                value = values[edge, c] + bias[c]
+                value = _ZERO if value < _ZERO else value
+                values[edge, c] = value
+                sums[node, c] += value
 
 
 @compiled_with_free_sums
@@ -344,25 +248,15 @@ def _sum_and_add(latents: np.ndarray, offsets: np.ndarray, new: np.ndarray, sums
 
 
 @compiled_with_free_sums
-def _of_edges(on_new: np.ndarray, on_sums: np.ndarray, kept: bool, offsets: np.ndarray, out: np.ndarray) -> None:
-    """Fill `out` (edges, width) with the row of each receiver in `on_sums`, and that of `on_new` where it is `kept`."""
-    for node in range(len(offsets) - 1):
-        for edge in range(offsets[node] - offsets[0], offsets[node + 1] - offsets[0]):
-            for c in range(out.shape[1]):
-                out[edge, c] = on_sums[node, c]
-    if kept:
-        _add(on_new, out)
-
-
-@compiled_with_free_sums
-def _add(values: np.ndarray, total: np.ndarray) -> None:
+def add_rows(values: np.ndarray, total: np.ndarray) -> None:
+    """Add `values` (rows, width) to the `total` of the same shape."""
     for row in range(total.shape[0]):
         for c in range(total.shape[1]):
             total[row, c] += values[row, c]
 
 
 @compiled_with_free_sums
-def layer_norm(
+def centred_norm(
     values: np.ndarray,
     bias: np.ndarray,
     scale: np.ndarray,
@@ -371,64 +265,17 @@ def layer_norm(
     inverse: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Centre and scale rows of `values` + `bias`, in place; `out` is their LayerNorm, `inverse` (rows,) the factors."""
+    """Scale rows of `values` + `bias`, whose mean is 0, in place; `out` is their LayerNorm, `inverse` the factors."""
     width = values.shape[1]
     for row in range(values.shape[0]):
-        mean, square = eps * _ZERO, eps * _ZERO
+        square = eps * _ZERO
         for c in range(width):
             value = values[row, c] + bias[c]
             values[row, c] = value
-            mean += value
-        mean /= values.dtype.type(width)
-        for c in range(width):
-            value = values[row, c] - mean
             square += value * value
         factor = _ONE / np.sqrt(square / values.dtype.type(width) + eps)
         inverse[row] = factor
         for c in range(width):
-            value = (values[row, c] - mean) * factor
+            value = values[row, c] * factor
             values[row, c] = value
             out[row, c] = value * scale[c] + shift[c]
-
-
-@compiled_with_free_sums
-def layer_norm_derivative(
-    on: np.ndarray,
-    normed: np.ndarray,
-    inverse: np.ndarray,
-    scale: np.ndarray,
-    d_scale: np.ndarray,
-    d_shift: np.ndarray,
-    d_bias: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Fill `out` with the derivative of a LayerNorm by what enters it, from that by its output `on`.
-
-    Those by scale, shift and a bias before the norm are added to the arrays of that name.
-    """
-    width = on.shape[1]
-    for row in range(on.shape[0]):
-        mean, along = inverse[row] * _ZERO, inverse[row] * _ZERO
-        for c in range(width):
-            value = on[row, c]
-            d_shift[c] += value
-            d_scale[c] += value * normed[row, c]
-            value *= scale[c]
-            mean += value
-            along += value * normed[row, c]
-        mean /= on.dtype.type(width)
-        along /= on.dtype.type(width)
-        for c in range(width):
-            value = inverse[row] * (on[row, c] * scale[c] - mean - normed[row, c] * along)
-            out[row, c] = value
-            d_bias[c] += value
-
-
-@compiled_with_free_sums
-def _gate(on: np.ndarray, rectified: np.ndarray, d_bias: np.ndarray) -> None:
-    """Derivative of a ReLU, in place of that by its output `on` (rows, width); `d_bias` gains its sum over rows."""
-    for row in range(on.shape[0]):
-        for c in range(on.shape[1]):
-            value = _ZERO if rectified[row, c] <= _ZERO else on[row, c]
-            on[row, c] = value
-            d_bias[c] += value

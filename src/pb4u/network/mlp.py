@@ -6,7 +6,8 @@ and outputs and the statistics of norms have at least that of float32.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import reduce
 
 import torch
 import torch.nn.functional as F
@@ -46,16 +47,6 @@ class MLP(nn.Module):
         if isinstance(self.norm, nn.LayerNorm) and are_compiled(values, self.first.weight):
             return normed_perceptron(values, self.first.weight, self.first.bias, (self.second, self.last, self.norm))
         return self.after_first(self.first(values.to(self.precision)))
-
-    def after_product(self, product: Tensor) -> Tensor:
-        """As `after_first`, given the first layer's sum `product` (..., width) [1] without its bias.
-
-        Args:
-            product: (..., width) [1].
-        """
-        if isinstance(self.norm, nn.LayerNorm) and are_compiled(product, self.first.weight):
-            return normed_perceptron(product, None, self.first.bias, (self.second, self.last, self.norm))
-        return self.after_first(product + self.first.bias)
 
     def after_first(self, hidden: Tensor) -> Tensor:
         """Output (..., outputs) [1], given the first layer's sum `hidden` (..., width) [1], which is overwritten.
@@ -115,6 +106,22 @@ class SplitMLP(MLP):
     def __init__(self, parts: Sequence[int], width: int, outputs: int, norm: bool) -> None:
         super().__init__(sum(parts), width, outputs, norm)
         self.parts = tuple(parts)
+
+    def of_parts(self, values: Mapping[int, Tensor]) -> Tensor:
+        """Output (rows, outputs) [1] for some of the parts, the others being zero.
+
+        Args:
+            values: (rows, columns of that part) [1] by number of the part.
+        """
+        given = list(values.values())
+        if isinstance(self.norm, nn.LayerNorm) and are_compiled(given[0], self.first.weight):
+            weight, layers = (
+                torch.cat([self.weight_of(part) for part in values], 1),
+                (self.second, self.last, self.norm),
+            )
+            return normed_perceptron(torch.cat(given, 1), weight, self.first.bias, layers)
+        shares = [self.project(part, each) for part, each in values.items()]
+        return self.after_first(reduce(torch.add, shares) + self.first.bias)
 
     def project(self, part: int, values: Tensor, bias: bool = False) -> Tensor:
         """Share (..., width) [1] of one part in the first layer's sum.

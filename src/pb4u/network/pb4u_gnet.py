@@ -66,8 +66,7 @@ class Pb4uGNet(EncodeProcessDecode):
         """
         nodes, edges = self.encode(graph)
         propagated = self.propagation(nodes, edges, graph, steps)
-        update = self.update.project(0, nodes[GARMENT]) + self.update.project(1, propagated)
-        nodes = {**nodes, GARMENT: self.update.after_product(update)}
+        nodes = {**nodes, GARMENT: self.update.of_parts({0: nodes[GARMENT], 1: propagated})}
         return self.decode_after(self.blocks, nodes, edges, graph)
 
     def propagation_steps(self, mean_edge_length: float) -> int:

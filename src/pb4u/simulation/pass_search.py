@@ -69,7 +69,7 @@ def _lengths(step: TimeStep, accelerations: Tensor, directions: Tensor) -> tuple
     x = integrate(step, accelerations).positions
     # The body's tangent planes where the whole pass leads are exact enough to choose by, and queried once.
     potential = IncrementalPotential().of(step).undifferentiated().with_contact_at(x + directions[0])
-    (before, *_), (gradient, *others) = potential.gradients(torch.stack([x, *(x + directions)]))
+    (before, at_whole, *_), (gradient, *others) = potential.gradients(torch.stack([x, *(x + directions)]))
     changes = torch.stack(others) - gradient
 
     def by_world(products: Tensor) -> Tensor:
@@ -83,7 +83,8 @@ def _lengths(step: TimeStep, accelerations: Tensor, directions: Tensor) -> tuple
     whole[0] = 1.0
     # Cloth buckles and skin is met on the way, so that the model can be wrong; half way is often still better.
     choices = torch.stack([whole, best, 0.5 * (whole + best)])
-    energies = potential.energies_of_worlds(torch.stack([_moved(step, x, directions, lengths) for lengths in choices]))
+    shorter = torch.stack([_moved(step, x, directions, lengths) for lengths in choices[1:]])
+    energies = torch.cat([at_whole[None], potential.energies_of_worlds(shorter)])
     lowest, chosen = energies.nan_to_num(nan=torch.inf).min(0)
     return choices.gather(0, chosen.expand(1, *best.shape))[0], before - lowest
 

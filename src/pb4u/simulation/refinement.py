@@ -119,8 +119,8 @@ class SolverRefinement:
             state: at its end.
             self_contact: keeps cloth from passing through bodies; None where it may.
         """
-        reached = past_bodies(self_contact, step, state)
         own = self.potential.self_contact
+        reached = past_bodies(self_contact, step, state, apart=own is not None)
         felt = own is not None and own.feels_bodies
         aside = (reached.positions - state.positions).norm(dim=1)
         if not felt or float(aside.max()) < _TURNED_ASIDE or not _has_failed(step, reached.positions):
@@ -225,18 +225,19 @@ def collision_free_move(self_contact: CollisionFree | None, step: TimeStep, befo
     return _moved_to(positions, wanted, step)
 
 
-def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State) -> State:
+def past_bodies(self_contact: CollisionFree | None, step: TimeStep, wanted: State, *, apart: bool) -> State:
     """State as far from the step's start towards `wanted` as cloth can move past the moving bodies; its velocities fit.
 
     Args:
         self_contact: keeps cloth from passing through bodies; None where it may.
         step: the time step.
         wanted: state at the end of the step.
+        apart: whether no move that led there from the step's start carried cloth through cloth.
     """
     if self_contact is None or not self_contact.feels_bodies or step.bodies is None or step.obstacle is None:
         return wanted
     positions, obstacle = self_contact.collision_free_move(
-        step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle
+        step.garments, step.state.positions, wanted.positions, obstacle=step.obstacle, apart=apart
     )
     if obstacle is not None:
         # What they were not through, nor left no room, need not be looked for again.

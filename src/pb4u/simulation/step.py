@@ -100,7 +100,7 @@ def take(step: TimeStep, method: StepMethod) -> State:
                 state = refinement.respond_with_cloth(step, state, contact)
         # Between vertices too no face or edge of a body comes through.
         kept = (
-            past_bodies(cloth, step, state)
+            past_bodies(cloth, step, state, apart=True)
             if refinement is None
             else refinement.pressed_past_bodies(step, state, cloth)
         )

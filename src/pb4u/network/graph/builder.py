@@ -13,11 +13,11 @@ from torch import Tensor
 
 from pb4u.collision.rooms import found_rows
 from pb4u.errors import InputError
-from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.network.graph.features import FeatureLayout
 from pb4u.network.graph.garment_graph import GarmentEdges, GarmentGraph
 from pb4u.network.graph.graph import BODY, GARMENT, EdgeSet, Graph, NodeSet, NodeType
 from pb4u.network.graph.incidence import Incidence, both_directions, incidence
+from pb4u.network.graph.normals import feature_normals
 from pb4u.network.graph.pins import PinRule, PinsAtPresent, SeenGarments
 from pb4u.network.graph.world_edges import NearestFaceRule, WorldEdgeRule
 from pb4u.scene.colliders import ColliderFrame, PackedColliders
@@ -152,7 +152,7 @@ class GraphBuilder:
         columns = {
             "velocity": velocities,
             "velocity_ahead": velocities,
-            "normal": vertex_normals(positions, static.faces),
+            "normal": feature_normals(positions, static.faces),
             "areal_density": static.areal_density,
             "vertex_mass": static.vertex_mass,
             "mass": static.mass,
@@ -218,7 +218,6 @@ class GraphBuilder:
         """Add the body vertices that a garment vertex sees, and the edges between them, where there are any."""
         origin = None if origins is None else origins[collider.colliders.vertex_world]
         now = self._localise(collider.now.positions, origin)
-        following = self._localise(collider.following.positions, origin)
         rooms = collider.colliders.rooms
         garment, body, filled = self._near_pairs(positions, now, collider.colliders)
         if len(body) == 0:
@@ -230,18 +229,19 @@ class GraphBuilder:
             near = near.index_fill(0, torch.where(filled, body, len(now)), True)[:-1]
             kept, filled_nodes = found_rows(near, "body nodes", rooms)
             body_node = (near.cumsum(0)[body] - 1).clamp(0, len(kept) - 1)
-        velocity = (collider.now.positions - collider.previous.positions).to(self.dtype)[kept]
-        normal = vertex_normals(now, collider.colliders.faces)[kept]
-        ahead = (collider.following.positions - collider.now.positions).to(self.dtype)[kept]
+        before, here, after = (pose.positions[kept] for pose in (collider.previous, collider.now, collider.following))
+        velocity, ahead = (here - before).to(self.dtype), (after - here).to(self.dtype)
+        normal = feature_normals(now, collider.colliders.faces)[kept]
         world = collider.colliders.vertex_world[kept]
         if rooms is not None:
             # What is only room is of no world.
             world = torch.where(filled_nodes, world, len(self.static.vertex_offsets) - 1)
         nodes[BODY] = self._body_nodes(velocity, ahead, normal, duration, world)
 
-        relative_now = positions.index_select(0, garment) - now.index_select(0, body)
-        relative_next = positions.index_select(0, garment) - following.index_select(0, body)
-        approach = velocities.index_select(0, garment) - (following - now).index_select(0, body)
+        now, following = now[kept], self._localise(after, None if origin is None else origin[kept])
+        relative_now = positions.index_select(0, garment) - now.index_select(0, body_node)
+        relative_next = positions.index_select(0, garment) - following.index_select(0, body_node)
+        approach = velocities.index_select(0, garment) - (following - now).index_select(0, body_node)
         real = None if rooms is None else filled
         garments, bodies = incidence(garment, len(positions), real), incidence(body_node, len(kept), real)
         features = self._world_features(relative_now, relative_next, approach, duration)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pb4u.collision.batched_surface import GROUP, Balls, Groups
+from pb4u.collision.near_vertices import nearest_vertices
 from pb4u.collision.rooms import Rooms, found_rows
 from pb4u.errors import InputError
 from pb4u.scene.colliders import PackedColliders
@@ -126,7 +127,7 @@ class NearestFaceRule:
 def nearest_within(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
     """Indices (points, neighbours) int64 of the nearest targets of each point, and flags of those within the radius.
 
-    Nearest first; absent ones are index 0. By a tree on the CPU, by all distances on an accelerator.
+    Nearest first; absent ones are index 0. By a grid on the CPU, by all distances on an accelerator.
 
     Args:
         points: (points, 3) [m]; one that is not finite is near nothing.
@@ -135,7 +136,7 @@ def nearest_within(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tupl
     """
     if targets.shape[0] == 0:
         return _none(points, rule)
-    return (_nearest_by_tree if points.device.type == "cpu" else _nearest_by_chunks)(points, targets, rule)
+    return (_nearest_by_grid if points.device.type == "cpu" else _nearest_by_chunks)(points, targets, rule)
 
 
 def _none(points: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
@@ -143,21 +144,11 @@ def _none(points: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
     return index, torch.zeros_like(index, dtype=torch.bool)
 
 
-def _nearest_by_tree(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
-    from scipy.spatial import cKDTree
-
-    # The tree refuses what is not finite; 1e9 m is near nothing.
-    cloud, queries = targets.numpy(), torch.where(torch.isfinite(points), points, 1e9).numpy()
-    near = ((cloud >= queries.min(axis=0) - rule.radius) & (cloud <= queries.max(axis=0) + rule.radius)).all(axis=1)
-    kept = near.nonzero()[0]
-    wanted = list(range(1, rule.neighbours + 1))
-    if len(kept) == 0:
-        return _none(points, rule)
-    tree = cKDTree(cloud[kept], balanced_tree=False, compact_nodes=False)
-    _, index = tree.query(queries, k=wanted, distance_upper_bound=rule.radius)
-    within = index < len(kept)
-    index[~within] = 0
-    return torch.from_numpy(kept[index]), torch.from_numpy(within)
+def _nearest_by_grid(points: Tensor, targets: Tensor, rule: WorldEdgeRule) -> tuple[Tensor, Tensor]:
+    index = torch.empty(len(points), rule.neighbours, dtype=torch.int64)
+    nearest_vertices(points.contiguous().numpy(), targets.contiguous().numpy(), rule.radius, index.numpy())
+    within = index >= 0
+    return index.clamp_min_(0), within
 
 
 def _nearest_by_chunks(points: Tensor, targets: Tensor, rule: WorldEdgeRule, rows: int = 4096) -> tuple[Tensor, Tensor]:

@@ -13,7 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pb4u.collision.collision_free import free_shares, past_obstacles, smallest_gaps, through_obstacle
+from pb4u.collision.collision_free import (
+    free_shares,
+    met_by_obstacles,
+    past_obstacles,
+    smallest_gaps,
+    through_obstacle,
+)
 from pb4u.collision.element_distance import crossing_shares
 from pb4u.collision.element_pairs import ElementPairs
 from pb4u.collision.jit import as_float64
@@ -89,10 +95,10 @@ class ClothPairs:
         if obstacle is not None and obstacle.passed.any():
             kept = ~through_obstacle(pairs.corners, tree.first_obstacle, obstacle.passed)
             pairs, mixed = pairs.chosen(kept), mixed[kept]
-        gaps = smallest_gaps(pairs, began)
-        if obstacle is not None:
-            # What is near now, where the bodies are, says how near it may come; where the step began they were others.
-            gaps[mixed] = smallest_gaps(pairs, points, tree.first_obstacle)[mixed]
+        gaps = np.empty(len(pairs))
+        gaps[~mixed] = smallest_gaps(pairs.chosen(~mixed), began)
+        # What is near now, where the bodies are, says how near it may come; where the step began they were others.
+        gaps[mixed] = smallest_gaps(pairs.chosen(mixed), points, tree.first_obstacle)
         reaches = np.maximum(np.minimum(reach, _SHARE_OF_REST * pairs.rest_distance), 2.0 * gaps)
         reaches[mixed] = _BODY_REACH
         # An integral over the cloth is met once from the vertices of each side and once from the edges of each.
@@ -227,6 +233,7 @@ class CollisionFree:
         cloth: ClothPairs | None = None,
         held: Tensor | None = None,
         obstacle: Obstacle | None = None,
+        apart: bool = False,
     ) -> tuple[Tensor, Obstacle | None]:
         """Positions (vertices, 3) [m] near `wanted` that are reached without cloth passing through cloth or a body.
 
@@ -240,6 +247,8 @@ class CollisionFree:
             cloth: all pairs that may touch on the way, where they were queried already.
             held: (vertices,) bool, of which none gives way to what meets it, as no pinned vertex does; None for none.
             obstacle: the bodies, which move while the cloth does; None for none.
+            apart: whether cloth is known to come to `wanted` from `before`, by whatever way, without touching cloth:
+                only what the bodies turn aside is looked at for that again.
         """
         firm = garments.pinned if held is None else garments.pinned | held
         masses = as_float64(torch.where(firm, torch.inf, garments.vertex_masses.clamp_min(1e-12)))
@@ -248,15 +257,11 @@ class CollisionFree:
         if obstacle is None:
             result = past_obstacles(garments.surface_tree, begun, asked, masses, known)[0]
             return wanted if result is asked else torch.from_numpy(result).to(wanted), None
-        whole = np.concatenate([asked, obstacle.after])
-        result, passed = past_obstacles(
-            obstacle.tree,
-            np.concatenate([begun, obstacle.before]),
-            whole,
-            np.concatenate([masses, np.full(len(obstacle.areas), np.inf)]),
-            known,
-            obstacle.passed,
-        )
+        begun, whole = np.concatenate([begun, obstacle.before]), np.concatenate([asked, obstacle.after])
+        if apart:
+            known = met_by_obstacles(obstacle.tree, begun, whole, obstacle.passed)
+        masses = np.concatenate([masses, np.full(len(obstacle.areas), np.inf)])
+        result, passed = past_obstacles(obstacle.tree, begun, whole, masses, known, obstacle.passed)
         reached = wanted if result is whole else torch.from_numpy(result[: len(asked)].copy()).to(wanted)
         return reached, obstacle.standing(passed)
 
