@@ -111,6 +111,10 @@ class SurfaceTree:
         return np.arange(len(self.rest)) < self.first_obstacle
 
     @cached_property
+    def _own(self) -> Asked:
+        return self._asked(self._everywhere)
+
+    @cached_property
     def _obstacles(self) -> Asked:
         return self._asked(~self._everywhere)
 
@@ -207,7 +211,8 @@ class SurfaceTree:
             return np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4), dtype=np.int64)
         boxes = self.fitted(vertices, moves, 0.5 * reaches.cloth, room)
         mixed, of_obstacles = not among[: self.first_obstacle].any(), among[self.first_obstacle :].any()
-        asked, others = self._asked(self._everywhere if mixed else among), self._obstacles if mixed else self._all
+        asked = self._own if mixed or among is self._everywhere else self._asked(among)
+        others = self._obstacles if mixed else self._all
         whole = np.count_nonzero(asked.vertices) > _FEW
         parts = np.split(self._parts, range(1, len(self._parts))) if whole else [self._parts]
         # Cloth on skin lies along it: planes of its faces keep most apart whose boxes meet.
@@ -219,8 +224,7 @@ class SurfaceTree:
         # Boxes of faces that share a vertex always meet: half of the time to find what they hold in the tree.
         pieces = _PIECES if whole else 1
         around = [(piece, kind) for kind in (True, False) for piece in np.array_split(self._around[not kind], pieces)]
-        around = [] if mixed else around
-        searches += [partial(near_around, *piece, among, way, strayed) for piece in around]
+        searches += [partial(near_around, *piece, among, way, strayed) for piece in around if not mixed]
         found = parallel_map(lambda search: search(), searches)
         vertex_faces, edge_edges = (
             np.concatenate(
@@ -266,7 +270,7 @@ class SurfaceTree:
     @cached_property
     def _own_nodes(self) -> np.ndarray:
         """Nodes (nodes,) int64 that hold a face which is no obstacle's, children before their parents."""
-        return np.ascontiguousarray(np.flatnonzero(self._asked(self._everywhere).nodes)[::-1])
+        return np.ascontiguousarray(np.flatnonzero(self._own.nodes)[::-1])
 
     @cached_property
     def _parts(self) -> np.ndarray:
