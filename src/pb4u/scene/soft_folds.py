@@ -33,6 +33,9 @@ _FACING = -0.3
 _ASIDE = 0.04
 """Distance [m] across their common normal from which on two places do not face each other."""
 
+_NEAR = 0.02
+"""The same [m] of vertices, which lie closer together, to find the rim of a fold."""
+
 _CLOSER = 0.7
 """Share of their distance at rest within which two places have met; the two sides of one limb keep theirs."""
 
@@ -64,7 +67,7 @@ class SoftFolds:
         rest = np.asarray(body.rest_vertices, dtype=np.float64)[self._touched]
         cells = np.floor(rest / _SPACING).astype(np.int64)
         self._rows = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-        self._places, self._rest = self._touched[self._rows], rest[self._rows]
+        self._vertices, self._places, self._rest = rest, self._touched[self._rows], rest[self._rows]
 
     def positions(self, start: int, stop: int) -> Tensor:
         """Vertices of consecutive frames, as `AnimatedBody.positions` gives them, with their folds opened.
@@ -101,15 +104,21 @@ class SoftFolds:
         smooth, spread = self._smoothing, self._spread
         normals = smooth @ (smooth @ normals)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True).clip(min=1e-12)
-        depth = _depth(points, normals, pairs)
+        depth = _depth(points, normals, pairs, _ASIDE)
         room, share = depth.clip(0.0, _ROOM), _opened_share(depth, pairs)
         inward, around = np.zeros(len(points)), (smooth @ held.astype(np.float64)).clip(min=1e-12)
         for _ in range(_ROUNDS):
             inward += 0.5 * np.maximum(depth + room, 0.0)
             inward = np.where(held, (smooth @ inward) / around, 0.0).clip(max=self._most)
-            depth = _depth(points - inward[:, None] * normals, normals, pairs)
+            depth = _depth(points - inward[:, None] * normals, normals, pairs, _ASIDE)
+        rows = self._touched[inside]
+        way = (spread @ ((share * inward)[:, None] * normals))[inside]
+        # At the rim of a fold, where skins meet, nothing moves.
+        rim = _depth(x[rows], every[rows], _met(x[rows], every[rows], self._vertices[inside]), _NEAR)
+        most = np.where(rim > -_REACH, 2.0 * rim.clip(min=0.0), np.inf)
+        way *= np.minimum(1.0, most / np.linalg.norm(way, axis=1).clip(min=1e-12))[:, None]
         moved = x.copy()
-        moved[self._touched[inside]] -= (spread @ ((share * inward)[:, None] * normals))[inside]
+        moved[rows] -= way
         return moved.astype(positions.dtype)
 
     def _inside(self, x: np.ndarray, normals: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -135,10 +144,9 @@ class SoftFolds:
         from scipy.sparse import csr_array
         from scipy.spatial import cKDTree
 
-        rest = np.asarray(self._body.rest_vertices, dtype=np.float64)
-        normals = area_weighted_normals(rest, self._body.faces)
+        normals = area_weighted_normals(np.asarray(self._body.rest_vertices, dtype=np.float64), self._body.faces)
         count = min(_NEIGHBOURS, len(self._places))
-        distances, near = cKDTree(self._rest).query(rest[self._touched], k=np.arange(1, count + 1))
+        distances, near = cKDTree(self._rest).query(self._vertices, k=np.arange(1, count + 1))
         alike = np.einsum("vi,vki->vk", normals[self._touched], normals[self._places][near])
         # Skin that faces another way, as that of the other thigh, moves another way.
         shares = alike.clip(min=1e-3) * np.exp(-((distances / _SPACING) ** 2)) + 1e-9
@@ -200,14 +208,14 @@ def _met(points: np.ndarray, normals: np.ndarray, rest: np.ndarray) -> np.ndarra
 
 
 @compiled
-def _depth(points: np.ndarray, normals: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Depth (places,) [m] of places in what faces them, along their common normal; negative outside."""
+def _depth(points: np.ndarray, normals: np.ndarray, pairs: np.ndarray, aside: float) -> np.ndarray:
+    """Depth (places,) [m] of places in what faces them, up to `aside` [m] across their common normal."""
     total, weights = np.zeros(len(points)), np.zeros(len(points))
     for i, j in pairs:
         ax, ay, az = normals[i, 0] - normals[j, 0], normals[i, 1] - normals[j, 1], normals[i, 2] - normals[j, 2]
         dx, dy, dz = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
         depth = (dx * ax + dy * ay + dz * az) / math.sqrt(ax * ax + ay * ay + az * az)
-        weight = 1.0 - (dx * dx + dy * dy + dz * dz - depth * depth) / (_ASIDE * _ASIDE)
+        weight = 1.0 - (dx * dx + dy * dy + dz * dz - depth * depth) / (aside * aside)
         if weight > 0.0:
             for place in (i, j):
                 total[place] += weight * weight * depth
