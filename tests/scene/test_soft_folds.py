@@ -50,19 +50,19 @@ def pressed(depth: float) -> TwoBalls:
 
 
 def test_skins_that_were_inside_each_other_are_apart_and_the_rest_stays() -> None:
-    body = pressed(0.06)
+    body = pressed(0.09)
     posed, opened = body.positions(0, 1)[0].numpy(), SoftFolds(body).positions(0, 1)[0].numpy()
     assert len(self_crossings(posed.astype(float), body.faces)) > 0
     assert len(self_crossings(opened.astype(float), body.faces)) == 0
     moved = np.linalg.norm(opened - posed, axis=1)
     # Half of the way each, and some room.
-    assert 0.025 < moved.max() < 0.045
-    middles = np.array([RADIUS - 0.03, 0.0, 0.0]) * np.array([[-1.0], [1.0]])
+    assert 0.04 < moved.max() < 0.06
+    middles = np.array([RADIUS - 0.045, 0.0, 0.0]) * np.array([[-1.0], [1.0]])
     outside = (np.linalg.norm(posed[:, None] - middles, axis=2) > RADIUS - 1e-6).all(axis=1)
     assert moved[outside].max() == 0.0
 
 
-@pytest.mark.parametrize("depth", [-0.05, 0.0, 0.008])
+@pytest.mark.parametrize("depth", [-0.05, 0.0, 0.038])
 def test_balls_that_hardly_touch_are_left_as_they_are(depth: float) -> None:
     body = pressed(depth)
     posed = body.positions(0, 1)[0].numpy()
@@ -70,21 +70,21 @@ def test_balls_that_hardly_touch_are_left_as_they_are(depth: float) -> None:
 
 
 def test_a_fold_opens_without_a_jump() -> None:
-    depths = np.linspace(0.0, 0.06, 61)
+    depths = np.linspace(0.0, 0.1, 101)
     opened = [SoftFolds(pressed(depth)).positions(0, 1)[0].numpy() for depth in depths]
-    # A vertex that comes inside takes the room at once.
-    assert np.abs(np.diff(opened, axis=0)).max() < 0.012
+    # A vertex that comes inside goes its whole way at once.
+    assert np.abs(np.diff(opened, axis=0)).max() < 0.02
 
 
 def test_what_is_left_out_of_contact_neither_presses_nor_gives_way() -> None:
-    body = pressed(0.06)
+    body = pressed(0.09)
     body.contact = body._side > 0
     posed = body.positions(0, 1)[0].numpy()
     np.testing.assert_array_equal(SoftFolds(body).opened(posed), posed)
 
 
 def test_an_open_surface_is_left_as_it_is() -> None:
-    body = pressed(0.06)
+    body = pressed(0.09)
     body.faces = body.faces[1:]
     np.testing.assert_array_equal(SoftFolds(body).positions(0, 1), body.positions(0, 1))
 

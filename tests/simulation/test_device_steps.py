@@ -21,6 +21,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from pb4u.collision.rooms import Rooms
 from pb4u.errors import InputError
 from pb4u.garment.dressing import AttachedPlacement
+from pb4u.geometry.triangle_mesh import vertex_normals
 from pb4u.network.acceleration_model import AccelerationModel
 from pb4u.paper.network_presets import NETWORKS
 from pb4u.physics.contact.contact_set import ContactPlanes
@@ -78,7 +79,8 @@ def on_device(model: AccelerationModel, steps: int, rooms: Rooms, replays: bool 
 
 
 def take_torch_layers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Take the layers that a card takes, which launches no compiled ones."""
+    """Take the layers and the normals that a card takes, which launches no compiled ones."""
+    monkeypatch.setattr("pb4u.network.graph.builder.feature_normals", vertex_normals)
     for user in ("interaction_block", "mlp", "propagation"):
         monkeypatch.setattr(f"pb4u.network.{user}.are_compiled", lambda *given: False)
 

@@ -39,7 +39,7 @@ _NEAR = 0.02
 _CLOSER = 0.7
 """Share of their distance at rest within which two places have met; the two sides of one limb keep theirs."""
 
-_LEAST = 0.01
+_LEAST = 0.04
 """Depth [m] up to which a fold is left as it is; one twice as deep is opened whole."""
 
 _ROOM = 0.006
