@@ -70,7 +70,7 @@ class SoftFolds:
         self._vertices, self._places, self._rest = rest, self._touched[self._rows], rest[self._rows]
 
     def positions(self, start: int, stop: int) -> Tensor:
-        """Vertices of consecutive frames, as `AnimatedBody.positions` gives them, with their folds opened.
+        """Vertices of consecutive frames, as `AnimatedBody.positions` gives them, with deep folds opened.
 
         Args:
             start: first frame.
