@@ -224,7 +224,7 @@ def _stay_near(
 ) -> np.ndarray:
     """Whether each pair (pairs,) that strayed `together` is no further apart than it may approach.
 
-    Most are told by what was between them, `distances` (pairs,) [m], and how far `away` (vertices,) [m] they got.
+    For most, what was between them, `distances` (pairs,) [m], and how far `away` (vertices,) [m] they got decide it.
     """
     points, way, weights, between = np.empty((4, 3)), np.empty((4, 3)), np.empty(4), np.empty(3)
     near = np.zeros(len(corners), dtype=np.bool_)

@@ -85,7 +85,7 @@ def meeting_leaves(
     Args:
         boxes: of the nodes.
         tree: of the surface.
-        asked: what is asked for.
+        asked: elements to look for.
         others: with which it may meet.
         parts: (parts, 2) int64 pairs of nodes to begin with.
         most: number of pairs above which none are returned.
@@ -153,7 +153,7 @@ def near_elements(
         boxes: of the nodes and faces.
         tree: of the surface.
         elements: of the surface.
-        asked: of each pair one has a vertex that is asked for.
+        asked: vertices, of which each pair has one.
         others: of whose faces the other is.
         parts: (parts, 2) int64 pairs of nodes that are searched.
         way: on which they may come near.

@@ -132,8 +132,8 @@ class LimbWatch:
             skin = self._skin.at(torch.from_numpy(body))
             inside = skin.nearest(torch.from_numpy(places)).signed_distance.numpy() < 0.0
             # Between two parts that are in each other, cloth is in both.
-            once = [winding_number(place, body, self._faces) < _IN_TWO for place in places]
-            pairs = pairs[inside & np.array(once)]
+            once = [winding_number(place, body, self._faces) < _IN_TWO for place in places[inside]]
+            pairs = pairs[inside][np.array(once, dtype=bool)]
             found[pairs[:, 0]] = True
         crossing = crossings(cloth, faces, body, self._touched)
         if len(crossing):

@@ -51,7 +51,11 @@ _THINNER = 0.4
 _OUTSIDE = 5e-4
 """Height [m] over the skin at which its own part is not around a place, but another may be."""
 
-_ROUNDS, _NEIGHBOURS = 8, 8
+_ROUNDS = 8
+"""Times that places are moved on and their depths found again."""
+
+_NEIGHBOURS = 8
+"""Places around a vertex that it moves with."""
 
 
 class SoftFolds:
@@ -144,10 +148,10 @@ class SoftFolds:
         from scipy.sparse import csr_array
         from scipy.spatial import cKDTree
 
-        normals = area_weighted_normals(np.asarray(self._body.rest_vertices, dtype=np.float64), self._body.faces)
+        normals = self._rest_normals
         count = min(_NEIGHBOURS, len(self._places))
         distances, near = cKDTree(self._rest).query(self._vertices, k=np.arange(1, count + 1))
-        alike = np.einsum("vi,vki->vk", normals[self._touched], normals[self._places][near])
+        alike = np.einsum("vi,vki->vk", normals, normals[self._rows][near])
         # Skin that faces another way, as that of the other thigh, moves another way.
         shares = alike.clip(min=1e-3) * np.exp(-((distances / _SPACING) ** 2)) + 1e-9
         shares /= shares.sum(axis=1, keepdims=True)
@@ -160,8 +164,13 @@ class SoftFolds:
 
     @cached_property
     def _most(self) -> np.ndarray:
-        normals = area_weighted_normals(np.asarray(self._body.rest_vertices, dtype=np.float64), self._body.faces)
-        return _THINNER * _thickness(self._rest, normals[self._places])
+        """How far [m] each place may be moved inward."""
+        return _THINNER * _thickness(self._rest, self._rest_normals[self._rows])
+
+    @cached_property
+    def _rest_normals(self) -> np.ndarray:
+        rest = np.asarray(self._body.rest_vertices, dtype=np.float64)
+        return area_weighted_normals(rest, self._body.faces)[self._touched]
 
 
 def _opened_share(depth: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -209,7 +218,8 @@ def _met(points: np.ndarray, normals: np.ndarray, rest: np.ndarray) -> np.ndarra
 
 @compiled
 def _depth(points: np.ndarray, normals: np.ndarray, pairs: np.ndarray, aside: float) -> np.ndarray:
-    """Depth (places,) [m] of places in what faces them, up to `aside` [m] across their common normal."""
+    """Depth (places,) [m] of places in what faces them, up to `aside` [m] across their common normal; -`_REACH` of one
+    that nothing faces."""
     total, weights = np.zeros(len(points)), np.zeros(len(points))
     for i, j in pairs:
         ax, ay, az = normals[i, 0] - normals[j, 0], normals[i, 1] - normals[j, 1], normals[i, 2] - normals[j, 2]
