@@ -24,7 +24,6 @@ PARAMETERS = ("height", "weight", "muscle")
 _FACTORS = {"height": (0, 1), "weight": (0, 1, 2), "muscle": (0, 1, 2)}
 # Positions are stored in whole steps of this [m] or more, which bounds the size of the files and their rounding.
 _VERTEX_STEP = 5e-6
-_HAND_BONES = ("wrist", "finger", "metacarpal")
 
 
 def bake(out_folder: str | Path | None = None) -> list[Path]:
@@ -52,7 +51,8 @@ def _bake_one(anny: AnnyBody, name: str, path: Path) -> Path:
     quantised = np.rint(vertices / steps[:, None, None]).astype(np.int64)
     vertices_at_rest, _ = anny.rest({"gender": GENDER[name], "age": 0.67})
     weights = anny.weights
-    of_hand = np.array([bone.startswith(_HAND_BONES) for bone in anny.bone_names])
+    # Cut off behind its first bone each finger leaves a small ring. One around all knuckles is too crooked to close.
+    of_fingers = np.array([bone.startswith("finger") and "-1" not in bone for bone in anny.bone_names])
     file = io.BytesIO()
     np.savez_compressed(
         file,
@@ -68,7 +68,7 @@ def _bake_one(anny: AnnyBody, name: str, path: Path) -> Path:
         bone_parents=anny.bone_parents.astype(np.int16),
         weight_bones=weights.bones.astype(np.uint8),
         weights=np.rint(weights.weights * 65535.0).astype(np.uint16),
-        contact=reachable(vertices_at_rest, anny.faces) & (weights.share_of(of_hand) <= 0.5),
+        contact=reachable(vertices_at_rest, anny.faces) & (weights.share_of(of_fingers) <= 0.5),
     )
     replace_file(path, file.getvalue())
     return path

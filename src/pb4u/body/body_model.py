@@ -128,7 +128,7 @@ class ShapedBody:
         faces: (faces, 3) int64.
         skeleton: bones at rest.
         weights: skinning weights of the vertices.
-        contact: (vertices,) bool, False for hands and skin inside other skin at rest.
+        contact: (vertices,) bool, False for hands or fingers and skin inside other skin at rest.
         shape: the shape parameters it was made with.
         pose_offsets: optional (vertices, 3, pose features) correctives added before skinning, driven by the local
             rotation matrices minus identity of all bones but the root (SMPL family).

@@ -12,7 +12,7 @@ _TOES = re.compile(r"^toe[\d-]+")
 
 
 def limb_bones(body: ShapedBody) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Bones whose skin is mostly touchable: those of hands, which are left out of contact, are none of them.
+    """Bones whose skin is mostly touchable: those of hands or fingers left out of contact are none of them.
 
     The toes of a foot have one name.
 

@@ -38,7 +38,7 @@ def borrow_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
         garment: worn by the body in its rest pose.
         body: whose skinning weights are borrowed.
     """
-    # Hands, and skin inside other skin, must not drag cloth along.
+    # Hands or fingers, and skin inside other skin, must not drag cloth along.
     allowed = np.flatnonzero(body.contact) if body.contact.any() else np.arange(len(body.vertices))
     tree = cKDTree(body.vertices[allowed])
     skin_weights = body.weights.dense(body.skeleton.bone_count)[allowed]

@@ -49,7 +49,7 @@ _MOST_FINER = 8.0
 
 @dataclass(frozen=True, eq=False)
 class Bones:
-    """Bones that cloth has to stay around, over time; those of hands, which are left out of contact, are none of them.
+    """Bones that cloth has to stay around, over time; those of hands or fingers left out of contact are none of them.
 
     Args:
         names: name of each bone.

@@ -289,7 +289,7 @@ class Ruler:
         self._pose = lru_cache(maxsize=3)(lambda t: self.colliders.pose(self._body(t)))
         closed = Topology(faces, len(contact)).is_closed
         touchable = closed and bool(contact[faces].all(axis=1).any())
-        # As contact knows it: what is in a hand, which it leaves out, is not in the forearm.
+        # As contact knows it: what is in a hand or finger, which it leaves out, is not in the arm.
         self.surface = TriangleSurface(faces, len(contact), contact, capped=True) if touchable else None
         self.faces = faces
         self.touched = faces[contact[faces].all(axis=1)]

@@ -49,7 +49,7 @@ class ArmClearance:
         self._points = [self._lower_arm(side) for side in SIDES]
 
     def _lower_arm(self, side: str) -> np.ndarray:
-        """Vertices of an arm from halfway down to the elbow to the wrist; hands take no part in contact."""
+        """Vertices of an arm from halfway down to the elbow to the wrist; hands swing on."""
         humanoid, body = self.humanoid, self.humanoid.body
         arm = humanoid.shares_of([f"{role}.{side}" for role in ("upper_arm", "forearm", "forearm_end")]) == 1.0
         shoulder, elbow = humanoid.joint(f"upper_arm.{side}"), humanoid.joint(f"forearm.{side}")
