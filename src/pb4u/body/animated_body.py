@@ -16,7 +16,8 @@ class AnimatedBody(ABC):
 
     Attributes:
         faces: (faces, 3) int64, counter-clockwise seen from outside.
-        contact: (vertices,) bool; False for hands or fingers and for skin inside other skin, left out of contact and penetration.
+        contact: (vertices,) bool; False for hands or fingers and for skin inside other skin, which contact and
+            penetration leave out.
         rest_vertices: (vertices, 3) float64 [m] the pose that garments are fitted to.
         fps: frames per second.
         name: what the user called it.
