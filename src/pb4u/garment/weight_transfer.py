@@ -8,6 +8,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from pb4u.body.body_model import ShapedBody
+from pb4u.body.skeleton import branch
 from pb4u.body.skinning import SkinningWeights, strongest_influences
 from pb4u.garment.garment import Garment
 from pb4u.geometry.triangle_mesh import area_weighted_normals
@@ -38,8 +39,12 @@ def borrow_weights(garment: Garment, body: ShapedBody) -> SkinningWeights:
         garment: worn by the body in its rest pose.
         body: whose skinning weights are borrowed.
     """
-    # Hands or fingers, and skin inside other skin, must not drag cloth along.
-    allowed = np.flatnonzero(body.contact) if body.contact.any() else np.arange(len(body.vertices))
+    # Hands, and skin inside other skin, must not drag cloth along.
+    wrists = [bone for bone, name in enumerate(body.skeleton.names) if "wrist" in name]
+    hands = branch(body.skeleton.parents, wrists)
+    allowed = np.flatnonzero(body.contact & (body.weights.share_of(hands) <= 0.5))
+    if not len(allowed):
+        allowed = np.arange(len(body.vertices))
     tree = cKDTree(body.vertices[allowed])
     skin_weights = body.weights.dense(body.skeleton.bone_count)[allowed]
     distances, nearest = tree.query(garment.vertices, k=min(_NEIGHBOURS, len(allowed)))
