@@ -31,11 +31,14 @@ def small_disk() -> Iterator[None]:
     """No file can grow beyond 4 KB, as on a disk that runs full; not even a log that the tests print to."""
     resource = pytest.importorskip("resource", reason="file size limits are a POSIX notion")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # What is imported meanwhile would be kept as bytecode that is cut off, for every later test.
+    kept, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = kept
 
 
 def skip_without_usd(suffix: str) -> None:
