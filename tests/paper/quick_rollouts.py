@@ -22,13 +22,20 @@ def job(motion: str, log: Path | str = "log", model: str = "skinning") -> RunJob
 
 
 def attempt(asked: RunJob) -> Made | Failure:
-    """Motions say what happens: "dies-once" and "dies" kill their worker, "refused" comes back as a sentence."""
+    """Motions say what happens: "dies-once" and "dies" kill their worker, "refused" comes back as a sentence.
+
+    "meets-1" and "meets-2" each wait a minute at most for the other to begin.
+    """
     motion, log = str(asked.run.motion), Path(str(asked.run.body))
     begun_before = f"begin {motion}" in noted(log)
     note(log, f"begin {motion}")
     time.sleep(0.05)
     if motion == "dies" or (motion == "dies-once" and not begun_before):
         os.kill(os.getpid(), signal.SIGKILL)
+    for _ in range(1200):
+        if not motion.startswith("meets") or noted(log).keys() >= {"begin meets-1", "begin meets-2"}:
+            break
+        time.sleep(0.05)
     if motion == "refused":
         return Failure("It is refused.", "")
     note(log, f"end {motion}")
