@@ -49,9 +49,9 @@ class ArmClearance:
         self._points = [self._lower_arm(side) for side in SIDES]
 
     def _lower_arm(self, side: str) -> np.ndarray:
-        """Vertices of an arm from halfway down to the elbow to the wrist; hands swing on."""
+        """Vertices of an arm from halfway down to the elbow, with those of the hand that cloth meets."""
         humanoid, body = self.humanoid, self.humanoid.body
-        arm = humanoid.shares_of([f"{role}.{side}" for role in ("upper_arm", "forearm", "forearm_end")]) == 1.0
+        arm = humanoid.arm_shares(side) == 1.0
         shoulder, elbow = humanoid.joint(f"upper_arm.{side}"), humanoid.joint(f"forearm.{side}")
         far = np.linalg.norm(body.vertices - shoulder, axis=1) > 0.5 * np.linalg.norm(elbow - shoulder)
         return np.flatnonzero((body.weights.share_of(arm) > 0.9) & far & body.contact)
