@@ -32,9 +32,8 @@ def attempt(asked: RunJob) -> Made | Failure:
     time.sleep(0.05)
     if motion == "dies" or (motion == "dies-once" and not begun_before):
         os.kill(os.getpid(), signal.SIGKILL)
-    for _ in range(1200):
-        if not motion.startswith("meets") or noted(log).keys() >= {"begin meets-1", "begin meets-2"}:
-            break
+    met, until = {"begin meets-1", "begin meets-2"}, time.monotonic() + 60.0
+    while motion.startswith("meets") and not noted(log).keys() >= met and time.monotonic() < until:
         time.sleep(0.05)
     if motion == "refused":
         return Failure("It is refused.", "")
